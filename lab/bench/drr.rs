@@ -48,7 +48,7 @@ impl Times {
     }
 }
 
-fn pool(threads: usize) -> Result<rayon::ThreadPool, Failure> {
+pub(super) fn pool(threads: usize) -> Result<rayon::ThreadPool, Failure> {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(failed)
 }
 
@@ -139,7 +139,7 @@ fn frames(
                 let project = || slices.project(view, &removed, &c_arm, &mut image);
                 let update =
                     times[which * cases.len() + case].add(|| pool.install(project)).map_err(failed)?;
-                if update != Some(Update::Full) {
+                if update != Update::Full {
                     return Err(Failure::failed(format!("not a full frame: {update:?}")));
                 }
             }
@@ -243,14 +243,13 @@ fn removals(view: &VolumeView<'_>) -> Result<(), Failure> {
                     }
                 }
                 // As in the renderer, a few changes are applied without waking the worker threads.
-                let update = match slices.refresh(&c_arm, &mut image) {
+                kind = match slices.refresh(&c_arm, &mut image) {
                     None => {
                         let project = || slices.project(view, &removed, &c_arm, &mut image);
                         pool.install(project).map_err(failed)?
                     }
-                    some => some,
+                    Some(update) => update,
                 };
-                kind = update.unwrap_or(Update::Unchanged);
                 Ok(())
             })?;
         }

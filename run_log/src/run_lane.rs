@@ -70,8 +70,8 @@ struct Channels {
 /// Numbers that the next messages should carry.
 #[derive(Default)]
 struct Expected {
-    latched_tick: u64,
-    state_tick: u64,
+    latched_tick: Tick,
+    state_tick: Tick,
     removed_sequence: u64,
     frame_sequence: u64,
     keyframe_sequence: u64,
@@ -286,11 +286,11 @@ impl<W: Write> RunLog<W> {
     }
 
     fn write_latched(&mut self, latched: &Latched) -> Result<(), LogError> {
-        self.write_keyframes(Tick(latched.tick))?;
-        let missed = latched.tick.saturating_sub(self.expected.latched_tick);
-        self.count_lost(Topic::Latched, missed);
-        self.expected.latched_tick = latched.tick.saturating_add(1);
-        self.sink.message(self.channels.latched, Tick(latched.tick), &[latched.as_bytes()])
+        let tick = Tick(latched.tick);
+        self.write_keyframes(tick)?;
+        self.count_lost(Topic::Latched, tick.since(self.expected.latched_tick));
+        self.expected.latched_tick = tick.saturating_add(1);
+        self.sink.message(self.channels.latched, tick, &[latched.as_bytes()])
     }
 
     fn write_removed(&mut self, message: &[u8]) -> Result<(), LogError> {
@@ -304,19 +304,19 @@ impl<W: Write> RunLog<W> {
     }
 
     fn write_state(&mut self, state: &State) -> Result<(), LogError> {
-        let missed = state.tick.saturating_sub(self.expected.state_tick);
-        self.count_lost(Topic::State, missed);
-        self.expected.state_tick = state.tick.saturating_add(1);
-        self.sink.message(self.channels.state, Tick(state.tick), &[state.as_bytes()])?;
+        let tick = Tick(state.tick);
+        self.count_lost(Topic::State, tick.since(self.expected.state_tick));
+        self.expected.state_tick = tick.saturating_add(1);
+        self.sink.message(self.channels.state, tick, &[state.as_bytes()])?;
         let is_first = self.last.is_none();
         self.last = Some(*state);
-        self.frames.tick(Tick(state.tick));
+        self.frames.tick(tick);
         self.write_frames(Due::AtItsTick)?;
         // Closing the chunk here puts the initial state on disk even if the run starts paused.
         match self.places {
             Places::AsGiven => Ok(()),
             Places::ByTick if is_first => self.sink.close_chunk(),
-            Places::ByTick => self.sink.end_tick(Tick(state.tick)),
+            Places::ByTick => self.sink.end_tick(tick),
         }
     }
 

@@ -169,3 +169,36 @@ pub fn description_of(schema_name: &str) -> Option<&'static Description> {
     }
     messages::ALL.iter().copied().find(|description| description.name == schema_name)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Readers of logs, our own of earlier builds and others, know topics by these names.
+    #[test]
+    fn topics_have_the_names_that_logs_hold() {
+        let names = [
+            "/latched",
+            "/state",
+            "/removed",
+            "/drr/reply",
+            "/drr/frame",
+            "/drr/image",
+            "/keyframe",
+            "/timing/tick",
+            "/timing/frame",
+            "/event",
+            "/run/control",
+            "/run/control_reply",
+            "/run/status",
+            "/drr/request",
+        ];
+        assert_eq!(Topic::ALL.iter().map(|topic| topic.name()).collect::<Vec<_>>(), names);
+        assert_eq!(RUN.map(Topic::name), names[..RUN.len()]);
+        for topic in Topic::ALL {
+            assert_eq!(Topic::of_name(topic.name()), Some(*topic));
+        }
+        assert_eq!(Topic::of_name(&command("drill")), None);
+        assert_eq!(Frame::TOPIC.name(), "/drr/frame");
+    }
+}

@@ -47,6 +47,13 @@ pub struct Channel {
 #[derive(Debug, Clone, Default)]
 pub struct Channels(Vec<Channel>);
 
+/// Schema of a channel's messages.
+struct Schema<'a> {
+    name: &'a str,
+    text: String,
+    encoding: &'a str,
+}
+
 impl Channels {
     /// All channels, including one command channel per controller.
     pub fn new(controllers: &[String]) -> Channels {
@@ -76,13 +83,10 @@ impl Channels {
         channels.json(MISS, "trabecula.view.Miss", Policy::Stream);
         channels.json(SCENE, "foxglove.SceneUpdate", Policy::Newest);
         let (name, schema) = topics::schema_of(Frame::DESCRIPTION);
-        channels.add(ASKED_FRAME, "trabecula.frame", (name, schema, "ros2msg"), Policy::Newest);
-        channels.add(
-            SURFACE,
-            "trabecula.mesh",
-            ("trabecula.view.Surface", String::new(), ""),
-            Policy::Newest,
-        );
+        let schema = Schema { name, text: schema, encoding: "ros2msg" };
+        channels.add(ASKED_FRAME, "trabecula.frame", schema, Policy::Newest);
+        let schema = Schema { name: "trabecula.view.Surface", text: String::new(), encoding: "" };
+        channels.add(SURFACE, "trabecula.mesh", schema, Policy::Newest);
         channels
     }
 
@@ -109,24 +113,23 @@ impl Channels {
     }
 
     fn logged(&mut self, topic: &str, description: &'static Description, policy: Policy) {
-        let (name, schema) = topics::schema_of(description);
-        self.add(topic, "cdr", (name, schema, "ros2msg"), policy);
+        let (name, text) = topics::schema_of(description);
+        self.add(topic, "cdr", Schema { name, text, encoding: "ros2msg" }, policy);
     }
 
     fn json(&mut self, topic: &str, schema_name: &str, policy: Policy) {
-        let schema = "{\"type\":\"object\",\"properties\":{}}".to_owned();
-        self.add(topic, "json", (schema_name, schema, "jsonschema"), policy);
+        let text = "{\"type\":\"object\",\"properties\":{}}".to_owned();
+        self.add(topic, "json", Schema { name: schema_name, text, encoding: "jsonschema" }, policy);
     }
 
-    fn add(&mut self, topic: &str, encoding: &str, schema: (&str, String, &str), policy: Policy) {
-        let (schema_name, schema, schema_encoding) = schema;
+    fn add(&mut self, topic: &str, encoding: &str, schema: Schema<'_>, policy: Policy) {
         let advertisement = Advertisement {
             id: self.0.len() as u32 + 1,
             topic: topic.to_owned(),
             encoding: encoding.to_owned(),
-            schema_name: schema_name.to_owned(),
-            schema,
-            schema_encoding: schema_encoding.to_owned(),
+            schema_name: schema.name.to_owned(),
+            schema: schema.text,
+            schema_encoding: schema.encoding.to_owned(),
         };
         self.0.push(Channel { advertisement, policy });
     }

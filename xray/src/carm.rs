@@ -291,6 +291,13 @@ impl PixelBox {
     /// Margin of the bounding rectangle against rounding in the projection, in pixels.
     const SLACK: f64 = 1e-3;
 
+    /// Its common part with another; `None` if there is none.
+    pub(crate) fn within(&self, other: &Self) -> Option<Self> {
+        let common = |a: (u32, u32), b: (u32, u32)| (a.0.max(b.0), a.1.min(b.1));
+        let (columns, rows) = (common(self.columns, other.columns), common(self.rows, other.rows));
+        (columns.0 < columns.1 && rows.0 < rows.1).then_some(Self { columns, rows })
+    }
+
     pub(crate) fn covering(low: [f64; 2], high: [f64; 2], columns: u32, rows: u32) -> Option<Self> {
         let range = |a: f64, b: f64, n: u32| {
             // `as` saturates, so a box far outside gives an empty range.

@@ -91,6 +91,20 @@ pub enum DrrError {
         /// Bytes free.
         available_bytes: u64,
     },
+    /// The intermediate images of the sum over slices do not fit into free memory.
+    #[error(
+        "the intermediate images of this C-arm have {samples} samples and need {:.2} GiB, and {:.2} GiB are free: lower \
+         `oversampling`, narrow the detector, or choose the projector `preview` or `joseph`",
+        *needed_bytes as f64 / GIB, *available_bytes as f64 / GIB
+    )]
+    Images {
+        /// Samples of all images.
+        samples: usize,
+        /// Bytes of the images.
+        needed_bytes: u64,
+        /// Bytes free.
+        available_bytes: u64,
+    },
     /// The worker threads could not be started.
     #[error("cannot start {threads} render threads ({reason}): lower `threads` or raise the process limit")]
     Threads {

@@ -1,6 +1,6 @@
 //! Rays from the source to pixel centres, in the world and in index space.
 
-use crate::carm::CArm;
+use crate::carm::{CArm, PixelBox};
 use crate::grid::Grid;
 use crate::vector::{Vec3, add_scaled, cross, dot, norm, scale, sub};
 
@@ -124,10 +124,17 @@ impl RayFan {
         self.source_index
     }
 
-    /// Index directions of the rays of a detector's four corner pixels.
-    pub(crate) fn corner_directions(&self, pixels: [u32; 2]) -> [Vec3; 4] {
-        let [c, r] = pixels.map(|n| n.saturating_sub(1));
-        [(0, 0), (c, 0), (0, r), (c, r)].map(|(column, row)| self.index_direction(column, row))
+    /// Index directions of the rays to the four corner pixels of a rectangle of the detector.
+    pub(crate) fn corner_directions(&self, pixels: &PixelBox) -> [Vec3; 4] {
+        let (c0, r0) = (pixels.columns.0, pixels.rows.0);
+        let [c1, r1] = [pixels.columns.1, pixels.rows.1].map(|n| n.saturating_sub(1));
+        [(c0, r0), (c1, r0), (c0, r1), (c1, r1)].map(|(column, row)| self.index_direction(column, row))
+    }
+
+    /// Covector n in index space with n . d = 1 for every vector d from the source to the detector's plane.
+    pub(crate) fn detector_normal(&self) -> Vec3 {
+        let normal = cross(self.column_step_index, self.row_step_index);
+        scale(normal, 1.0 / dot(self.first_index, normal))
     }
 
     /// Index direction of a pixel's ray.

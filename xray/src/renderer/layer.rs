@@ -83,7 +83,7 @@ impl Layer {
         }
     }
 
-    /// Updates `image` by sums over slices; `None`, with nothing written, if rays must be traced individually.
+    /// Updates `image` by sums over slices; `None`, with nothing written, if the projector traces rays.
     pub fn project(
         &mut self,
         view: &VolumeView<'_>,
@@ -100,12 +100,9 @@ impl Layer {
         }
         let update = match slices.refresh(c_arm, image) {
             None => pool.install(|| slices.project(view, removed, c_arm, image))?,
-            some => some,
+            Some(update) => update,
         };
-        if update.is_none() && fresh {
-            image.clear();
-        }
-        Ok(update.map(|update| match update {
+        Ok(Some(match update {
             Update::Full => Computed { kind: RenderKind::Full, pixels: c_arm.pixels() },
             Update::Changed(pixels) => Computed { kind: RenderKind::Incremental, pixels },
             Update::Unchanged => Computed { kind: RenderKind::Cached, pixels: 0 },

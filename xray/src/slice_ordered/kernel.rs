@@ -138,6 +138,47 @@ struct TileRows {
     /// Occupancy of the lines' cells, one bit each: set if any line's cell is occupied.
     occupied: Vec<u64>,
     runs: Vec<Run>,
+    summed: Summed,
+}
+
+/// The samples of a tile that are summed in a slice; ranges are half-open.
+#[derive(Debug, Default)]
+struct Summed {
+    /// Columns of each row.
+    columns: [(usize, usize); TILE_ROWS],
+    /// Groups with any of these columns, and groups of which all rows have all columns.
+    any: (usize, usize),
+    whole: (usize, usize),
+}
+
+impl Summed {
+    #[inline(always)]
+    fn of(plan: &Plan, slice: &Slice, first_row: usize) -> Self {
+        if !slice.meets_detector {
+            let all = plan.summed_columns(slice, first_row);
+            let groups = ((all.0 / GROUP).max(slice.groups.0), (all.1 / GROUP).min(slice.groups.1));
+            return Self { columns: [all; TILE_ROWS], any: groups, whole: groups };
+        }
+        let columns: [(usize, usize); TILE_ROWS] =
+            core::array::from_fn(|row| plan.summed_columns(slice, first_row + row));
+        let filled = || columns.iter().filter(|row| row.0 < row.1);
+        let any = filled().fold((usize::MAX, 0), |all, row| (all.0.min(row.0), all.1.max(row.1)));
+        let whole = columns.iter().fold((0, usize::MAX), |all, row| (all.0.max(row.0), all.1.min(row.1)));
+        let any = ((any.0 / GROUP).max(slice.groups.0), any.1.div_ceil(GROUP).min(slice.groups.1));
+        Self { columns, any, whole: (whole.0.div_ceil(GROUP), whole.1 / GROUP) }
+    }
+
+    /// Adds those of a group's samples that are summed.
+    #[inline(always)]
+    fn add(&self, group: usize, samples: &GroupSums, sums: &mut GroupSums) {
+        for ((sums, samples), columns) in sums.iter_mut().zip(samples).zip(&self.columns) {
+            for lane in 0..GROUP {
+                let column = group * GROUP + lane;
+                let kept = columns.0 <= column && column < columns.1;
+                sums[lane] += if kept { samples[lane] } else { 0 };
+            }
+        }
+    }
 }
 
 impl TileRows {
@@ -145,6 +186,10 @@ impl TileRows {
     #[inline(always)]
     fn place<T: Voxel>(&mut self, copy: &Copy3<T>, plan: &Plan, slice: &Slice, first_row: usize) -> bool {
         self.runs.clear();
+        self.summed = Summed::of(plan, slice, first_row);
+        if self.summed.any.0 >= self.summed.any.1 {
+            return false;
+        }
         let (first_line, _) = slice.row(first_row);
         let (last_line, _) = slice.row(first_row + TILE_ROWS - 1);
         self.lines = ((last_line - first_line) as usize + 2).min(MAX_LINES);
@@ -157,11 +202,11 @@ impl TileRows {
                 *all |= word;
             }
         }
-        let mut from = 0;
-        while let Some((first, end)) = next_run(&self.occupied, from) {
+        let (mut from, read_end) = slice.cells_read(self.summed.any, copy.row_cells());
+        while let Some((first, end)) = next_run(&self.occupied, from).filter(|run| run.0 < read_end) {
             from = end;
-            let end = end.min(copy.row_cells());
-            let groups = slice.groups_reading((first * CELL) as i64, (end * CELL) as i64);
+            let end = end.min(read_end);
+            let groups = slice.groups_reading((first * CELL) as i64, (end * CELL) as i64, self.summed.any);
             if groups.0 < groups.1 {
                 self.runs.push(Run { cells: (first, end), groups });
             }
@@ -359,7 +404,13 @@ fn sum_slice<T: Voxel, L: Lanes>(
             let start = slice.group(low + n);
             // One zero cell precedes the row.
             let place = GroupPlace { first: (start.voxel + CELL as i64) as usize, fraction: start.fraction };
-            lanes.add_group(constants, lines, place, sums);
+            if rows.summed.whole.0 <= low + n && low + n < rows.summed.whole.1 {
+                lanes.add_group(constants, lines, place, sums);
+            } else {
+                let mut samples = [[0; GROUP]; TILE_ROWS];
+                lanes.add_group(constants, lines, place, &mut samples);
+                rows.summed.add(low + n, &samples, sums);
+            }
             ahead.group::<T, L>(lanes, data);
         }
         sums.touched = (sums.touched.0.min(low), sums.touched.1.max(high));

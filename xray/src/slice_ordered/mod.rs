@@ -1,5 +1,6 @@
 //! Line integrals in the volume's memory order (shear-warp): all slices, as seen from the source, are summed into an intermediate image
-//! of integers, which is then warped once onto the detector.
+//! of integers, which is then warped once onto the detector. Every frame is computed so: where the volume extends behind the detector, a
+//! ray's samples end there; where no axis suits all rays, parts of the detector have images of their own.
 //!
 //! - Every sample is Joseph's (bilinear in a slice): two voxel rows are blended into one row of 16-bit integers, with rounding, and two
 //!   neighbours in it are added with 14-bit weights whose sum is exactly 2^14. All arithmetic is integer, so instruction set, number of
@@ -8,16 +9,19 @@
 //!   that of a full render of the drilled volume.
 //! - Values are multiples of a thousandth of water's attenuation (clamped at 32767 of them); previews use coarser multiples that fit into
 //!   a byte, on a volume of block means.
-//! - The line integral starts at the source: anything behind it, or within one slice of it, is not in the image. A source inside the
-//!   volume, or inside bone, is therefore allowed.
+//! - The line integral starts at the source and ends at the detector. Both may lie inside the volume, or inside bone. Where one image
+//!   serves all rays, what lies within one slice of the source is not in it.
 //!
 //! Memory: one copy of the volume for each of two orders (see [`SliceOrdered::memory`]), created when a frame first needs it.
 
 mod array;
+mod before;
 mod copies;
+mod footprint;
 mod instructions;
 mod kernel;
 mod options;
+mod parts;
 mod plan;
 mod splat;
 mod standing;
@@ -36,8 +40,8 @@ use crate::grid::{Grid, VolumeView};
 use crate::machine::Machine;
 use crate::ray::RayFan;
 use crate::removal::RemovedVoxels;
-use plan::{Plan, WEIGHT_BITS};
-use splat::Dirty;
+use parts::{Part, parts_of};
+use plan::{MAX_PIXELS, Rays, WEIGHT_BITS};
 use standing::{Show, Standing, Threads};
 use store::{Change, Source, Store, Values};
 use warp::{Rect, pixels_of};
@@ -125,11 +129,10 @@ impl SliceOrdered {
 
     /// The sums of the last frame. Their total is a checksum of the drilled volume from this view.
     pub fn sums(&self) -> Sums<'_> {
-        let none = Sums { columns: 0, rows: 0, values: &[] };
-        self.standing.as_ref().map_or(none, |standing| {
-            let Plan { columns, rows, .. } = standing.plan;
-            Sums { columns, rows, values: &standing.sums }
-        })
+        match &self.standing {
+            None => Sums { images: 0, values: &[] },
+            Some(standing) => Sums { images: standing.parts.len(), values: &standing.sums },
+        }
     }
 
     /// Restores all voxels; copies and sums are rebuilt.
@@ -180,9 +183,7 @@ impl SliceOrdered {
         Ok(())
     }
 
-    /// Creates the copy that this C-arm needs, so that the first frame does not wait for it. False if the C-arm's rays must be traced
-    /// individually: no axis of the volume has a slope of at most 4 voxels per slice for all rays, or the volume extends behind the
-    /// detector.
+    /// Creates the copies that this C-arm needs, so that the first frame does not wait for them.
     ///
     /// # Errors
     /// The volume is too large for the memory.
@@ -191,12 +192,14 @@ impl SliceOrdered {
         view: &VolumeView<'_>,
         removed: &RemovedVoxels,
         c_arm: &CArm,
-    ) -> Result<bool, DrrError> {
+    ) -> Result<(), DrrError> {
         let fan = RayFan::new(&self.store_grid, c_arm);
-        match Plan::new(&self.store_grid, &fan, [c_arm.columns, c_arm.rows], self.options.oversampling) {
-            Some(plan) => self.ensure(view, removed, plan.axes.u).map(|()| true),
-            None => Ok(false),
-        }
+        self.parts(&fan, c_arm).iter().try_for_each(|part| self.ensure(view, removed, part.plan.axes.u))
+    }
+
+    fn parts(&self, fan: &RayFan, c_arm: &CArm) -> Vec<Part> {
+        let pixels = PixelBox { columns: (0, c_arm.columns), rows: (0, c_arm.rows) };
+        parts_of(&Rays { grid: &self.store_grid, fan, pixels, oversampling: self.options.oversampling })
     }
 
     fn ensure(
@@ -226,8 +229,7 @@ impl SliceOrdered {
     }
 
     /// Updates the line integrals of a C-arm: `image` either holds those of the last call with this C-arm, or is written completely.
-    /// `None`, with nothing written, if the rays must be traced individually (see [`SliceOrdered::prepare`]). Runs on the threads of the
-    /// caller's pool.
+    /// Runs on the threads of the caller's pool.
     ///
     /// # Errors
     /// The image has the wrong size, or the volume is too large for the memory.
@@ -237,34 +239,53 @@ impl SliceOrdered {
         removed: &RemovedVoxels,
         c_arm: &CArm,
         image: &mut [f64],
-    ) -> Result<Option<Update>, DrrError> {
+    ) -> Result<Update, DrrError> {
         if image.len() != c_arm.pixels() {
             return Err(DrrError::Length { field: "image", given: image.len(), expected: c_arm.pixels() });
         }
         if let Some(update) = self.refresh_on(c_arm, image, usize::MAX) {
-            return Ok(Some(update));
+            return Ok(update);
         }
         let fan = RayFan::new(&self.store_grid, c_arm);
-        let pixels = [c_arm.columns, c_arm.rows];
         // Reuse the old sums' memory.
-        let memory = self.standing.take().map_or_else(Default::default, |s| (s.sums, s.image));
+        let (mut sums, mut floats) =
+            self.standing.take().map_or_else(Default::default, |s| (s.sums, s.image));
         self.settle();
-        let Some(plan) = Plan::new(&self.store_grid, &fan, pixels, self.options.oversampling) else {
-            return Ok(None);
-        };
-        self.ensure(view, removed, plan.axes.u)?;
+        let parts = self.parts(&fan, c_arm);
+        parts.iter().try_for_each(|part| self.ensure(view, removed, part.plan.axes.u))?;
+        let samples = parts.last().map_or(0, |last| last.samples().end);
+        self.check_memory(samples)?;
         let began_ns = self.machine.now_ns();
-        let (mut sums, floats): (Vec<i64>, Vec<f32>) = memory;
-        self.store.sum(&plan, self.options.instructions, &mut sums);
+        // Every sample is overwritten.
+        sums.resize(samples, 0);
+        floats.resize(samples, 0.0);
+        for part in &parts {
+            let sums = sums.get_mut(part.samples()).unwrap_or(&mut []);
+            self.store.sum(&part.plan, self.options.instructions, sums);
+        }
         self.cost.full_ns = self.machine.now_ns().saturating_sub(began_ns) as f64;
-        let mut standing =
-            Standing { c_arm: *c_arm, fan, plan, sums, image: floats, dirty: Dirty::default() };
-        standing.image.resize(standing.plan.pixels(), 0.0);
-        let all = Rect { columns: (0, standing.plan.columns), rows: (0, standing.plan.rows) };
+        let mut standing = Standing { c_arm: *c_arm, fan, parts, sums, image: floats };
+        let show = self.show(Threads::Pool);
+        for part in 0..standing.parts.len() {
+            let plan = &standing.parts[part].plan;
+            let all = Rect { columns: (0, plan.columns), rows: (0, plan.rows) };
+            show.sharpen(&mut standing, part, &all);
+        }
         let detector = PixelBox { columns: (0, c_arm.columns), rows: (0, c_arm.rows) };
-        self.show(Threads::Pool).show(&mut standing, &all, &detector, image);
+        show.draw(&standing, &detector, image);
         self.standing = Some(standing);
-        Ok(Some(Update::Full))
+        Ok(Update::Full)
+    }
+
+    /// Refuses intermediate images of more than 1 GiB that the memory cannot hold.
+    fn check_memory(&self, samples: usize) -> Result<(), DrrError> {
+        const BYTES_EACH: usize = size_of::<i64>() + size_of::<f32>();
+        let needed_bytes = samples as u64 * BYTES_EACH as u64;
+        let available = || self.machine.available_bytes().filter(|available| needed_bytes > *available);
+        match (samples as f64 > MAX_PIXELS).then(available).flatten() {
+            None => Ok(()),
+            Some(available_bytes) => Err(DrrError::Images { samples, needed_bytes, available_bytes }),
+        }
     }
 
     /// Applies the pending changes to the copies, and to the current C-arm's sums if there are any.
@@ -289,16 +310,22 @@ impl SliceOrdered {
     fn update(&mut self, image: &mut [f64], threads: Threads) -> Update {
         self.settle();
         let Some(mut standing) = self.standing.take() else { return Update::Unchanged };
-        let dirty = core::mem::take(&mut standing.dirty);
-        let (columns, rows) = (standing.plan.columns, standing.plan.rows);
-        let pixels = [standing.c_arm.columns, standing.c_arm.rows];
+        let show = self.show(threads);
+        let mut changed = Vec::new();
+        for n in 0..standing.parts.len() {
+            let part = &mut standing.parts[n];
+            let dirty = core::mem::take(&mut part.dirty);
+            let (columns, rows) = (part.plan.columns, part.plan.rows);
+            for rect in dirty.rects() {
+                changed.extend(pixels_of(&standing.parts[n], &standing.fan, rect));
+                show.sharpen(&mut standing, n, &rect.grown(1, columns, rows));
+            }
+        }
+        let side = |(first, end): (u32, u32)| (end - first) as usize;
         let mut written = 0;
-        for rect in dirty.rects() {
-            let changed = pixels_of(&standing.plan, &standing.fan, rect, pixels);
-            let changed = changed.unwrap_or(PixelBox { columns: (0, 0), rows: (0, 0) });
-            let side = |(first, end): (u32, u32)| (end - first) as usize;
-            written += side(changed.columns) * side(changed.rows);
-            self.show(threads).show(&mut standing, &rect.grown(1, columns, rows), &changed, image);
+        for pixels in &changed {
+            written += side(pixels.columns) * side(pixels.rows);
+            show.draw(&standing, pixels, image);
         }
         self.standing = Some(standing);
         if written == 0 { Update::Unchanged } else { Update::Changed(written) }

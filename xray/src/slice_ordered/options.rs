@@ -53,14 +53,12 @@ pub enum Update {
     Unchanged,
 }
 
-/// The intermediate image.
+/// The intermediate images.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sums<'a> {
-    /// Its width.
-    pub columns: usize,
-    /// Its height.
-    pub rows: usize,
-    /// The sums, row-major.
+    /// Their number: one, or several where one does not suit all rays.
+    pub images: usize,
+    /// The sums of all images, one after the other, row-major.
     pub values: &'a [i64],
 }
 

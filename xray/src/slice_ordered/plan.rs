@@ -5,11 +5,20 @@
 //! `r_k` is the ratio of the two depths. The step is constant, so no ray needs its own arithmetic. (P. Lacroute and M. Levoy, "Fast
 //! volume rendering using a shear-warp factorization", SIGGRAPH 1994, here with a point source.)
 //!
+//! One image serves all rays and all slices if the volume lies before the detector and no ray passes more than four voxels per slice.
+//! Otherwise [`parts`](super::parts) splits the detector into rectangles; each has its own axes, and an image for each range of depths,
+//! so that near slices are not sampled as densely as the farthest requires.
+//!
 //! Positions are 32.32 fixed point. Along an image row, 16 samples share one such base; within the group they are 5.27 fixed point. These
 //! integers define the weights, so every implementation of the sum gives the same bits.
 
+use super::before::BeforeDetector;
+use super::copies::CELL;
+use super::footprint::visible_groups;
+use crate::carm::PixelBox;
 use crate::grid::Grid;
 use crate::ray::RayFan;
+use crate::vector::Vec3;
 
 /// Samples of a row that share one 32.32 base.
 pub(crate) const GROUP: usize = 16;
@@ -33,14 +42,18 @@ pub(crate) const FRACTION_MASK: u32 = (1 << WEIGHT_BITS) - 1;
 pub(crate) const LANE_BITS: u32 = 27;
 /// 2^32: one voxel.
 const ONE: i64 = 1 << 32;
-/// Maximum slope, in voxels per slice, for summing by slices.
+/// Maximum slope, in voxels per slice, of rays that share the only image of a frame.
 const MAX_SLOPE: f64 = 4.0;
+/// The same for a part of the detector. A ray's own best axis has a slope of at most 1; the rest is room for its neighbours.
+const MAX_PART_SLOPE: f64 = 2.0;
 /// Minimum depth, in slices, that is summed: nearer slices would be magnified without bound.
 const MIN_DEPTH: f64 = 1.0;
+/// The same for a part of the detector: near slices have an image of their own, and positions are exact to 2^-20 voxel.
+const MIN_PART_DEPTH: f64 = 1.0 / 64.0;
 /// Samples around the detector's footprint and the volume: two for the warp, one for sharpening, two for rounding.
-const MARGIN: f64 = 5.0;
+pub(crate) const MARGIN: f64 = 5.0;
 /// Maximum number of pixels of an intermediate image (1 GiB with its accumulators and floats).
-const MAX_PIXELS: f64 = (1_u64 << 26) as f64;
+pub(crate) const MAX_PIXELS: f64 = (1_u64 << 26) as f64;
 
 /// The axes of a frame in index space.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -78,6 +91,10 @@ pub(crate) struct Slice {
     pub groups: (usize, usize),
     /// Rows that can intersect the volume, half-open.
     pub rows: (usize, usize),
+    /// Depth of the image's plane over this slice's.
+    pub inverse_ratio: f64,
+    /// True if the detector's plane may cut the image's rays before this slice.
+    pub meets_detector: bool,
 }
 
 /// Start of a group of 16 samples: whole voxels, and a 27-bit fraction.
@@ -108,14 +125,22 @@ impl Slice {
         (position >> 32, (position as u32 >> (32 - ROW_BITS)) as i16)
     }
 
-    /// The groups that read one of the voxels `first..end` of a row, half-open.
+    /// Those of the groups `within` that read one of the voxels `first..end` of a row, half-open.
     #[inline(always)]
-    pub fn groups_reading(&self, first: i64, end: i64) -> (usize, usize) {
+    pub fn groups_reading(&self, first: i64, end: i64, within: (usize, usize)) -> (usize, usize) {
         let stride = GROUP as i64 * self.step;
         // The first group that starts at or after a voxel.
         let from = |voxel: i64| -((self.start[0] - voxel * ONE).div_euclid(stride));
-        let clamp = |group: i64| group.clamp(self.groups.0 as i64, self.groups.1 as i64) as usize;
+        let clamp = |group: i64| group.max(within.0 as i64).min(within.1 as i64) as usize;
         (clamp(from(first - GROUP_REACH)), clamp(from(end)))
+    }
+
+    /// The cells of a row of `row_cells` that the groups `first..end` read, half-open.
+    #[inline(always)]
+    pub fn cells_read(&self, (first, end): (usize, usize), row_cells: usize) -> (usize, usize) {
+        let cell = |voxel: i64| voxel.max(0) as usize / CELL;
+        let last = self.group(end.saturating_sub(1)).voxel + GROUP_REACH + 1;
+        (cell(self.group(first).voxel), (cell(last) + 1).min(row_cells))
     }
 
     /// Voxel and 14-bit fraction of an image column.
@@ -127,7 +152,16 @@ impl Slice {
     }
 }
 
-/// All frame geometry that the sum over slices needs.
+/// The rays that share intermediate images: those to a rectangle of the detector.
+#[derive(Clone, Copy)]
+pub(crate) struct Rays<'a> {
+    pub grid: &'a Grid,
+    pub fan: &'a RayFan,
+    pub pixels: PixelBox,
+    pub oversampling: f64,
+}
+
+/// All geometry of an intermediate image that the sum over slices needs.
 #[derive(Debug, Clone)]
 pub(crate) struct Plan {
     pub axes: Axes,
@@ -142,30 +176,107 @@ pub(crate) struct Plan {
     pub source: [f64; 3],
     /// Signed distance from the source to the image's plane along the slow axis, voxels.
     pub far: f64,
+    /// For each eight rows, the groups that a pixel of the detector reads, half-open.
+    pub visible: Vec<(usize, usize)>,
+    /// The detector's plane, if part of the volume lies behind it.
+    pub before: Option<BeforeDetector>,
+}
+
+/// Slices to be summed into one image, of all those across an axis.
+struct Range {
+    axes: Axes,
+    /// True if depth grows with the index.
+    forward: bool,
+    /// First and last index.
+    ends: (usize, usize),
+}
+
+impl Range {
+    fn last(&self) -> usize {
+        if self.forward { self.ends.1 } else { self.ends.0 }
+    }
+
+    fn depth(&self, source: Vec3, k: usize) -> f64 {
+        (k as f64 - source[self.axes.slow]) * if self.forward { 1.0 } else { -1.0 }
+    }
 }
 
 impl Plan {
-    /// Plans a frame. `None` if no axis suits all rays, or if the volume extends behind the detector plane: such frames are traced ray by
-    /// ray.
-    pub fn new(grid: &Grid, fan: &RayFan, pixels: [u32; 2], oversampling: f64) -> Option<Self> {
-        let corners = fan.corner_directions(pixels);
-        let dims = grid.dims();
-        let source = fan.source_index();
-        let axes = best_axes(&corners)?;
-        if !fan.is_before_detector(dims) {
+    /// One image for all rays and slices. `None` if no axis suits all rays, or if the volume extends behind the detector's plane.
+    pub fn whole(rays: &Rays<'_>) -> Option<Self> {
+        let corners = rays.fan.corner_directions(&rays.pixels);
+        let dims = rays.grid.dims();
+        let axes = best_axes(&corners, MAX_SLOPE)?;
+        if !rays.fan.is_before_detector(dims) {
             return None;
         }
-        let forward = corners[0][axes.slow] > 0.0;
-        let depth = |k: usize| (k as f64 - source[axes.slow]) * if forward { 1.0 } else { -1.0 };
-        let last = if forward { dims[axes.slow] - 1 } else { 0 };
-        let far_depth = depth(last);
-        let seen: Vec<usize> = (0..dims[axes.slow]).filter(|&k| depth(k) >= MIN_DEPTH).collect();
+        let mut range = Range { axes, forward: corners[0][axes.slow] > 0.0, ends: (0, dims[axes.slow] - 1) };
+        let (source, last) = (rays.fan.source_index(), range.last());
+        let seen = (0..dims[axes.slow]).filter(|&k| range.depth(source, k) >= MIN_DEPTH);
+        let Some(ends) = ends(seen) else { return Some(Self::empty(rays, axes, last)) };
+        range.ends = ends;
+        Self::of(rays, &range)
+    }
+
+    /// Images for the rays to a part of the detector, each for a range of slices; at least one. `None` if no axis suits all rays, or if
+    /// an image would be too large: the part must be split.
+    pub fn layers(rays: &Rays<'_>) -> Option<Vec<Self>> {
+        let corners = rays.fan.corner_directions(&rays.pixels);
+        let axes = best_axes(&corners, MAX_PART_SLOPE)?;
+        let count = rays.grid.dims()[axes.slow];
+        let mut range = Range { axes, forward: corners[0][axes.slow] > 0.0, ends: (0, count - 1) };
+        let source = rays.fan.source_index();
+        let seen = (0..count).filter(|&k| is_met(rays.grid, source, &corners, axes, range.depth(source, k)));
+        let Some((a, b)) = ends(seen) else { return Some(vec![Self::empty(rays, axes, range.last())]) };
+        let near_over_far = range.depth(source, a) / range.depth(source, b);
+        // Samples grow with the square of an image's depth: more layers where the nearest slice is much nearer than the farthest.
+        let layers = match near_over_far.min(1.0 / near_over_far) {
+            ratio if ratio > 0.7 => 1,
+            ratio if ratio > 0.35 => 2,
+            _ => 3,
+        };
+        let start = |n: usize| a + n * (b + 1 - a) / layers;
+        let mut plans = Vec::new();
+        for n in (0..layers).filter(|&n| start(n) < start(n + 1)) {
+            range.ends = (start(n), start(n + 1) - 1);
+            plans.push(Self::of(rays, &range)?);
+        }
+        Some(plans)
+    }
+
+    /// An image of nothing.
+    pub fn nothing(rays: &Rays<'_>) -> Self {
+        Self::empty(rays, Axes::of(2), 0)
+    }
+
+    fn empty(rays: &Rays<'_>, axes: Axes, last: usize) -> Self {
+        let source = rays.fan.source_index();
         let far = last as f64 - source[axes.slow];
-        let mut plan =
-            Self { axes, slices: Vec::new(), first: [0; 2], columns: 0, rows: 0, oversampling, source, far };
-        let (Some(&a), Some(&b)) = (seen.first(), seen.last()) else { return Some(plan) };
-        let ratios = [a, b].map(|k| depth(k) / far_depth);
+        Self {
+            axes,
+            slices: Vec::new(),
+            first: [0; 2],
+            columns: 0,
+            rows: 0,
+            oversampling: rays.oversampling,
+            source,
+            far,
+            visible: Vec::new(),
+            before: None,
+        }
+    }
+
+    /// `None` if the image would be too large.
+    fn of(rays: &Rays<'_>, range: &Range) -> Option<Self> {
+        let Range { axes, ends: (a, b), .. } = *range;
+        let (corners, dims) = (rays.fan.corner_directions(&rays.pixels), rays.grid.dims());
+        let (source, oversampling) = (rays.fan.source_index(), rays.oversampling);
+        let far_depth = range.depth(source, range.last());
+        let mut plan = Self::empty(rays, axes, range.last());
+        let far = plan.far;
+        let ratios = [a, b].map(|k| range.depth(source, k) / far_depth);
         let mut size = [0_usize; 2];
+        let mut footprint = [[0.0; 2]; 4];
         for (m, axis) in [axes.u, axes.v].into_iter().enumerate() {
             let detector = corners.map(|d| (source[axis] + d[axis] * far / d[axes.slow]) * oversampling);
             let hull = |x: f64| ratios.map(|r| (source[axis] + (x - source[axis]) / r) * oversampling);
@@ -175,7 +286,7 @@ impl Plan {
             let high = most(&detector).min(most(&hull(dims[axis] as f64))) + MARGIN;
             let unit = [GROUP, TILE_ROWS][m] as i64;
             if high < low || low.is_nan() || high.is_nan() {
-                return Some(plan);
+                return Some(Self::empty(rays, axes, range.last()));
             }
             if high - low > MAX_PIXELS || low.abs() > 1e9 {
                 return None;
@@ -184,12 +295,15 @@ impl Plan {
             let (low, high) = (libm::floor(low) as i64, libm::ceil(high) as i64);
             plan.first[m] = low.div_euclid(unit) * unit;
             size[m] = ((high - plan.first[m]) / unit + 1) as usize * unit as usize;
+            (0..4).for_each(|corner| footprint[corner][m] = detector[corner] - plan.first[m] as f64);
         }
         if size[0] as f64 * size[1] as f64 > MAX_PIXELS {
             return None;
         }
         [plan.columns, plan.rows] = size;
-        plan.slices = seen.iter().map(|&k| plan.slice(k, depth(k) / far_depth, dims)).collect();
+        plan.visible = visible_groups(footprint, size);
+        plan.before = (!rays.fan.is_before_detector(dims)).then(|| BeforeDetector::new(rays.fan, &plan));
+        plan.slices = (a..=b).map(|k| plan.slice(k, range.depth(source, k) / far_depth, dims)).collect();
         Some(plan)
     }
 
@@ -207,8 +321,17 @@ impl Plan {
         };
         let groups = range(0, GROUP as i64, GROUP_REACH, self.columns / GROUP);
         let rows = range(1, 1, 1, self.rows);
-        let samples_per_position = 1.0 / step as f64;
-        let mut slice = Slice { index, start, step, samples_per_position, groups, rows };
+        let inverse_ratio = 1.0 / ratio;
+        let mut slice = Slice {
+            index,
+            start,
+            step,
+            samples_per_position: 1.0 / step as f64,
+            groups,
+            rows,
+            inverse_ratio,
+            meets_detector: self.before.is_some_and(|b| b.cuts(inverse_ratio, [self.columns, self.rows])),
+        };
         // `div_euclid` rounds down: the first group or row may lie just outside.
         while slice.groups.0 < slice.groups.1 && slice.group(slice.groups.0).voxel < -GROUP_REACH {
             slice.groups.0 += 1;
@@ -223,11 +346,42 @@ impl Plan {
     pub fn pixels(&self) -> usize {
         self.columns * self.rows
     }
+
+    /// The columns of an image row that are summed in a slice, half-open: those that the detector sees, before it.
+    #[inline(always)]
+    pub fn summed_columns(&self, slice: &Slice, row: usize) -> (usize, usize) {
+        let (first, end) = self.visible.get(row / TILE_ROWS).copied().unwrap_or((0, 0));
+        let seen = (first * GROUP, end * GROUP);
+        match &self.before {
+            Some(before) if slice.meets_detector => before.columns(slice.inverse_ratio, row, seen),
+            _ => seen,
+        }
+    }
 }
 
-/// The axis with the smallest maximum slope over the detector, if all rays have the same sign along it. Slopes are linear fractions of
-/// the pixel position, so their extremes are at the corners.
-fn best_axes(corners: &[[f64; 3]; 4]) -> Option<Axes> {
+/// The first and the last.
+fn ends(mut of: impl Iterator<Item = usize>) -> Option<(usize, usize)> {
+    let first = of.next()?;
+    Some((first, of.last().unwrap_or(first)))
+}
+
+/// True if rays between the corners meet the volume at a depth, in slices, before the detector's plane.
+fn is_met(grid: &Grid, source: Vec3, corners: &[Vec3; 4], axes: Axes, depth: f64) -> bool {
+    // At most five samples beside a ray are read, each at most 1.25 voxels from the next.
+    const BESIDE: f64 = 8.0;
+    let farthest = corners.iter().map(|d| d[axes.slow].abs()).fold(0.0, f64::max);
+    let meets = |axis: usize| {
+        let at = corners.map(|d| source[axis] + depth * d[axis] / d[axes.slow].abs());
+        let least = at.into_iter().fold(f64::INFINITY, f64::min);
+        let most = at.into_iter().fold(f64::NEG_INFINITY, f64::max);
+        least - BESIDE <= grid.dims()[axis] as f64 && most + BESIDE >= -1.0
+    };
+    (MIN_PART_DEPTH..=farthest).contains(&depth) && meets(axes.u) && meets(axes.v)
+}
+
+/// The axis with the smallest maximum slope over the detector, if all rays have the same sign along it and none a larger slope than
+/// `limit`. Slopes are linear fractions of the pixel position, so their extremes are at the corners.
+fn best_axes(corners: &[Vec3; 4], limit: f64) -> Option<Axes> {
     let mut best: Option<(f64, Axes)> = None;
     for slow in 0..3 {
         let axes = Axes::of(slow);
@@ -238,7 +392,7 @@ fn best_axes(corners: &[[f64; 3]; 4]) -> Option<Axes> {
             let slope = d[axes.u].abs().max(d[axes.v].abs()) / along;
             worst = if along > 0.0 && slope.is_finite() { worst.max(slope) } else { f64::INFINITY };
         }
-        if worst <= MAX_SLOPE && best.is_none_or(|(least, _)| worst < least) {
+        if worst <= limit && best.is_none_or(|(least, _)| worst < least) {
             best = Some((worst, axes));
         }
     }

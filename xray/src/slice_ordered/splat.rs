@@ -118,11 +118,13 @@ impl Splatter {
             } else {
                 0
             };
-            if change == 0 {
+            let summed = plan.summed_columns(slice, row);
+            if change == 0 || summed.1 <= left || right < summed.0 {
                 continue;
             }
             let line = sums.get_mut(row * plan.columns..(row + 1) * plan.columns).unwrap_or(&mut []);
-            for &(column, weight) in &self.columns {
+            let summed = |&&(column, _): &&(usize, i64)| summed.0 <= column && column < summed.1;
+            for &(column, weight) in self.columns.iter().filter(summed) {
                 if let Some(sum) = line.get_mut(column) {
                     *sum += weight * change;
                 }

@@ -1,10 +1,9 @@
-//! The cached sums and image of one C-arm, and their conversion to line integrals on its detector.
+//! The cached sums and images of one C-arm, and their conversion to line integrals on its detector.
 
 use rayon::prelude::*;
 
 use super::instructions::Instructions;
-use super::plan::Plan;
-use super::splat::Dirty;
+use super::parts::Part;
 use super::warp::{Rect, SharpenRow, Warp, WarpRow};
 use crate::carm::{CArm, PixelBox};
 use crate::ray::RayFan;
@@ -21,17 +20,15 @@ pub(super) enum Threads {
     Pool,
 }
 
-/// The cached image of one C-arm.
+/// The cached images of one C-arm.
 pub(super) struct Standing {
     pub c_arm: CArm,
     pub fan: RayFan,
-    pub plan: Plan,
-    /// Sums over all slices, row-major.
+    pub parts: Vec<Part>,
+    /// Sums over all slices of each part, row-major, one part after the other.
     pub sums: Vec<i64>,
     /// The same, sharpened.
     pub image: Vec<f32>,
-    /// Pixels whose sums have changed but whose image has not been updated.
-    pub dirty: Dirty,
 }
 
 impl Standing {
@@ -53,10 +50,13 @@ pub(super) struct Show {
 }
 
 impl Show {
-    /// Sharpens a rectangle of the sums and warps it to a rectangle of the detector.
-    pub fn show(self, standing: &mut Standing, rect: &Rect, detector: &PixelBox, out: &mut [f64]) {
-        let Standing { c_arm, fan, plan, sums, image, .. } = standing;
-        let Self { instructions, alpha, scale_per_m, threads } = self;
+    /// Sharpens a rectangle of a part's sums.
+    pub fn sharpen(self, standing: &mut Standing, part: usize, rect: &Rect) {
+        let Standing { parts, sums, image, .. } = standing;
+        let Some(part) = parts.get(part) else { return };
+        let (plan, samples) = (&part.plan, part.samples());
+        let (Some(sums), Some(image)) = (sums.get(samples.clone()), image.get_mut(samples)) else { return };
+        let Self { instructions, alpha, threads, .. } = self;
         let width = plan.columns;
         let sharpen = |(row, line): (usize, &mut [f32])| {
             instructions.run(SharpenRow { sums, plan, row, columns: rect.columns, alpha, out: line });
@@ -69,10 +69,24 @@ impl Show {
             let numbered = lines.par_chunks_mut(width.max(1)).enumerate().with_min_len(8);
             numbered.for_each(|(n, line)| sharpen((first + n, line)));
         }
-        let warp = Warp { plan, fan, image, scale_per_m };
+    }
+
+    /// Warps the images to a rectangle of the detector.
+    pub fn draw(self, standing: &Standing, detector: &PixelBox, out: &mut [f64]) {
+        for part in &standing.parts {
+            if let Some(detector) = detector.within(&part.pixels) {
+                self.draw_part(standing, part, &detector, out);
+            }
+        }
+    }
+
+    fn draw_part(self, standing: &Standing, part: &Part, detector: &PixelBox, out: &mut [f64]) {
+        let Self { instructions, scale_per_m, threads, .. } = self;
+        let Some(image) = standing.image.get(part.samples()) else { return };
+        let warp = Warp { plan: &part.plan, fan: &standing.fan, image, blend: part.blend, scale_per_m };
         let (c0, c1) = (detector.columns.0 as usize, detector.columns.1 as usize);
         let (r0, r1) = (detector.rows.0 as usize, detector.rows.1 as usize);
-        let columns = c_arm.columns as usize;
+        let columns = standing.c_arm.columns as usize;
         let rows = &mut out[r0 * columns..r1 * columns];
         let draw = |(n, line): (usize, &mut [f64])| {
             let out = &mut line[c0..c1];

@@ -152,8 +152,8 @@ impl Store {
         }
     }
 
-    /// Sums all slices.
-    pub fn sum(&self, plan: &Plan, instructions: Instructions, sums: &mut Vec<i64>) {
+    /// Sums all slices of an image.
+    pub fn sum(&self, plan: &Plan, instructions: Instructions, sums: &mut [i64]) {
         with_copies!(self, copies => copies.sum(plan, instructions, sums));
     }
 
@@ -213,12 +213,17 @@ impl<T: Voxel> Copies<T> {
     }
 
     fn splat(&mut self, standing: &mut Standing, changes: &[Change]) {
-        let Standing { plan, sums, dirty, .. } = standing;
+        let Standing { parts, sums, .. } = standing;
         let mut splatter = Splatter::default();
         for &Change { linear, value } in changes {
             let voxel = self.voxel_of(linear);
-            if let Some(copy) = &self.by_fast[plan.axes.u] {
-                splatter.splat(copy, plan, sums, voxel, value, dirty);
+            for part in parts.iter_mut() {
+                let samples = part.samples();
+                let (Some(copy), Some(sums)) = (&self.by_fast[part.plan.axes.u], sums.get_mut(samples))
+                else {
+                    continue;
+                };
+                splatter.splat(copy, &part.plan, sums, voxel, value, &mut part.dirty);
             }
             self.set(voxel, value);
         }
@@ -264,9 +269,7 @@ impl<T: Voxel> Copies<T> {
         Ok(())
     }
 
-    fn sum(&self, plan: &Plan, instructions: Instructions, sums: &mut Vec<i64>) {
-        // Every tile is overwritten completely.
-        sums.resize(plan.pixels(), 0);
+    fn sum(&self, plan: &Plan, instructions: Instructions, sums: &mut [i64]) {
         let Some(copy) = &self.by_fast[plan.axes.u] else { return };
         let flush_after = slices_until_flush(self.largest * T::UNIT);
         // One tile at a time, because those in the middle of the image take longest; finished tiles pass on their workspace.

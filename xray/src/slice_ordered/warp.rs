@@ -8,6 +8,7 @@
 //! Plain f32 and f64 arithmetic in a fixed order, without fused operations: vector code gives the same bits.
 
 use super::instructions::Plain;
+use super::parts::{Blend, Part};
 use super::plan::Plan;
 use crate::carm::PixelBox;
 use crate::ray::RayFan;
@@ -72,6 +73,7 @@ pub(crate) struct Warp<'a> {
     pub fan: &'a RayFan,
     /// The sharpened image.
     pub image: &'a [f32],
+    pub blend: Blend,
     /// Attenuation of one unit of the sums over one metre.
     pub scale_per_m: f64,
 }
@@ -93,7 +95,9 @@ impl Warp<'_> {
     #[inline(always)]
     pub fn row(&self, row: u32, first_column: u32, out: &mut [f64]) {
         if self.plan.pixels() == 0 {
-            out.fill(0.0);
+            if self.blend == Blend::Replace {
+                out.fill(0.0);
+            }
             return;
         }
         let mut places =
@@ -120,7 +124,10 @@ impl Warp<'_> {
                 // A cubic undershoots next to an edge, but attenuation is never negative.
                 values[n] = f64::from((value * places.factor[n]).max(0.0));
             }
-            out.copy_from_slice(&values[..out.len()]);
+            match self.blend {
+                Blend::Replace => out.copy_from_slice(&values[..out.len()]),
+                Blend::Add => out.iter_mut().zip(&values).for_each(|(sum, value)| *sum += value),
+            }
         }
     }
 
@@ -189,10 +196,11 @@ fn catmull_rom(fractions: &[f32; CHUNK]) -> [[f32; CHUNK]; 4] {
     weights
 }
 
-/// The detector pixels that read a rectangle of the intermediate image.
-pub(crate) fn pixels_of(plan: &Plan, fan: &RayFan, rect: &Rect, pixels: [u32; 2]) -> Option<PixelBox> {
+/// The detector pixels that read a rectangle of a part's intermediate image.
+pub(crate) fn pixels_of(part: &Part, fan: &RayFan, rect: &Rect) -> Option<PixelBox> {
     // Sharpening reaches one sample further, the cubic two; one more for rounding.
     const REACH: f64 = 4.0;
+    let plan = &part.plan;
     let [k, u, v] = [plan.axes.slow, plan.axes.u, plan.axes.v];
     let mut low = [f64::INFINITY; 2];
     let mut high = [f64::NEG_INFINITY; 2];
@@ -203,7 +211,7 @@ pub(crate) fn pixels_of(plan: &Plan, fan: &RayFan, rect: &Rect, pixels: [u32; 2]
             direction[u] = (x + plan.first[0] as f64) / plan.oversampling - plan.source[u];
             direction[v] = (y + plan.first[1] as f64) / plan.oversampling - plan.source[v];
             let Some(pixel) = fan.pixel_of(direction) else {
-                return Some(PixelBox { columns: (0, pixels[0]), rows: (0, pixels[1]) });
+                return Some(part.pixels);
             };
             for m in 0..2 {
                 low[m] = low[m].min(pixel[m]);
@@ -211,7 +219,7 @@ pub(crate) fn pixels_of(plan: &Plan, fan: &RayFan, rect: &Rect, pixels: [u32; 2]
             }
         }
     }
-    PixelBox::covering(low, high, pixels[0], pixels[1])
+    PixelBox::covering(low, high, part.pixels.columns.1, part.pixels.rows.1)?.within(&part.pixels)
 }
 
 /// One row to be sharpened, for [`Instructions::run`](super::Instructions).

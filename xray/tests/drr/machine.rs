@@ -8,7 +8,8 @@ use xray::attenuation::MuTable;
 use xray::removal::RemovedVoxels;
 use xray::slice_ordered::{SliceOrdered, SliceOrderedOptions, Update};
 use xray::{
-    DrrError, DrrParameters, DrrRenderer, FrameSeed, HuLaw, Machine, Material, Memory, Tool, VolumeView,
+    CArm, DetectorFormat, DrrError, DrrParameters, DrrRenderer, FrameSeed, Grid, HuLaw, Machine, Material,
+    Memory, PositionerAngles, Tool, VolumeView,
 };
 
 use crate::slice_ordered::{c_arm, hash, random, remove, volume};
@@ -90,7 +91,7 @@ fn the_clock_decides_how_changes_are_worked_in_and_not_what_comes_out() {
             let batch: Vec<u32> =
                 (0..count).map(|i| (random(10_000 * step + i) % grid.voxels() as u64) as u32).collect();
             remove(&mut slices, &view, &mut set, &batch);
-            updates.push(slices.project(&view, &set, &c_arm, &mut image).unwrap().unwrap());
+            updates.push(slices.project(&view, &set, &c_arm, &mut image).unwrap());
         }
         (updates, hash(&image))
     });
@@ -121,4 +122,26 @@ fn a_copy_that_the_memory_cannot_hold_is_refused_with_both_sizes() {
     let too_many = DrrParameters { threads: 5, ..DrrParameters::default() };
     let refused = DrrRenderer::new(&view, too_many, &FULL).err();
     assert_eq!(refused, Some(DrrError::Threads { threads: 5, reason: "no more than 4".to_owned() }));
+}
+
+#[test]
+fn images_that_the_memory_cannot_hold_are_refused_with_both_sizes() {
+    static GIBIBYTE: Small = Small { free_bytes: Some(1 << 30), given_bytes: usize::MAX };
+    // A slice of 3 x 3 m at four samples per voxel has 144 million samples of 12 bytes, less those between the halves of the detector.
+    let grid = Grid::centred([3000, 3000, 1], [1e-3; 3]).unwrap();
+    let hu = vec![100; grid.voxels()];
+    let view = VolumeView::new(grid, &hu).unwrap();
+    let format = DetectorFormat { columns: 64, rows: 64, pixel_pitch_m: [0.1; 2] };
+    let from_below = PositionerAngles::from_degrees(0.0, 90.0);
+    let c_arm = CArm::from_positioner_angles([0.0; 3], from_below, 1.6, 1.7, format).unwrap();
+    let table = MuTable::new(HuLaw::WaterScaling, 60.0, -900).unwrap();
+    let options = SliceOrderedOptions { oversampling: 4.0, ..SliceOrderedOptions::default() };
+    let mut slices = SliceOrdered::new(&view, &table, 0.02, 0.0, options, &GIBIBYTE).unwrap();
+    let mut image = vec![0.0; c_arm.pixels()];
+    let refused = slices.project(&view, &RemovedVoxels::new(&grid), &c_arm, &mut image).unwrap_err();
+    let DrrError::Images { samples, needed_bytes, available_bytes } = refused else { panic!("{refused}") };
+    assert!((130_000_000..150_000_000).contains(&samples), "{samples}");
+    assert_eq!((needed_bytes, available_bytes), (12 * samples as u64, 1 << 30));
+    let text = refused.to_string();
+    assert!(text.contains("1.00 GiB are free") && text.contains("oversampling"), "{text}");
 }

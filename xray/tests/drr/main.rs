@@ -31,6 +31,8 @@ mod slice_ordered;
 #[cfg(test)]
 mod slice_ordered_changes;
 #[cfg(test)]
+mod slice_ordered_poses;
+#[cfg(test)]
 mod spectrum;
 #[cfg(test)]
 mod tool;

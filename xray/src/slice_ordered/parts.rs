@@ -1,0 +1,77 @@
+//! Which rays share an intermediate image. One image serves a whole frame where it can. Otherwise the detector is halved until an axis
+//! suits all rays of a rectangle, and a rectangle has an image for each range of depths; their line integrals add up.
+
+use super::plan::{Plan, Rays};
+use super::splat::Dirty;
+use crate::carm::PixelBox;
+use crate::vector::{norm, sub};
+
+/// What an image's line integrals do to the pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Blend {
+    /// The first of a rectangle replaces them.
+    Replace,
+    /// The others are added.
+    Add,
+}
+
+/// An intermediate image and the rectangle of the detector that reads it.
+#[derive(Debug)]
+pub(crate) struct Part {
+    pub pixels: PixelBox,
+    pub blend: Blend,
+    pub plan: Plan,
+    /// Where its samples start among those of all parts.
+    pub start: usize,
+    /// Samples whose sums have changed but whose sharpened values have not been updated.
+    pub dirty: Dirty,
+}
+
+impl Part {
+    /// Its samples among those of all parts.
+    pub fn samples(&self) -> core::ops::Range<usize> {
+        self.start..self.start + self.plan.pixels()
+    }
+}
+
+/// The parts of a frame. Images of one rectangle follow one another.
+pub(crate) fn parts_of(all: &Rays<'_>) -> Vec<Part> {
+    let mut parts = Vec::new();
+    if let Some(plan) = Plan::whole(all) {
+        add(&mut parts, all.pixels, vec![plan]);
+        return parts;
+    }
+    let mut waiting = vec![all.pixels];
+    while let Some(pixels) = waiting.pop() {
+        let rays = Rays { pixels, ..*all };
+        match (Plan::layers(&rays), halves(&rays)) {
+            (Some(plans), _) => add(&mut parts, pixels, plans),
+            (None, Some(halves)) => waiting.extend(halves),
+            // A ray's own best axis has a slope of at most 1: what remains is a ray that passes 1e9 samples beside the volume.
+            (None, None) => add(&mut parts, pixels, vec![Plan::nothing(&rays)]),
+        }
+    }
+    parts
+}
+
+fn add(parts: &mut Vec<Part>, pixels: PixelBox, plans: Vec<Plan>) {
+    for (n, plan) in plans.into_iter().enumerate() {
+        let blend = if n == 0 { Blend::Replace } else { Blend::Add };
+        let start = parts.last().map_or(0, |last| last.samples().end);
+        parts.push(Part { pixels, blend, plan, start, dirty: Dirty::default() });
+    }
+}
+
+/// The two halves of a rectangle across its longer side; `None` for a single pixel.
+fn halves(rays: &Rays<'_>) -> Option<[PixelBox; 2]> {
+    let PixelBox { columns, rows } = rays.pixels;
+    let [corner, right, below, _] = rays.fan.corner_directions(&rays.pixels);
+    let middle = |(first, end): (u32, u32)| first + (end - first) / 2;
+    let (width, height) = (norm(sub(right, corner)), norm(sub(below, corner)));
+    if columns.1 - columns.0 > 1 && (width >= height || rows.1 - rows.0 <= 1) {
+        let cut = middle(columns);
+        return Some([(columns.0, cut), (cut, columns.1)].map(|columns| PixelBox { columns, rows }));
+    }
+    let cut = middle(rows);
+    (rows.1 - rows.0 > 1).then(|| [(rows.0, cut), (cut, rows.1)].map(|rows| PixelBox { columns, rows }))
+}
