@@ -93,7 +93,7 @@ fn run(
     let mut manipulator = AnyManipulator::new(rung, parameters, &base)?;
     let mut contacts = Vec::with_capacity(96);
     let mut micros = Vec::with_capacity(steps);
-    let (mut sweeps, mut active, mut second_order, mut residual) = (0, 0, 0, 0.0f64);
+    let (mut iterations, mut active, mut second_order, mut residual) = (0, 0, 0, 0.0f64);
     for k in 0..steps {
         contacts.clear();
         planes(&manipulator, &mut contacts);
@@ -107,21 +107,21 @@ fn run(
         let start = Instant::now();
         let report = black_box(one_step(&mut manipulator, black_box(&input))?);
         micros.push(start.elapsed().as_secs_f64() * 1e6);
-        sweeps += report.iterations;
+        iterations += report.contact_iterations;
         active += report.active_contact_count;
-        residual = residual.max(if k % 200 >= 100 { report.residual_m_per_s } else { 0.0 });
+        residual = residual.max(if k % 200 >= 100 { report.contact_residual_m_per_s } else { 0.0 });
         second_order += usize::from(report.integrator == Integrator::Hybrid);
     }
     micros.sort_by(f64::total_cmp);
     let counted =
         if options.instructions { format!(", {} instructions", instructions(name)?) } else { String::new() };
     println!(
-        "{name:<34} {:>2} contacts ({:>4.1} active): median {:6.2} us, p99 {:6.2} us, {:4.1} sweeps, late residual {:7.1e} m/s, {:5.1} % ROS2{counted}",
+        "{name:<34} {:>2} contacts ({:>4.1} active): median {:6.2} us, p99 {:6.2} us, {:4.1} iterations, late residual {:7.1e} m/s, {:5.1} % ROS2{counted}",
         contacts.len(),
         active as f64 / steps as f64,
         micros[steps / 2],
         micros[steps * 99 / 100],
-        sweeps as f64 / steps as f64,
+        iterations as f64 / steps as f64,
         residual,
         100.0 * second_order as f64 / steps as f64,
     );

@@ -70,15 +70,15 @@ fn stiff_wall_holds_without_jitter_and_transmits_the_force() {
         let expected: f64 = m.contact_results().iter().map(|c| c.normal_force_n).fold(0.0, f64::max)
             / m.parameters().contact.stiffness_n_per_m;
         println!(
-            "wall {tension} N: {} of {} contacts, overlap {:.4} um (force/stiffness {:.4}), jitter {jitter:.1e} m, wall force {:.4} N, flange {:.4} N, sweeps {}, residual {:.1e}",
+            "wall {tension} N: {} of {} contacts, overlap {:.4} um (force/stiffness {:.4}), jitter {jitter:.1e} m, wall force {:.4} N, flange {:.4} N, iterations {}, residual {:.1e}",
             report.active_contact_count,
             report.contact_count,
             report.max_overlap_m * 1e6,
             expected * 1e6,
             -force.x,
             -report.flange_wrench.force_n.x,
-            report.iterations,
-            report.residual_m_per_s
+            report.contact_iterations,
+            report.contact_residual_m_per_s
         );
         assert!(report.active_contact_count >= 1);
         // Overlap is the contact's compliance and nothing else.
@@ -171,13 +171,13 @@ fn tight_tunnel_with_opposing_walls_stays_finite() {
         }
         let r = m.last_report();
         println!(
-            "tunnel {:+.1} mm: {} contacts, worst overlap {:.2} um, after 0.3 s {:.2} um, last sweeps {}, residual {:.1e}",
+            "tunnel {:+.1} mm: {} contacts, worst overlap {:.2} um, after 0.3 s {:.2} um, last iterations {}, residual {:.1e}",
             clearance * 1e3,
             r.contact_count,
             worst * 1e6,
             late * 1e6,
-            r.iterations,
-            r.residual_m_per_s
+            r.contact_iterations,
+            r.contact_residual_m_per_s
         );
         // Beyond what a tunnel that is too narrow imposes on both sides: some newtons on 1e6 N/m each, and a transient
         // while a 0.3 mm overlap on 34 spheres is pushed out from both sides at once.
@@ -387,11 +387,11 @@ fn winding_tunnel_rests_in_equilibrium() {
         let r = m.last_report();
         let off = (r.flange_wrench.force_n - total).norm();
         println!(
-            "winding tunnel mu={mu}: {} of {} contacts active, worst unbalanced flexure {worst:.1e} N m of {:.1e}, flange off by {off:.1e} N, sweeps {}",
+            "winding tunnel mu={mu}: {} of {} contacts active, worst unbalanced flexure {worst:.1e} N m of {:.1e}, flange off by {off:.1e} N, iterations {}",
             r.active_contact_count,
             r.contact_count,
             8.0 * 2.5e-3,
-            r.iterations
+            r.contact_iterations
         );
         assert!(r.active_contact_count >= 12);
         // The solver stops at 1e-6 m/s a row; 1e-4 of the tendon's torque.

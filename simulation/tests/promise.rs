@@ -58,21 +58,21 @@ const GOLDEN: [Golden; 3] = [
         in_bone: true,
         command: feed,
         ticks: 1000,
-        hash: "e64e4bb1443a357c0c87427c00fb2461",
+        hash: "e55bce007c83be8d24cb23c321b6a453",
     },
     Golden {
         scene: BODIES,
         in_bone: false,
         command: feed,
         ticks: 600,
-        hash: "14194d18ec02dae792bbeca7d52cf538",
+        hash: "c66495730437b83e87503477dbfd7901",
     },
     Golden {
         scene: FREE,
         in_bone: false,
         command: wander,
         ticks: 2000,
-        hash: "776bcd42be6dee39bfb97756297c42c6",
+        hash: "cc01a972751bafe3f42ea6a20c8afbfc",
     },
 ];
 

@@ -2,9 +2,7 @@
 //!
 //! `H = M(q) + diag` is factored by the articulated-body algorithm (Featherstone 2008, Rigid Body Dynamics Algorithms, ch. 7) in the
 //! bending plane. All spatial quantities are expressed at the base origin, so no transforms between links are needed. A planar motion is
-//! (omega_y, v_x, v_z) at the origin, a planar force (m_y, f_x, f_z). The mobility of each link to a force on itself follows in a
-//! base-to-tip pass (the operational-space recursion of Kreutz-Delgado, Jain and Rodriguez 1992); the response of more distal links to
-//! that force follows by continuing outward.
+//! (omega_y, v_x, v_z) at the origin, a planar force (m_y, f_x, f_z).
 
 use super::MAX_JOINTS;
 use super::geometry::{Configuration, Layout, Planar};
@@ -89,8 +87,6 @@ pub(super) struct Articulated {
     root: [f64; 3],
     /// Inverse of the out-of-plane operator.
     pub lateral: f64,
-    /// Mobility of each link to a force on itself.
-    mobility: [Symmetric; MAX_JOINTS + 1],
 }
 
 impl Articulated {
@@ -102,7 +98,6 @@ impl Articulated {
             inverse: [0.0; MAX_JOINTS],
             root: [0.0; 3],
             lateral: 0.0,
-            mobility: [[0.0; 6]; MAX_JOINTS + 1],
         }
     }
 
@@ -153,52 +148,6 @@ impl Articulated {
             }
         }
         out
-    }
-
-    /// Mobility of every link to a force on itself; needed before [`Self::link_response`] and [`Self::joint_response`].
-    pub fn update_mobility(&mut self) {
-        self.mobility[0] = [0.0, 0.0, 0.0, self.root[0], self.root[1], self.root[2]];
-        for i in 0..self.joints {
-            // P' W P + s s'/d with P = 1 - u s'/d  =  W - (w s' + s w')/d + s s' (u.w/d^2 + 1/d),  w = W u.
-            let inverse = self.inverse[i];
-            let w = times(&self.mobility[i], &self.bias[i]);
-            let s = self.axis[i];
-            let scale = (dot(&self.bias[i], &w) * inverse + 1.0) * inverse;
-            let mut m = self.mobility[i];
-            add_outer(&mut m, scale, &s);
-            m[0] -= inverse * 2.0 * w[0] * s[0];
-            m[1] -= inverse * (w[0] * s[1] + w[1] * s[0]);
-            m[2] -= inverse * (w[0] * s[2] + w[2] * s[0]);
-            m[3] -= inverse * 2.0 * w[1] * s[1];
-            m[4] -= inverse * (w[1] * s[2] + w[2] * s[1]);
-            m[5] -= inverse * 2.0 * w[2] * s[2];
-            self.mobility[i + 1] = m;
-        }
-    }
-
-    /// Motion of `link` under a force on itself.
-    pub fn link_response(&self, link: usize, force: &Spatial) -> Spatial {
-        times(&self.mobility[link], force)
-    }
-
-    /// Joint velocity, and motion of the link distal to `joint`, under a unit torque in that joint.
-    pub fn joint_response(&self, joint: usize) -> (f64, Spatial) {
-        let inverse = self.inverse[joint];
-        let mut v = times(&self.mobility[joint], &self.bias[joint]).map(|x| -x * inverse);
-        let rate = (1.0 - dot(&self.bias[joint], &v)) * inverse;
-        for k in 0..3 {
-            v[k] += self.axis[joint][k] * rate;
-        }
-        (rate, v)
-    }
-
-    /// Propagates a proximal motion across `joint`: returns the joint velocity and turns `v` into the next link's motion.
-    pub fn carry_outward(&self, joint: usize, v: &mut Spatial) -> f64 {
-        let rate = -dot(&self.bias[joint], v) * self.inverse[joint];
-        for k in 0..3 {
-            v[k] += self.axis[joint][k] * rate;
-        }
-        rate
     }
 
     /// Motions of all links for generalised velocities `x`.

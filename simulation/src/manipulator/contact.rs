@@ -1,23 +1,28 @@
-//! Contacts and joint stops: block Gauss-Seidel on accumulated impulses in probe space, accelerated by conjugate gradients.
+//! Contacts and joint stops, for every rung.
 //!
 //! A normal row requires `v_n + P / (k_c dt^2) >= -gap / dt`: the sphere may close its gap within the step (speculative contact), and at
 //! rest the overlap equals force / k_c. Any overlap beyond what the last contact force explains is pushed out at a bounded speed. Coulomb
-//! friction is solved exactly per contact: the impulse either stops the sliding or lies on the circle mu P_n and opposes the remaining
-//! sliding.
+//! friction holds per contact: the impulse either stops the sliding or lies on the circle mu P_n and opposes the remaining sliding. The
+//! rows are solved together by Newton's method (`newton`) on the chain's own recursion (`chain`).
 
-mod sweep;
+mod chain;
+mod laws;
+mod newton;
+#[cfg(test)]
+mod tests;
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::articulated::{Generalised, Spatial};
-use super::delassus::Delassus;
-use super::geometry::{Configuration, Layout, SphereKind};
-use super::parameters::{ContactParameters, ManipulatorParameters};
-use super::pressed::PressedStops;
-use super::row::{EMPTY_ROW, EMPTY_STOP, Row, Stop, target};
-use super::state::{ContactResult, ManipulatorState};
-use super::{MAX_CONTACTS, MAX_JOINTS, MAX_ROWS, MAX_SPHERES};
+use super::geometry::{SphereKind, SphereLayout};
+use super::parameters::ContactParameters;
+use super::row::{StopLaw, tangents, target};
+use super::state::ContactResult;
 use crate::contact_plane::ContactPlane;
+use laws::{ContactRow, StopRow};
+use newton::Problem;
+
+pub(super) use chain::{Chain, Square};
+pub(super) use newton::Outcome;
 
 /// A contact inherits the last tick's impulses if it is on the same sphere and the cosine between the two normals exceeds this.
 const SAME_NORMAL_COSINE: f64 = 0.9;
@@ -60,207 +65,159 @@ impl ContactParameters {
     }
 }
 
-/// How the contact solve ended.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Outcome {
-    pub iterations: usize,
-    pub residual: f64,
+/// What a contact is on the tool, in the step's input order within a sphere.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Contact {
+    index: usize,
+    sphere: usize,
+    /// Base axes.
+    pub point: Vector3<f64>,
+    /// Normal and tangents, base axes.
+    direction: [Vector3<f64>; 3],
 }
 
-/// Workspace of the contact solver.
+/// Where a contact presses: the link, the contact point and the unit forces on the link along the directions.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Place<const N: usize> {
+    pub link: usize,
+    pub point: Vector3<f64>,
+    pub force: [[f64; N]; 3],
+}
+
+/// Contacts, stops and the chain that they press on.
 #[derive(Debug, Clone)]
-pub(super) struct ContactSolver {
-    pub delassus: Delassus,
-    row: [Row; MAX_CONTACTS],
-    /// First row of each sphere probe, and the number of rows after the last.
-    first_row: [usize; MAX_SPHERES + 1],
-    pub row_count: usize,
+pub(super) struct ContactSolver<const N: usize> {
+    pub chain: Chain<N>,
+    pub contact: Vec<Contact>,
+    row: Vec<ContactRow<N>>,
+    stop: Vec<StopRow>,
+    order: Vec<(usize, usize)>,
+    used: Vec<bool>,
+    /// Motions of the links without contact.
+    free_motion: Vec<[f64; N]>,
     pub refused: usize,
     pub max_overlap_m: f64,
-    stop: [Stop; MAX_JOINTS],
-    velocity: [f64; MAX_ROWS],
-    lateral_velocity: f64,
-    velocity_before: [f64; MAX_ROWS],
-    lateral_before: f64,
-    velocity_direction: [f64; MAX_ROWS],
-    lateral_direction: f64,
-    impulse: [f64; MAX_ROWS],
-    pub lateral_impulse: f64,
     /// SIMD support of this CPU.
     pub arch: pulp::Arch,
 }
 
-impl ContactSolver {
-    pub fn new() -> Self {
+impl<const N: usize> ContactSolver<N> {
+    /// `first`: see [`Chain::new`]. `contacts` is the most that a step takes.
+    pub fn new(first: Vec<usize>, contacts: usize) -> Self {
+        let (links, freedoms) = (first.len() - 1, first[first.len() - 1]);
         Self {
-            delassus: Delassus::new(),
-            row: [EMPTY_ROW; MAX_CONTACTS],
-            first_row: [0; MAX_SPHERES + 1],
-            row_count: 0,
+            chain: Chain::new(first),
+            contact: Vec::with_capacity(contacts),
+            row: Vec::with_capacity(contacts),
+            stop: Vec::with_capacity(freedoms),
+            order: Vec::with_capacity(contacts),
+            used: vec![false; contacts],
+            free_motion: vec![[0.0; N]; links],
             refused: 0,
             max_overlap_m: 0.0,
-            stop: [EMPTY_STOP; MAX_JOINTS],
-            velocity: [0.0; MAX_ROWS],
-            lateral_velocity: 0.0,
-            velocity_before: [0.0; MAX_ROWS],
-            lateral_before: 0.0,
-            velocity_direction: [0.0; MAX_ROWS],
-            lateral_direction: 0.0,
-            impulse: [0.0; MAX_ROWS],
-            lateral_impulse: 0.0,
             arch: pulp::Arch::new(),
         }
     }
 
-    /// Takes the usable contacts with their probes, ordered by sphere, then by input order.
-    pub fn collect(&mut self, layout: &Layout, configuration: &Configuration, contacts: &[ContactPlane]) {
-        self.delassus.clear();
-        self.row_count = 0;
+    /// Takes the usable contacts, ordered by sphere, then by input order, warm-started with the last tick's impulses. Spheres are ordered
+    /// by link. `place` gives a sphere's contact for its normal and tangents.
+    pub fn collect(
+        &mut self,
+        step: &ContactStep,
+        spheres: &[SphereLayout],
+        results: &[ContactResult],
+        place: impl Fn(usize, &[Vector3<f64>; 3]) -> Place<N>,
+    ) {
+        self.contact.clear();
+        self.row.clear();
+        self.stop.clear();
+        self.order.clear();
         self.max_overlap_m = 0.0;
-        let mut counts = [0usize; MAX_SPHERES + 1];
-        let mut accepted = 0;
-        let usable = |c: &ContactPlane| c.sphere_index < layout.spheres.len() && c.is_usable();
-        let considered = &contacts[..contacts.len().min(MAX_CONTACTS)];
-        for contact in considered.iter().filter(|c| usable(c)) {
-            counts[contact.sphere_index + 1] += 1;
-            accepted += 1;
+        let considered = &step.planes[..step.planes.len().min(self.used.len())];
+        let usable = |c: &ContactPlane| c.sphere_index < spheres.len() && c.is_usable();
+        for (index, plane) in considered.iter().enumerate().filter(|(_, c)| usable(c)) {
+            self.order.push((plane.sphere_index, index));
         }
-        self.refused = contacts.len() - accepted;
-        for s in 0..MAX_SPHERES {
-            if counts[s + 1] > 0 {
-                self.delassus.add_sphere(layout, configuration, s);
-            }
-            counts[s + 1] += counts[s];
+        self.refused = step.planes.len() - self.order.len();
+        self.order.sort_unstable();
+        self.used.fill(false);
+        let mut last = LastContacts { results, used: &mut self.used };
+        for &(sphere, index) in &self.order {
+            let plane = &step.planes[index];
+            let normal = step.drive.rotation.inverse_transform_vector(plane.normal.as_ref());
+            let [t0, t1] = tangents(&normal);
+            let direction = [normal, t0, t1];
+            let Place { link, point, force } = place(sphere, &direction);
+            let base_velocity = step.drive.linear + step.drive.angular.cross(&point);
+            let mut row = ContactRow::new(link, force);
+            row.drive = direction.map(|d| d.dot(&base_velocity));
+            row.friction = step.parameters.friction_of(spheres[sphere].kind);
+            row.compliance = step.compliance();
+            (row.target, row.impulse) = last.start(step, plane, &[t0, t1]);
+            self.max_overlap_m = self.max_overlap_m.max(-plane.gap_m);
+            self.row.push(row);
+            self.contact.push(Contact { index, sphere, point, direction });
         }
-        for (index, contact) in considered.iter().enumerate().filter(|(_, c)| usable(c)) {
-            let place = &mut counts[contact.sphere_index];
-            self.row[*place] = Row { contact: index, sphere: contact.sphere_index, ..EMPTY_ROW };
-            *place += 1;
-            self.max_overlap_m = self.max_overlap_m.max(-contact.gap_m);
-        }
-        self.row_count = accepted;
-        let mut probe = 0;
-        for k in 0..accepted {
-            if k > 0 && self.row[k].sphere != self.row[k - 1].sphere {
-                probe += 1;
-                self.first_row[probe] = k;
-            }
-            self.row[k].probe = probe;
-        }
-        self.first_row[self.delassus.sphere_count] = accepted;
     }
 
-    /// Adds a stop row for every flexure that the free motion would bring near its stop, unless the stop is already pressed.
-    pub fn collect_stops(
+    /// Adds the stop of a freedom at `position` rad if the free motion, at `rate` rad/s, would bring it near its stop. `last_nm` is the
+    /// stop's last torque. Call in ascending order of freedoms.
+    pub fn collect_stop(
         &mut self,
-        p: &ManipulatorParameters,
-        dt: f64,
-        state: &ManipulatorState,
-        pressed: &PressedStops,
-        free: &Generalised,
+        (dt, law): (f64, &StopLaw),
+        freedom: usize,
+        (position, rate): (f64, f64),
+        last_nm: f64,
     ) {
-        let law = p.stop_law();
-        for i in (0..p.joint_positions_m.len()).filter(|i| !pressed.has(*i)) {
-            let (q, last) = (state.joint_position_rad[i], state.stop_torque_nm[i]);
-            let Some(stop) = law.near(dt, q, free.joint[i], last) else { continue };
-            self.stop[self.delassus.joint_count] = stop;
-            self.delassus.add_joint(i);
+        if let Some(stop) = law.near(dt, position, rate, last_nm) {
+            self.stop.push(StopRow::new(freedom, stop));
         }
     }
 
     /// Whether there is anything to solve.
     pub fn is_empty(&self) -> bool {
-        self.row_count == 0 && self.delassus.joint_count == 0
+        self.row.is_empty() && self.stop.is_empty()
     }
 
-    /// Completes the rows once R is known, warm-started with the last tick's impulses. `lateral` is the out-of-plane mobility, 1/kg.
-    pub fn prepare(&mut self, step: &ContactStep, layout: &Layout, lateral: f64, state: &ManipulatorState) {
-        let drive = step.drive;
-        let mut used = [false; MAX_CONTACTS];
-        let mut last = LastContacts { results: &state.results[..state.result_count], used: &mut used };
-        for k in 0..self.row_count {
-            let mut row = self.row[k];
-            let plane = &step.planes[row.contact];
-            let normal = drive.rotation.inverse_transform_vector(plane.normal.as_ref());
-            let sphere = &layout.spheres[row.sphere];
-            let tangents = row.orient(&normal, sphere.radius_m);
-            let centre = self.delassus.centre(row.probe);
-            let lateral_m = state.mount_displacement_m[1];
-            let point = Vector3::new(centre[0], lateral_m, centre[1]) - normal * sphere.radius_m;
-            let base_velocity = drive.linear + drive.angular.cross(&point);
-            row.drive = [normal, tangents[0], tangents[1]].map(|d| d.dot(&base_velocity));
-            row.friction = step.parameters.friction_of(sphere.kind);
-            row.compliance = step.compliance();
-            row.inverse =
-                1.0 / (self.mobility(row.probe, lateral, &row.normal, &row.normal) + row.compliance);
-            let [t0, t1] = &row.tangent;
-            row.tangential = [
-                self.mobility(row.probe, lateral, t0, t0),
-                self.mobility(row.probe, lateral, t0, t1),
-                self.mobility(row.probe, lateral, t1, t1),
-            ];
-            (row.target, row.impulse) = last.start(step, plane, &tangents);
-            self.row[k] = row;
-        }
-        for k in 0..self.delassus.joint_count {
-            let row = 3 * self.delassus.sphere_count + k;
-            self.stop[k].inverse = 1.0 / (self.delassus.column(row)[row] + self.stop[k].compliance);
-        }
+    /// Solves for the impulses. `free`: velocities of the freedoms without contact.
+    pub fn solve(&mut self, free: &[f64], parameters: &ContactParameters) -> Outcome {
+        let chain = &mut self.chain;
+        chain.motions_of(free, &mut self.free_motion);
+        let (row, stop) = (&mut self.row[..], &mut self.stop[..]);
+        self.arch.dispatch(Problem { chain, row, stop, free_motion: &self.free_motion, free, parameters })
     }
 
-    /// a' R b at one sphere, including the out-of-plane mobility.
-    fn mobility(&self, probe: usize, lateral: f64, a: &[f64; 4], b: &[f64; 4]) -> f64 {
-        let mut sum = lateral * a[3] * b[3];
-        for i in 0..3 {
-            let column = self.delassus.column(3 * probe + i);
-            for j in 0..3 {
-                sum += a[i] * column[3 * probe + j] * b[j];
+    /// Adds the impulses of the solution to each link and each freedom.
+    pub fn impulses(&self, mut link: impl FnMut(usize, f64, &[f64; N]), mut freedom: impl FnMut(usize, f64)) {
+        for row in &self.row {
+            for (impulse, force) in row.impulse.iter().zip(&row.force) {
+                link(row.link, *impulse, force);
             }
         }
-        sum
-    }
-
-    /// Link and joint impulses of the solution; `lateral_impulse` is the out-of-plane component.
-    pub fn impulses(&self, force: &mut [Spatial; MAX_JOINTS + 1], joint: &mut [f64; MAX_JOINTS]) {
-        self.delassus.scatter(&self.impulse, force, joint);
-    }
-
-    /// Result of the `k`-th row, and the contact point, base axes.
-    pub fn result(
-        &self,
-        layout: &Layout,
-        k: usize,
-        dt: f64,
-        rotation: &UnitQuaternion<f64>,
-        lateral_m: f64,
-    ) -> (ContactResult, Vector3<f64>) {
-        let row = &self.row[k];
-        let direction = |d: &[f64; 4]| Vector3::new(d[1], d[3], d[2]);
-        let normal = direction(&row.normal);
-        let friction =
-            direction(&row.tangent[0]) * row.impulse[1] + direction(&row.tangent[1]) * row.impulse[2];
-        let centre = self.delassus.centre(row.probe);
-        let point =
-            Vector3::new(centre[0], lateral_m, centre[1]) - normal * layout.spheres[row.sphere].radius_m;
-        let result = ContactResult {
-            contact_index: row.contact,
-            sphere_index: row.sphere,
-            normal: rotation * normal,
-            normal_force_n: row.impulse[0] / dt,
-            friction_force_n: rotation * (friction / dt),
-        };
-        (result, point)
-    }
-
-    /// Writes the solution's stop torques for the next warm start; returns how many stops carry torque.
-    pub fn stop_torques(&self, dt: f64, torque: &mut [f64; MAX_JOINTS]) -> usize {
-        let mut count = 0;
-        torque.fill(0.0);
-        for k in 0..self.delassus.joint_count {
-            torque[self.delassus.joint[k]] = self.stop[k].sign * self.stop[k].impulse / dt;
-            count += usize::from(self.stop[k].impulse > 0.0);
+        for StopRow { freedom: k, stop, .. } in &self.stop {
+            freedom(*k, stop.sign * stop.impulse);
         }
-        count
+    }
+
+    /// Result of the `k`-th contact.
+    pub fn result(&self, k: usize, dt: f64, rotation: &UnitQuaternion<f64>) -> ContactResult {
+        let (contact, impulse) = (&self.contact[k], &self.row[k].impulse);
+        let [normal, t0, t1] = contact.direction;
+        ContactResult {
+            contact_index: contact.index,
+            sphere_index: contact.sphere,
+            normal: rotation * normal,
+            normal_force_n: impulse[0] / dt,
+            friction_force_n: rotation * ((t0 * impulse[1] + t1 * impulse[2]) / dt),
+        }
+    }
+
+    /// Calls `each` with the freedom and the torque of every stop in the solution, for the next warm start; returns how many carry torque.
+    pub fn stop_torques(&self, dt: f64, mut each: impl FnMut(usize, f64)) -> usize {
+        for StopRow { freedom, stop, .. } in &self.stop {
+            each(*freedom, stop.sign * stop.impulse / dt);
+        }
+        self.stop.iter().filter(|row| row.stop.impulse > 0.0).count()
     }
 }
 

@@ -6,6 +6,7 @@
 //! identity.
 
 use super::articulated::{Articulated, Generalised, Spatial};
+use super::contact::Chain;
 use super::tendon::TendonLoad;
 use super::{MAX_JOINTS, MAX_TENDONS};
 
@@ -19,6 +20,8 @@ pub(super) struct Coupling {
     /// Number of tendons.
     pub count: usize,
     slope: [[f64; MAX_JOINTS]; MAX_TENDONS],
+    /// c_t.
+    weight: [f64; MAX_TENDONS],
     /// H^-1 g_t.
     pub response: [Generalised; MAX_TENDONS],
     pub kernel: Kernel,
@@ -93,6 +96,7 @@ impl Coupling {
             alpha: [0.0; MAX_TENDONS],
             count: 0,
             slope: [[0.0; MAX_JOINTS]; MAX_TENDONS],
+            weight: [0.0; MAX_TENDONS],
             response: [Generalised::ZERO; MAX_TENDONS],
             kernel: Kernel::NONE,
         }
@@ -122,6 +126,7 @@ impl Coupling {
             self.alpha[t] = if own > 0.0 { (cross / own).max(0.0) } else { 0.0 };
         }
         let c = self.alpha.map(|a| a * scale);
+        self.weight = c;
         let mut s = [[0.0; MAX_TENDONS]; MAX_TENDONS];
         for i in 0..self.count {
             for j in i..self.count {
@@ -129,6 +134,17 @@ impl Coupling {
             }
         }
         self.kernel = Kernel::new(self.count, &c, &s);
+    }
+
+    /// Tells the contact solver's chain, whose freedoms before the joints are the mount's `mount`.
+    pub fn describe<const N: usize>(&self, mount: usize, chain: &mut Chain<N>) {
+        chain.coupled = if self.active { self.count.max(2) } else { 0 };
+        chain.weight = self.weight;
+        for t in 0..chain.coupled {
+            chain.slope[t][..mount].fill(0.0);
+            let joints = &mut chain.slope[t][mount..];
+            joints.copy_from_slice(&self.slope[t][..joints.len()]);
+        }
     }
 
     /// Adds `-weight` times the rank-one stiffness times joint velocities `rate` to `rhs`.

@@ -12,8 +12,9 @@
 //! # Method
 //!
 //! Hinges sit at the flexure centres, which makes the error against the continuum O(1/n^2). The operator `M + dt D + dt^2 K` is factored
-//! in O(n) (`articulated`). Tendons act along their channels (`tendon`). Contact is solved by Gauss-Seidel on accumulated impulses, using
-//! the mobility of the same operator (`delassus`, `contact`). Nothing is allocated after [`Manipulator::new`].
+//! in O(n) (`articulated`). Tendons act along their channels (`tendon`). Contact is compliant and solved by Newton's method, each of whose
+//! iterations factors the same operator with the pressing contacts on its links (`contact`). Nothing is allocated after
+//! [`Manipulator::new`].
 
 #![expect(
     clippy::needless_range_loop,
@@ -24,7 +25,6 @@ mod articulated;
 mod constant_curvature;
 mod contact;
 mod coupling;
-mod delassus;
 mod error;
 mod flexure;
 mod geometry;
@@ -33,6 +33,7 @@ mod modal;
 mod model;
 mod parameters;
 mod pressed;
+mod pressing;
 mod row;
 mod spatial;
 mod state;
@@ -73,8 +74,6 @@ pub const MAX_SHAFT_SPHERES: usize = 8;
 pub(crate) const MAX_SPHERES: usize = MAX_SHAFT_SPHERES + MAX_JOINTS + 1;
 /// Maximum contacts per step, four per sphere; excess contacts are refused and counted.
 pub const MAX_CONTACTS: usize = 4 * MAX_SPHERES;
-/// Rows of the contact solver: three per sphere, one per stop.
-const MAX_ROWS: usize = 3 * MAX_SPHERES + MAX_JOINTS;
 
 /// A continuum manipulator.
 #[derive(Debug, Clone)]
@@ -96,7 +95,7 @@ pub struct Manipulator {
     tendon: TendonLoad,
     coupling: Coupling,
     loads: Loads,
-    contact: ContactSolver,
+    contact: ContactSolver<4>,
     pressed: PressedStops,
 }
 
@@ -109,7 +108,7 @@ impl Manipulator {
             let expected = "1 to 32 entries for the planar rung";
             return Err(ManipulatorError::Length { field: "joint_positions_m", given, expected });
         }
-        step::validate_base(base)?;
+        validation::validate_base(base)?;
         let layout = Layout::new(&parameters);
         let n = layout.joints;
         let mut stiffness = [0.0; MAX_JOINTS];
@@ -139,7 +138,7 @@ impl Manipulator {
             tendon: TendonLoad::new(Channels::of(&parameters)),
             coupling: Coupling::new(),
             loads: Loads::new(),
-            contact: ContactSolver::new(),
+            contact: ContactSolver::new(pressing::first_freedoms(n), MAX_CONTACTS),
             pressed: PressedStops::new(n),
             layout,
             parameters,
@@ -251,7 +250,7 @@ impl Manipulator {
 
     /// Teleports the base and keeps shape and relative motion. For scene set-up, not for motion.
     pub fn place_base(&mut self, base: &BaseMotion) -> Result<(), ManipulatorError> {
-        step::validate_base(base)?;
+        validation::validate_base(base)?;
         self.state.base = *base;
         self.update_configuration();
         Ok(())

@@ -215,8 +215,12 @@ impl AnyManipulator {
 
     /// Disables SIMD where it is used: slower, same bits.
     pub fn use_plain_instructions(&mut self) {
-        if let Self::Planar(tool) = self {
-            tool.use_plain_instructions();
+        match self {
+            Self::ConstantCurvature(tool) => tool.use_plain_instructions(),
+            Self::Planar(tool) => tool.use_plain_instructions(),
+            Self::LongPlanar(tool) => tool.use_plain_instructions(),
+            Self::Spatial(tool) => tool.use_plain_instructions(),
+            Self::Full(tool) => tool.use_plain_instructions(),
         }
     }
 

@@ -49,9 +49,9 @@ pub struct ContactParameters {
     pub stiffness_n_per_m: f64,
     /// Maximum speed at which overlap beyond what the contact force explains is pushed out, m/s.
     pub push_out_speed_m_per_s: f64,
-    /// Maximum number of sweeps of the impulse solver.
+    /// Maximum number of Newton iterations of the contact solver.
     pub max_iterations: usize,
-    /// The solver stops after a sweep in which no row changed its velocity by more than this, m/s.
+    /// The solver stops when no contact misses its law by more than this speed, m/s.
     pub tolerance_m_per_s: f64,
 }
 

@@ -147,10 +147,11 @@ pub struct StepReport {
     pub refused_contact_count: usize,
     /// Flexures pressing on their stop.
     pub stopped_joint_count: usize,
-    /// Sweeps of the impulse solver.
-    pub iterations: usize,
-    /// Largest velocity change of a row in the last sweep, m/s (rad/s for stops).
-    pub residual_m_per_s: f64,
+    /// Newton iterations of the contact solver.
+    pub contact_iterations: usize,
+    /// Largest speed by which a contact (m/s) or a joint stop (rad/s) misses its law after them. Above
+    /// [`super::ContactParameters::tolerance_m_per_s`] if the solver stopped at its iteration limit.
+    pub contact_residual_m_per_s: f64,
     /// Deepest overlap among the contacts that entered, m.
     pub max_overlap_m: f64,
     /// Total normal force on the burr, world axes, N.
@@ -173,8 +174,8 @@ impl StepReport {
             active_contact_count: 0,
             refused_contact_count: 0,
             stopped_joint_count: 0,
-            iterations: 0,
-            residual_m_per_s: 0.0,
+            contact_iterations: 0,
+            contact_residual_m_per_s: 0.0,
             max_overlap_m: 0.0,
             burr_normal_force_n: Vector3::zeros(),
             flange_wrench: Wrench::zero(),

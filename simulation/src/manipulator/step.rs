@@ -7,13 +7,15 @@
 use nalgebra::{Point3, Vector3};
 
 use super::articulated::{Generalised, Spatial};
-use super::contact::{BaseDrive, ContactStep, Outcome};
-use super::error::{ManipulatorError, check, check_all};
-use super::geometry::SphereKind;
+use super::contact::{BaseDrive, ContactStep, Place};
+use super::error::{ManipulatorError, check};
+use super::geometry::{SphereKind, SphereLayout};
 use super::loads::{Frame, Loads};
 use super::parameters::Integrator;
+use super::pressing::{self, MAX_FREEDOMS};
 use super::state::{BaseMotion, ProxySphere, StepInput, StepReport, Wrench};
 use super::tendon::turns;
+use super::validation::validate;
 use super::{MAX_JOINTS, Manipulator};
 
 /// 1 - 1/sqrt 2, the choice that makes ROS2 L-stable.
@@ -147,7 +149,7 @@ impl Manipulator {
         let (mut round, mut expected) = (1, v);
         let after = loop {
             let free = self.free_velocity(dt, (&q, &v), &d);
-            let after = self.with_contacts(dt, input, drive, free, report);
+            let after = self.with_contacts(dt, input, drive, &d, free, report);
             let turned = self.turns(&expected, &after);
             let released = self.pressed.release(dt, &after.joint, &self.state.stop_torque_nm);
             if round == MAX_ROUNDS || !(turned || released) {
@@ -182,44 +184,68 @@ impl Manipulator {
         dt: f64,
         input: &StepInput,
         drive: &BaseDrive,
+        d: &Diagonals,
         free: Generalised,
         report: &mut StepReport,
     ) -> Generalised {
+        let parameters = &self.parameters.contact;
+        let step = ContactStep { dt, drive, planes: input.contacts, parameters };
+        let (layout, configuration, state) = (&self.layout, &self.configuration, &self.state);
+        let lateral_m = state.mount_displacement_m[1];
+        let results = &state.results[..state.result_count];
         let solver = &mut self.contact;
-        solver.collect(&self.layout, &self.configuration, input.contacts);
-        solver.collect_stops(&self.parameters, dt, &self.state, &self.pressed, &free);
+        solver.collect(&step, &layout.spheres, results, |sphere, direction| {
+            let SphereLayout { link, along_m, radius_m, .. } = layout.spheres[sphere];
+            let centre = configuration.point(link, along_m);
+            let point = Vector3::new(centre[0], lateral_m, centre[1]) - direction[0] * radius_m;
+            Place { link, point, force: direction.map(|d| pressing::force(&point, &d)) }
+        });
+        let law = self.parameters.stop_law();
+        for i in (0..layout.joints).filter(|i| !self.pressed.has(*i)) {
+            let moving = (state.joint_position_rad[i], free.joint[i]);
+            solver.collect_stop((dt, &law), pressing::MOUNT + i, moving, state.stop_torque_nm[i]);
+        }
         report.refused_contact_count = solver.refused;
-        report.contact_count = solver.row_count;
+        report.contact_count = solver.contact.len();
         report.max_overlap_m = solver.max_overlap_m;
         if solver.is_empty() {
             return free;
         }
-        solver.delassus.assemble(&mut self.articulated, &self.coupling, self.layout.joints);
-        let parameters = &self.parameters.contact;
-        let step = ContactStep { dt, drive, planes: input.contacts, parameters };
-        solver.prepare(&step, &self.layout, self.articulated.lateral, &self.state);
-        let Outcome { iterations, residual } = solver.solve(&self.articulated, &free, parameters);
-        report.iterations = iterations;
-        report.residual_m_per_s = residual;
+        let diagonal = Generalised::ZERO.plus(dt, &d.damping).plus(dt * dt, &d.stiffness);
+        pressing::describe(&mut solver.chain, layout, configuration, &diagonal);
+        self.coupling.describe(pressing::MOUNT, &mut solver.chain);
+        let outcome =
+            solver.solve(pressing::ordered(&free, &mut [0.0; MAX_FREEDOMS], layout.joints), parameters);
+        report.contact_iterations = outcome.iterations;
+        report.contact_residual_m_per_s = outcome.residual;
         let mut force: [Spatial; MAX_JOINTS + 1] = [[0.0; 3]; MAX_JOINTS + 1];
-        let mut impulse = Generalised::ZERO;
-        solver.impulses(&mut force, &mut impulse.joint);
-        impulse.mount[1] = solver.lateral_impulse;
+        let (mut joint, mut across) = ([0.0; MAX_JOINTS], 0.0);
+        solver.impulses(
+            |link, impulse, f| {
+                for k in 0..3 {
+                    force[link][k] += impulse * f[k];
+                }
+                across += impulse * f[3];
+            },
+            |freedom, impulse| joint[freedom - pressing::MOUNT] += impulse,
+        );
+        let impulse = Generalised { joint, mount: [0.0, across, 0.0] };
         free.plus(1.0, &self.coupling.correct(self.articulated.solve(&force, &impulse)))
     }
 
     /// Stores the impulses for the next step and adds the contact moments to the loads.
     fn store_results(&mut self, dt: f64, drive: &BaseDrive, after: &Generalised, report: &mut StepReport) {
         let torque = &mut self.state.stop_torque_nm;
-        report.stopped_joint_count = self.contact.stop_torques(dt, torque);
+        torque.fill(0.0);
+        report.stopped_joint_count =
+            self.contact.stop_torques(dt, |freedom, value| torque[freedom - pressing::MOUNT] = value);
         report.stopped_joint_count += self.pressed.store(dt, &after.joint, torque);
-        self.state.result_count = self.contact.row_count;
-        let lateral_m = self.state.mount_displacement_m[1];
-        for k in 0..self.contact.row_count {
-            let (result, point) = self.contact.result(&self.layout, k, dt, &drive.rotation, lateral_m);
+        self.state.result_count = self.contact.contact.len();
+        for k in 0..self.contact.contact.len() {
+            let result = self.contact.result(k, dt, &drive.rotation);
             let normal_force = result.normal * result.normal_force_n;
             let force = drive.rotation.inverse_transform_vector(&(normal_force + result.friction_force_n));
-            self.loads.moment += point.cross(&force);
+            self.loads.moment += self.contact.contact[k].point.cross(&force);
             report.active_contact_count += usize::from(result.normal_force_n > 0.0);
             if self.layout.spheres[result.sphere_index].kind == SphereKind::Burr {
                 report.burr_normal_force_n += normal_force;
@@ -415,31 +441,4 @@ pub(super) fn contacts_far(spheres: &[ProxySphere], dt: f64, input: &StepInput) 
 fn largest(values: &[f64; MAX_JOINTS]) -> f64 {
     // Let a NaN win: it marks a failed step.
     values.iter().fold(0.0, |m, x| if x.abs() > m || x.is_nan() { x.abs() } else { m })
-}
-
-/// Refuses input that is not finite or out of range.
-pub(super) fn validate(dt: f64, input: &StepInput) -> Result<(), ManipulatorError> {
-    check("dt_s", dt, "1e-7 to 0.1 s", |x| (1e-7..=0.1).contains(&x))?;
-    validate_base(&input.base)?;
-    let each = input.tendon.values();
-    if input.tendon.is_displacement() {
-        check_all("tendon displacement", &each, "-1 to 1 m", |x| x.abs() <= 1.0)?;
-    } else {
-        check_all("tendon force", &each, "-1e5 to 1e5 N", |x| x.abs() <= 1e5)?;
-    }
-    let wrench = &input.tip_wrench;
-    check_all("tip_wrench.force_n", wrench.force_n.as_slice(), "-1e5 to 1e5 N", |x| x.abs() <= 1e5)?;
-    check_all("tip_wrench.torque_nm", wrench.torque_nm.as_slice(), "-1e5 to 1e5 N m", |x| x.abs() <= 1e5)
-}
-
-/// Refuses a base motion that is not finite, not a rotation, or out of range.
-pub(super) fn validate_base(base: &BaseMotion) -> Result<(), ManipulatorError> {
-    let pose = &base.t_world_base;
-    check_all("base translation", pose.translation.vector.as_slice(), "-1000 to 1000 m", |x| x.abs() <= 1e3)?;
-    let norm = pose.rotation.coords.norm_squared();
-    check("base rotation, squared norm", norm, "1 within 1e-6", |x| (x - 1.0).abs() <= 1e-6)?;
-    let linear = base.linear_velocity_m_per_s.as_slice();
-    check_all("base.linear_velocity_m_per_s", linear, "-100 to 100 m/s", |x| x.abs() <= 100.0)?;
-    let angular = base.angular_velocity_rad_per_s.as_slice();
-    check_all("base.angular_velocity_rad_per_s", angular, "-1000 to 1000 rad/s", |x| x.abs() <= 1000.0)
 }

@@ -1,8 +1,9 @@
-//! The accepted ranges of a manipulator's parameters.
+//! The accepted ranges of a manipulator's parameters and of a step's input.
 
 use super::error::{ManipulatorError, check, check_all};
 use super::flexure::StiffnessRatios;
 use super::parameters::{ManipulatorParameters, Section};
+use super::state::{BaseMotion, StepInput};
 use super::{MAX_LINKS, MAX_SHAFT_SPHERES, MAX_TENDONS};
 
 impl ManipulatorParameters {
@@ -153,4 +154,31 @@ impl ManipulatorParameters {
             x > 0.0 && x <= 1.0
         })
     }
+}
+
+/// Refuses input that is not finite or out of range.
+pub(super) fn validate(dt: f64, input: &StepInput) -> Result<(), ManipulatorError> {
+    check("dt_s", dt, "1e-7 to 0.1 s", |x| (1e-7..=0.1).contains(&x))?;
+    validate_base(&input.base)?;
+    let each = input.tendon.values();
+    if input.tendon.is_displacement() {
+        check_all("tendon displacement", &each, "-1 to 1 m", |x| x.abs() <= 1.0)?;
+    } else {
+        check_all("tendon force", &each, "-1e5 to 1e5 N", |x| x.abs() <= 1e5)?;
+    }
+    let wrench = &input.tip_wrench;
+    check_all("tip_wrench.force_n", wrench.force_n.as_slice(), "-1e5 to 1e5 N", |x| x.abs() <= 1e5)?;
+    check_all("tip_wrench.torque_nm", wrench.torque_nm.as_slice(), "-1e5 to 1e5 N m", |x| x.abs() <= 1e5)
+}
+
+/// Refuses a base motion that is not finite, not a rotation, or out of range.
+pub(super) fn validate_base(base: &BaseMotion) -> Result<(), ManipulatorError> {
+    let pose = &base.t_world_base;
+    check_all("base translation", pose.translation.vector.as_slice(), "-1000 to 1000 m", |x| x.abs() <= 1e3)?;
+    let norm = pose.rotation.coords.norm_squared();
+    check("base rotation, squared norm", norm, "1 within 1e-6", |x| (x - 1.0).abs() <= 1e-6)?;
+    let linear = base.linear_velocity_m_per_s.as_slice();
+    check_all("base.linear_velocity_m_per_s", linear, "-100 to 100 m/s", |x| x.abs() <= 100.0)?;
+    let angular = base.angular_velocity_rad_per_s.as_slice();
+    check_all("base.angular_velocity_rad_per_s", angular, "-1000 to 1000 rad/s", |x| x.abs() <= 1000.0)
 }

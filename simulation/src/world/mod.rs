@@ -153,6 +153,11 @@ impl<'v> Simulation<'v> {
         &self.state
     }
 
+    /// What the tool's step reported in the last tick: contacts, solver iterations and residual, forces.
+    pub fn tool_report(&self) -> &StepReport {
+        self.manipulator.last_report()
+    }
+
     /// Voxels that the last tick drilled, by linear index.
     pub fn removed(&self) -> &[u32] {
         let removed = self.bone.as_ref().map_or(&[][..], |bone| bone.field.voxels().removed_this_tick());

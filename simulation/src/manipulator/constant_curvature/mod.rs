@@ -12,15 +12,14 @@ use nalgebra::{Isometry3, Matrix4, Translation3, UnitQuaternion, Vector3, Vector
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 
 use super::MAX_TENDONS;
+use super::contact::ContactSolver;
 use super::error::ManipulatorError;
 use super::geometry::{SphereLayout, link_lengths_m, spheres};
 use super::parameters::ManipulatorParameters;
-use super::row::Stop;
 use super::state::{BaseMotion, ContactResult, ProxySphere, StepReport, Wrench, places_from};
 use super::tendon::{Channels, TendonMemory};
 use super::{MAX_LINKS, MAX_SHAFT_SPHERES};
 use arc::Arc;
-use step::Row;
 
 /// Maximum contacts per step, four per sphere; excess contacts are refused and counted.
 const MAX_CONTACTS: usize = 4 * (MAX_SHAFT_SPHERES + MAX_LINKS + 1);
@@ -109,9 +108,7 @@ pub struct ConstantCurvature {
     spheres: Vec<ProxySphere>,
     /// Per-flexure bending angles (rad) and rates (rad/s), for callers that expect flexures.
     bend: [Vec<f64>; 2],
-    rows: Vec<Row>,
-    used: Vec<bool>,
-    stop: Option<Stop>,
+    contact: ContactSolver<4>,
     channels: Channels,
 }
 
@@ -122,7 +119,7 @@ impl ConstantCurvature {
     /// A parameter is out of range; the error names it.
     pub fn new(parameters: ManipulatorParameters, base: &BaseMotion) -> Result<Self, ManipulatorError> {
         parameters.validate()?;
-        super::step::validate_base(base)?;
+        super::validation::validate_base(base)?;
         let arc = Arc::new(&parameters);
         let p = &parameters;
         let joints = p.joint_positions_m.len();
@@ -172,9 +169,7 @@ impl ConstantCurvature {
                 report: StepReport::none(),
             },
             bend: [vec![0.0; joints], vec![0.0; joints]],
-            rows: Vec::with_capacity(MAX_CONTACTS),
-            used: vec![false; MAX_CONTACTS],
-            stop: None,
+            contact: ContactSolver::new(vec![0, 4], MAX_CONTACTS),
             channels: Channels::of(&parameters),
             parameters,
         };
@@ -269,7 +264,7 @@ impl ConstantCurvature {
     /// # Errors
     /// The base motion is not finite, not a rotation, or out of range.
     pub fn place_base(&mut self, base: &BaseMotion) -> Result<(), ManipulatorError> {
-        super::step::validate_base(base)?;
+        super::validation::validate_base(base)?;
         self.state.base = *base;
         self.update_configuration();
         Ok(())
@@ -278,6 +273,11 @@ impl ConstantCurvature {
     /// What the tool exerted on the flange in the last step.
     pub fn flange_wrench(&self) -> Wrench {
         self.state.report.flange_wrench
+    }
+
+    /// Solves contacts without vector instructions: slower, same bits.
+    pub(super) fn use_plain_instructions(&mut self) {
+        self.contact.arch = pulp::Arch::Scalar;
     }
 
     /// Contacts of the last step, ordered by sphere.

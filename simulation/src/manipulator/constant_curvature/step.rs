@@ -1,33 +1,20 @@
-//! One step of the arc: linearly implicit Euler on four degrees of freedom, contacts by Gauss-Seidel on accumulated impulses.
+//! One step of the arc: linearly implicit Euler on four degrees of freedom, contacts as in the other rungs.
 
 use nalgebra::{Matrix4, Vector3, Vector4};
 
 use super::{ConstantCurvature, mass_matrix};
-use crate::manipulator::contact::{BaseDrive, ContactStep, LastContacts};
+use crate::manipulator::contact::{BaseDrive, ContactStep, Place};
 use crate::manipulator::error::ManipulatorError;
 use crate::manipulator::geometry::SphereKind;
 use crate::manipulator::loads::Frame;
-use crate::manipulator::row::{Stop, StopLaw, cone, tangents};
-use crate::manipulator::state::{ContactResult, StepInput, StepReport, TendonCommand, Wrench};
-use crate::manipulator::step::{base_motion, validate};
+use crate::manipulator::row::StopLaw;
+use crate::manipulator::state::{StepInput, StepReport, TendonCommand, Wrench};
+use crate::manipulator::step::base_motion;
 use crate::manipulator::tendon::{base_tension, sign};
+use crate::manipulator::validation::validate;
 
-/// One contact: Jacobian rows of normal and tangents.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Row {
-    contact: usize,
-    sphere: usize,
-    point: Vector3<f64>,
-    direction: [Vector3<f64>; 3],
-    jacobian: [Vector4<f64>; 3],
-    response: [Vector4<f64>; 3],
-    friction: f64,
-    drive: [f64; 3],
-    compliance: f64,
-    target: f64,
-    impulse: [f64; 3],
-    shift: f64,
-}
+/// Index of the bending coordinate.
+const BEND: usize = 3;
 
 /// Generalised force of the tendons on the bend, and their contribution to the implicit operator.
 struct TendonTorque {
@@ -50,14 +37,14 @@ impl ConstantCurvature {
         let (q, before) = (self.state.position, self.state.velocity);
         let (loads, mut moment) = self.loads(&frame);
         let tendon = self.tendon_torque(before[3], &input.tendon);
-        let (free, inverse) = self.free_velocity(dt, &loads, &tendon);
+        let (free, operator) = self.free_velocity(dt, &loads, &tendon);
         let mut report = StepReport::none();
-        let mut after = self.with_contacts(dt, input, &drive, &inverse, free, &mut report);
+        let mut after = self.with_contacts(dt, input, &drive, &operator, free, &mut report);
         if tendon.slides_on && after[3] * before[3] < 0.0 {
             let tendon = self.tendon_torque(after[3], &input.tendon);
-            let (free, inverse) = self.free_velocity(dt, &loads, &tendon);
+            let (free, operator) = self.free_velocity(dt, &loads, &tendon);
             report = StepReport::none();
-            after = self.with_contacts(dt, input, &drive, &inverse, free, &mut report);
+            after = self.with_contacts(dt, input, &drive, &operator, free, &mut report);
         }
         self.store(dt, &drive, &mut moment, &mut report);
         self.state.position = q + after * dt;
@@ -66,13 +53,13 @@ impl ConstantCurvature {
         Ok(report)
     }
 
-    /// Velocities after the step without contacts, and the inverse of the implicit operator.
+    /// Velocities after the step without contacts, and the implicit operator with its inverse.
     fn free_velocity(
         &self,
         dt: f64,
         loads: &Vector4<f64>,
         tendon: &TendonTorque,
-    ) -> (Vector4<f64>, Matrix4<f64>) {
+    ) -> (Vector4<f64>, (Matrix4<f64>, Matrix4<f64>)) {
         let (q, before) = (&self.state.position, &self.state.velocity);
         let mut stiffness = self.stiffness;
         stiffness[3] = (stiffness[3] + tendon.stiffness_nm_per_rad).max(0.0);
@@ -86,7 +73,7 @@ impl ConstantCurvature {
             - self.damping.component_mul(before)
             - stiffness.component_mul(&(before * dt))
             + Vector4::new(0.0, 0.0, 0.0, tendon.torque_nm);
-        (before + inverse * (loads + elastic) * dt, inverse)
+        (before + inverse * (loads + elastic) * dt, (operator, inverse))
     }
 
     /// Closed form of the channel: the take-up is `side d bend`. The tension falls as `exp(-mu s phi)` along the arc, and the bend sees
@@ -170,117 +157,66 @@ impl ConstantCurvature {
         dt: f64,
         input: &StepInput,
         drive: &BaseDrive,
-        inverse: &Matrix4<f64>,
+        (operator, inverse): &(Matrix4<f64>, Matrix4<f64>),
         free: Vector4<f64>,
         report: &mut StepReport,
     ) -> Vector4<f64> {
-        self.collect(dt, input, drive, inverse, report);
-        self.collect_stop(dt, &free);
-        let stop_response = inverse.column(3).into_owned();
-        let mut velocity = free;
-        for row in &self.rows {
-            velocity += (0..3).map(|j| row.response[j] * row.impulse[j]).sum::<Vector4<f64>>();
-        }
-        if let Some(stop) = &self.stop {
-            velocity += stop_response * (stop.sign * stop.impulse);
-        }
-        let contact = &self.parameters.contact;
-        let any = !self.rows.is_empty() || self.stop.is_some();
-        while any && report.iterations < contact.max_iterations {
-            report.iterations += 1;
-            let mut residual = 0.0f64;
-            self.rows.iter_mut().for_each(|row| row.relax(&mut velocity, &mut residual));
-            if let Some(stop) = &mut self.stop {
-                relax_stop(stop, &stop_response, &mut velocity, &mut residual);
-            }
-            report.residual_m_per_s = residual;
-            if residual <= contact.tolerance_m_per_s {
-                break;
-            }
-        }
-        velocity
-    }
-
-    fn collect(
-        &mut self,
-        dt: f64,
-        input: &StepInput,
-        drive: &BaseDrive,
-        inverse: &Matrix4<f64>,
-        report: &mut StepReport,
-    ) {
-        self.rows.clear();
-        self.used.fill(false);
-        let contact = self.parameters.contact;
-        let step = ContactStep { dt, drive, planes: input.contacts, parameters: &contact };
+        let parameters = self.parameters.contact;
+        let step = ContactStep { dt, drive, planes: input.contacts, parameters: &parameters };
+        let (arc, spheres, q) = (&self.arc, &self.sphere_layout, &self.state.position);
         let results = &self.state.results[..self.state.result_count];
-        let mut last = LastContacts { results, used: &mut self.used };
-        let considered = input.contacts.iter().take(last.used.len());
-        let q = &self.state.position;
-        for (index, plane) in considered.enumerate() {
-            let Some(sphere) = self.sphere_layout.get(plane.sphere_index) else { continue };
-            if !plane.is_usable() {
-                continue;
-            }
-            let normal = drive.rotation.inverse_transform_vector(plane.normal.as_ref());
-            let [t0, t1] = tangents(&normal);
-            let lever = normal * -sphere.radius_m;
-            let place = self.arc.place(self.sphere_z_m[plane.sphere_index], q[3]);
+        let solver = &mut self.contact;
+        solver.collect(&step, spheres, results, |sphere, direction| {
+            let lever = direction[0] * -spheres[sphere].radius_m;
+            let place = arc.place(self.sphere_z_m[sphere], q[3]);
             let point = Vector3::new(q[0] + place.point[0], q[1], q[2] + place.point[1]) + lever;
             let per_bend =
                 Vector3::new(place.first[0], 0.0, place.first[1]) + Vector3::y().cross(&lever) * place.share;
-            let direction = [normal, t0, t1];
-            let jacobian = direction.map(|d| Vector4::new(d.x, d.y, d.z, d.dot(&per_bend)));
-            let base_velocity = drive.linear + drive.angular.cross(&point);
-            let (target, impulse) = last.start(&step, plane, &[t0, t1]);
-            let row = Row {
-                contact: index,
-                sphere: plane.sphere_index,
-                point,
-                direction,
-                jacobian,
-                response: jacobian.map(|j| inverse * j),
-                friction: contact.friction_of(sphere.kind),
-                drive: direction.map(|d| d.dot(&base_velocity)),
-                compliance: step.compliance(),
-                target,
-                impulse,
-                shift: 0.0,
-            };
-            report.max_overlap_m = report.max_overlap_m.max(-plane.gap_m);
-            self.rows.push(row);
-        }
-        self.rows.sort_unstable_by_key(|row| (row.sphere, row.contact));
-        report.contact_count = self.rows.len();
-        report.refused_contact_count = input.contacts.len() - self.rows.len();
-    }
-
-    fn collect_stop(&mut self, dt: f64, free: &Vector4<f64>) {
+            Place { link: 0, point, force: direction.map(|d| [d.x, d.y, d.z, d.dot(&per_bend)]) }
+        });
         let law = StopLaw { limit_rad: self.limit_rad, stiffness_nm_per_rad: self.stop_stiffness_nm_per_rad };
-        self.stop = law.near(dt, self.state.position[3], free[3], self.state.stop_torque_nm);
+        solver.collect_stop((dt, &law), BEND, (q[BEND], free[BEND]), self.state.stop_torque_nm);
+        report.refused_contact_count = solver.refused;
+        report.contact_count = solver.contact.len();
+        report.max_overlap_m = solver.max_overlap_m;
+        if solver.is_empty() {
+            return free;
+        }
+        // One body whose four freedoms are its motions: the operator is its inertia.
+        for k in 0..4 {
+            solver.chain.axis[k] = core::array::from_fn(|j| f64::from(u8::from(j == k)));
+            solver.chain.body[0][k] = core::array::from_fn(|j| operator[(k, j)]);
+        }
+        let outcome = solver.solve(free.as_slice(), &parameters);
+        report.contact_iterations = outcome.iterations;
+        report.contact_residual_m_per_s = outcome.residual;
+        let (mut impulse, mut stop) = (Vector4::zeros(), 0.0);
+        solver.impulses(
+            |_, size, force| impulse += Vector4::from_column_slice(force) * size,
+            |_, size| stop += size,
+        );
+        impulse[BEND] += stop;
+        free + inverse * impulse
     }
 
     fn store(&mut self, dt: f64, drive: &BaseDrive, moment: &mut Vector3<f64>, report: &mut StepReport) {
-        self.state.result_count = self.rows.len();
-        for (slot, row) in self.state.results.iter_mut().zip(&self.rows) {
-            let [normal, t0, t1] = row.direction;
-            let friction = (t0 * row.impulse[1] + t1 * row.impulse[2]) / dt;
-            let normal_force = normal * (row.impulse[0] / dt);
-            *moment += row.point.cross(&(normal_force + friction));
-            report.active_contact_count += usize::from(row.impulse[0] > 0.0);
-            if self.sphere_layout[row.sphere].kind == SphereKind::Burr {
-                report.burr_normal_force_n += drive.rotation * normal_force;
+        let solver = &self.contact;
+        self.state.result_count = solver.contact.len();
+        for (k, slot) in self.state.results.iter_mut().enumerate().take(solver.contact.len()) {
+            let result = solver.result(k, dt, &drive.rotation);
+            let normal_force = result.normal * result.normal_force_n;
+            let force = drive.rotation.inverse_transform_vector(&(normal_force + result.friction_force_n));
+            *moment += solver.contact[k].point.cross(&force);
+            report.active_contact_count += usize::from(result.normal_force_n > 0.0);
+            if self.sphere_layout[result.sphere_index].kind == SphereKind::Burr {
+                report.burr_normal_force_n += normal_force;
             }
-            *slot = ContactResult {
-                contact_index: row.contact,
-                sphere_index: row.sphere,
-                normal: drive.rotation * normal,
-                normal_force_n: row.impulse[0] / dt,
-                friction_force_n: drive.rotation * friction,
-            };
+            *slot = result;
         }
-        self.state.stop_torque_nm = self.stop.map_or(0.0, |stop| stop.sign * stop.impulse / dt);
-        report.stopped_joint_count = usize::from(self.state.stop_torque_nm != 0.0) * self.bend[0].len();
+        let mut torque = 0.0;
+        solver.stop_torques(dt, |_, value| torque = value);
+        self.state.stop_torque_nm = torque;
+        report.stopped_joint_count = usize::from(torque != 0.0) * self.bend[0].len();
     }
 
     /// Computes the flange reaction, then updates everything that depends on the new state.
@@ -315,43 +251,4 @@ fn mean_share(x: f64) -> f64 {
 /// d/dx of [`mean_share`].
 fn mean_share_slope(x: f64) -> f64 {
     if x.abs() < 1e-3 { -0.5 + x / 3.0 - x * x / 8.0 } else { (libm::exp(-x) - mean_share(x)) / x }
-}
-
-impl Row {
-    /// Relaxes the contact: the normal impulse first, then friction within its Coulomb cone.
-    fn relax(&mut self, velocity: &mut Vector4<f64>, residual: &mut f64) {
-        let mobility = |a: usize, b: usize, row: &Row| row.jacobian[a].dot(&row.response[b]);
-        let old = self.impulse;
-        let speed = self.jacobian[0].dot(velocity) + self.drive[0];
-        let whole = mobility(0, 0, self) + self.compliance;
-        let normal = (old[0] + (self.target - speed - self.compliance * old[0]) / whole).max(0.0);
-        *residual = residual.max((normal - old[0]).abs() * whole);
-        *velocity += self.response[0] * (normal - old[0]);
-        self.impulse[0] = normal;
-        let radius = self.friction * normal;
-        let mut new = [0.0; 2];
-        if radius > 0.0 {
-            // The arc has a single bending coordinate, so only the mount keeps the tangential mobility regular.
-            let w = [mobility(1, 1, self), mobility(1, 2, self), mobility(2, 2, self)];
-            let free = [1, 2].map(|k| self.jacobian[k].dot(velocity) + self.drive[k]);
-            let free = [free[0] - w[0] * old[1] - w[1] * old[2], free[1] - w[1] * old[1] - w[2] * old[2]];
-            new = cone(&w, &free, radius, &mut self.shift);
-            *residual = residual.max((w[0] * (new[0] - old[1])).abs()).max((w[2] * (new[1] - old[2])).abs());
-        }
-        for k in 0..2 {
-            *velocity += self.response[k + 1] * (new[k] - old[k + 1]);
-        }
-        self.impulse = [normal, new[0], new[1]];
-    }
-}
-
-/// Relaxes the joint stop. `response` is the velocity change caused by a unit impulse on the bend.
-fn relax_stop(stop: &mut Stop, response: &Vector4<f64>, velocity: &mut Vector4<f64>, residual: &mut f64) {
-    let whole = response[3] + stop.compliance;
-    let speed = stop.sign * velocity[3] + stop.compliance * stop.impulse;
-    let impulse = (stop.impulse + (stop.target - speed) / whole).max(0.0);
-    let change = impulse - stop.impulse;
-    stop.impulse = impulse;
-    *velocity += response * (stop.sign * change);
-    *residual = residual.max(change.abs() * whole);
 }

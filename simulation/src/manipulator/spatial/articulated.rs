@@ -2,7 +2,7 @@
 //!
 //! `H = M(q) + diag` by the articulated-body algorithm (Featherstone 2008, Rigid Body Dynamics Algorithms, ch. 7), one single-DoF joint
 //! at a time: a flexure with three or six degrees of freedom is that many joints with massless bodies between them, which the positive
-//! diagonal allows. Mobilities follow the planar rung (Kreutz-Delgado, Jain and Rodriguez 1992).
+//! diagonal allows.
 
 use super::algebra::{Operator, Spatial, ZERO, add_body, add_outer, add_scaled, dot, times};
 use super::layout::{Configuration, SpatialLayout};
@@ -15,8 +15,6 @@ pub(super) struct Articulated {
     pub bias: Vec<Spatial>,
     /// 1 / (axis . bias + diagonal).
     pub inverse: Vec<f64>,
-    /// Mobility proximal to each joint; the last entry is that of the last link.
-    mobility: Vec<Operator>,
     torque: Vec<f64>,
 }
 
@@ -26,7 +24,6 @@ impl Articulated {
             axis: vec![ZERO; freedoms],
             bias: vec![ZERO; freedoms],
             inverse: vec![0.0; freedoms],
-            mobility: vec![[ZERO; 6]; freedoms + 1],
             torque: vec![0.0; freedoms],
         }
     }
@@ -79,46 +76,6 @@ impl Articulated {
             add_scaled(&mut v, x, &self.axis[k]);
             out[k] = x;
         }
-    }
-
-    /// Updates the mobilities; needed before [`Self::mobility`] and [`Self::unit_response`].
-    pub fn update_mobility(&mut self) {
-        self.mobility[0] = [ZERO; 6];
-        for k in 0..self.axis.len() {
-            // P' W P + s s'/d with P = 1 - u s'/d  =  W - (w s' + s w')/d + s s' (u.w/d^2 + 1/d),  w = W u.
-            let (s, u, inverse) = (&self.axis[k], &self.bias[k], self.inverse[k]);
-            let mut m = self.mobility[k];
-            let w = times(&m, u);
-            let scale = (dot(u, &w) * inverse + 1.0) * inverse;
-            for i in 0..6 {
-                let (a, b) = (scale * s[i] - inverse * w[i], inverse * s[i]);
-                for j in 0..6 {
-                    m[i][j] += a * s[j] - b * w[j];
-                }
-            }
-            self.mobility[k + 1] = m;
-        }
-    }
-
-    /// Mobility, to a force on itself, of the link distal to the first `freedoms` joints.
-    pub fn mobility(&self, freedoms: usize) -> &Operator {
-        &self.mobility[freedoms]
-    }
-
-    /// Velocity of joint `k` and motion of everything distal to it, under a unit force in it.
-    pub fn unit_response(&self, k: usize) -> (f64, Spatial) {
-        let inverse = self.inverse[k];
-        let mut v = times(&self.mobility[k], &self.bias[k]).map(|x| -x * inverse);
-        let rate = (1.0 - dot(&self.bias[k], &v)) * inverse;
-        add_scaled(&mut v, rate, &self.axis[k]);
-        (rate, v)
-    }
-
-    /// Propagates a proximal motion across joint `k`: returns its velocity and turns `v` into the distal motion.
-    pub fn carry_outward(&self, k: usize, v: &mut Spatial) -> f64 {
-        let rate = -dot(&self.bias[k], v) * self.inverse[k];
-        add_scaled(v, rate, &self.axis[k]);
-        rate
     }
 
     /// Motions of all links for generalised velocities `x`.

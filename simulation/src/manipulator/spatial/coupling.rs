@@ -1,10 +1,10 @@
 //! The tendons' rank-one stiffnesses in a spatial chain's implicit operator, by the method of `manipulator::coupling`.
 
-use super::algebra::Spatial;
 use super::articulated::Articulated;
 use super::layout::SpatialLayout;
 use super::tendon::TendonLoad;
 use crate::manipulator::MAX_TENDONS;
+use crate::manipulator::contact::Chain;
 use crate::manipulator::coupling::Kernel;
 
 /// `A = H + sum_t c_t g_t g_t'` and its inverse.
@@ -17,11 +17,11 @@ pub(super) struct Coupling {
     /// Number of tendons.
     pub count: usize,
     slope: [Vec<f64>; MAX_TENDONS],
+    /// c_t.
+    weight: [f64; MAX_TENDONS],
     /// H^-1 g_t.
     response: [Vec<f64>; MAX_TENDONS],
     scratch: Vec<f64>,
-    /// Motions of the links under H^-1 g_t.
-    pub link_response: [Vec<Spatial>; MAX_TENDONS],
     kernel: Kernel,
 }
 
@@ -30,16 +30,16 @@ pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
 }
 
 impl Coupling {
-    pub fn new(freedoms: usize, links: usize) -> Self {
+    pub fn new(freedoms: usize) -> Self {
         let blank = || vec![0.0; freedoms];
         Self {
             active: false,
             alpha: [0.0; MAX_TENDONS],
             count: 0,
             slope: core::array::from_fn(|_| blank()),
+            weight: [0.0; MAX_TENDONS],
             response: core::array::from_fn(|_| blank()),
             scratch: blank(),
-            link_response: core::array::from_fn(|_| vec![[0.0; 6]; links]),
             kernel: Kernel::NONE,
         }
     }
@@ -62,7 +62,6 @@ impl Coupling {
             if !load.coupled[t] {
                 self.slope[t].fill(0.0);
                 self.response[t].fill(0.0);
-                self.link_response[t].fill([0.0; 6]);
                 continue;
             }
             self.slope[t].copy_from_slice(&load.slope[t]);
@@ -71,9 +70,9 @@ impl Coupling {
             articulated.solve(layout, None, &load.slope[t], &mut self.response[t]);
             let own = dot(&self.slope[t], &self.response[t]);
             self.alpha[t] = if own > 0.0 { (cross / own).max(0.0) } else { 0.0 };
-            articulated.link_motions(layout, &self.response[t], &mut self.link_response[t]);
         }
         let c = self.alpha.map(|a| a * scale);
+        self.weight = c;
         let mut s = [[0.0; MAX_TENDONS]; MAX_TENDONS];
         for i in 0..self.count {
             for j in i..self.count {
@@ -101,31 +100,13 @@ impl Coupling {
         self.kernel.weigh(p)
     }
 
-    /// Dot product of `p` and `w` over the tendons.
-    pub fn product(&self, p: &[f64; MAX_TENDONS], w: &[f64; MAX_TENDONS]) -> f64 {
-        let mut sum = p[0] * w[0] + p[1] * w[1];
-        for t in 2..self.count {
-            sum += p[t] * w[t];
+    /// Tells the contact solver's chain.
+    pub fn describe<const N: usize>(&self, chain: &mut Chain<N>) {
+        chain.coupled = if self.active { self.count.max(2) } else { 0 };
+        chain.weight = self.weight;
+        for t in 0..chain.coupled {
+            chain.slope[t].copy_from_slice(&self.slope[t]);
         }
-        sum
-    }
-
-    /// `value` minus the products of the entries, subtracted tendon by tendon.
-    pub fn less(&self, value: f64, p: &[f64; MAX_TENDONS], w: &[f64; MAX_TENDONS]) -> f64 {
-        let mut rest = value - p[0] * w[0] - p[1] * w[1];
-        for t in 2..self.count {
-            rest -= p[t] * w[t];
-        }
-        rest
-    }
-
-    /// Take-up of each tendon under a force on a link.
-    pub fn takes_up(&self, link: usize, force: &Spatial) -> [f64; MAX_TENDONS] {
-        let mut out = [0.0; MAX_TENDONS];
-        for t in 0..self.count {
-            out[t] = super::algebra::dot(&self.link_response[t][link], force);
-        }
-        out
     }
 
     /// A^-1 b from H^-1 b.
@@ -143,10 +124,5 @@ impl Coupling {
                 *x -= w * r;
             }
         }
-    }
-
-    /// Velocity of freedom `k` under H^-1 g of each tendon.
-    pub fn freedom_response(&self, k: usize) -> [f64; MAX_TENDONS] {
-        core::array::from_fn(|t| self.response[t][k])
     }
 }

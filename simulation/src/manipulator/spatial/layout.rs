@@ -6,7 +6,8 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::algebra::{Moments, Spatial, shift_along, turn_about};
+use super::algebra::{Moments, Spatial, ZERO, add_body, shift_along, turn_about};
+use crate::manipulator::contact::Chain;
 use crate::manipulator::geometry::{LinkBody, SphereLayout, link_bodies, link_lengths_m, spheres};
 use crate::manipulator::parameters::ManipulatorParameters;
 
@@ -69,6 +70,22 @@ impl<const D: usize> SpatialLayout<D> {
     /// Coordinates that move `link` relative to the previous one (the mount moves link 0).
     pub fn freedoms_of(&self, link: usize) -> core::ops::Range<usize> {
         if link == 0 { 0..MOUNT } else { MOUNT + (link - 1) * D..MOUNT + link * D }
+    }
+
+    /// The first freedom of each link, then their number.
+    pub fn first_freedoms(&self) -> Vec<usize> {
+        core::iter::once(0).chain((0..=self.joints).map(|link| self.freedoms_of(link).end)).collect()
+    }
+
+    /// Sets the axes, inertias and diagonal of the contact solver's chain.
+    pub fn describe(&self, configuration: &Configuration<D>, diagonal: &[f64], chain: &mut Chain<6>) {
+        chain.axis.copy_from_slice(&configuration.axis);
+        chain.diagonal.copy_from_slice(diagonal);
+        for (link, inertia) in chain.body.iter_mut().enumerate() {
+            let centre = configuration.point(link, self.body[link].centre_m);
+            *inertia = [ZERO; 6];
+            add_body(inertia, &self.moments(link), &centre, &configuration.direction(link));
+        }
     }
 
     /// Index of the bending coordinate of flexure `joint`.

@@ -9,7 +9,6 @@
 
 mod algebra;
 mod articulated;
-mod contact;
 mod coupling;
 mod layout;
 mod loads;
@@ -19,6 +18,7 @@ mod tendon;
 
 use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
+use super::contact::ContactSolver;
 use super::error::ManipulatorError;
 use super::parameters::ManipulatorParameters;
 use super::pressed::PressedStops;
@@ -26,7 +26,6 @@ use super::state::{BaseMotion, ContactResult, ProxySphere, StepReport, Wrench};
 use super::tendon::Channels;
 use super::{MAX_LINKS, MAX_SHAFT_SPHERES, modal};
 use articulated::Articulated;
-use contact::ContactSolver;
 use coupling::Coupling;
 use layout::{Configuration, MOUNT, SpatialLayout};
 use loads::Loads;
@@ -62,7 +61,7 @@ pub struct SpatialChain<const D: usize> {
     tendon: TendonLoad,
     coupling: Coupling,
     loads: Loads,
-    contact: ContactSolver,
+    contact: ContactSolver<6>,
     pressed: PressedStops,
     work: Work,
 }
@@ -77,7 +76,7 @@ impl<const D: usize> SpatialChain<D> {
     pub fn new(parameters: ManipulatorParameters, base: &BaseMotion) -> Result<Self, ManipulatorError> {
         let () = Self::SUPPORTED;
         parameters.validate()?;
-        super::step::validate_base(base)?;
+        super::validation::validate_base(base)?;
         let layout = SpatialLayout::new(&parameters);
         let (freedoms, links) = (layout.freedoms(), layout.joints + 1);
         let bending = &parameters.joint_stiffness_nm_per_rad;
@@ -110,9 +109,9 @@ impl<const D: usize> SpatialChain<D> {
             trial: Configuration::new(&layout),
             articulated: Articulated::new(freedoms),
             tendon: TendonLoad::new(freedoms, Channels::of(&parameters)),
-            coupling: Coupling::new(freedoms, links),
+            coupling: Coupling::new(freedoms),
             loads: Loads::new(links),
-            contact: ContactSolver::new(freedoms, links, MAX_CONTACTS),
+            contact: ContactSolver::new(layout.first_freedoms(), MAX_CONTACTS),
             pressed: PressedStops::new(freedoms),
             work: Work::new(freedoms, links),
             layout,
@@ -225,7 +224,7 @@ impl<const D: usize> SpatialChain<D> {
     /// # Errors
     /// The base motion is not finite, not a rotation, or out of range.
     pub fn place_base(&mut self, base: &BaseMotion) -> Result<(), ManipulatorError> {
-        super::step::validate_base(base)?;
+        super::validation::validate_base(base)?;
         self.state.base = *base;
         self.update_configuration();
         Ok(())
@@ -234,6 +233,11 @@ impl<const D: usize> SpatialChain<D> {
     /// Wrench of the tool on the flange in the last step.
     pub fn flange_wrench(&self) -> Wrench {
         self.state.report.flange_wrench
+    }
+
+    /// Solves contacts without vector instructions: slower, same bits.
+    pub(super) fn use_plain_instructions(&mut self) {
+        self.contact.arch = pulp::Arch::Scalar;
     }
 
     /// Contacts of the last step, ordered by sphere.

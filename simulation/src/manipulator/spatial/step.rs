@@ -3,17 +3,18 @@
 use nalgebra::Vector3;
 
 use super::SpatialChain;
-use super::algebra::{Spatial, ZERO};
+use super::algebra::{Spatial, ZERO, add_scaled, force_at};
 use super::layout::SpatialLayout;
 use super::tendon::Motion;
-use crate::manipulator::contact::{BaseDrive, ContactStep, Outcome};
+use crate::manipulator::contact::{BaseDrive, ContactStep, Place};
 use crate::manipulator::error::ManipulatorError;
-use crate::manipulator::geometry::SphereKind;
+use crate::manipulator::geometry::{SphereKind, SphereLayout};
 use crate::manipulator::loads::Frame;
 use crate::manipulator::parameters::Integrator;
 use crate::manipulator::state::{StepInput, StepReport, Wrench};
-use crate::manipulator::step::{FREE_SHARE, GAMMA, MAX_ROUNDS, Stage, base_motion, contacts_far, validate};
+use crate::manipulator::step::{FREE_SHARE, GAMMA, MAX_ROUNDS, Stage, base_motion, contacts_far};
 use crate::manipulator::tendon::turns;
+use crate::manipulator::validation::validate;
 
 /// Work vectors of a step, one entry per degree of freedom.
 #[derive(Debug, Clone, Default)]
@@ -180,7 +181,7 @@ impl<const D: usize> SpatialChain<D> {
         let mut round = 1;
         loop {
             self.free_velocity(dt, h, work);
-            self.with_contacts(dt, input, drive, &mut work.after, report);
+            self.with_contacts(dt, input, drive, work, report);
             let Work { after, expected, stiffness, diagonal, .. } = &mut *work;
             let turned =
                 !self.explicit && turns(&self.tendon.slides_on, &self.tendon.slope, [expected, after]);
@@ -213,46 +214,70 @@ impl<const D: usize> SpatialChain<D> {
         }
     }
 
-    /// Adds the contact and stop impulses to the free velocities.
+    /// Adds the contact and stop impulses to the free velocities, `work.after`.
     fn with_contacts(
         &mut self,
         dt: f64,
         input: &StepInput,
         drive: &BaseDrive,
-        velocity: &mut [f64],
+        work: &mut Work,
         report: &mut StepReport,
     ) {
+        let parameters = &self.parameters.contact;
+        let step = ContactStep { dt, drive, planes: input.contacts, parameters };
+        let (layout, configuration, state) = (&self.layout, &self.configuration, &self.state);
+        let results = &state.results[..state.result_count];
         let solver = &mut self.contact;
-        solver.collect(&self.layout, &self.configuration, &drive.rotation, input.contacts);
-        solver.collect_stops(&self.parameters, &self.layout, dt, &self.state, &self.pressed, velocity);
+        solver.collect(&step, &layout.spheres, results, |sphere, direction| {
+            let SphereLayout { link, along_m, radius_m, .. } = layout.spheres[sphere];
+            let point = configuration.point(link, along_m) - direction[0] * radius_m;
+            Place { link, point, force: direction.map(|d| force_at(&point, &Vector3::zeros(), &d)) }
+        });
+        let law = self.parameters.stop_law();
+        for joint in 0..layout.joints {
+            let bend = layout.bend(joint);
+            for k in (bend..=if D > 1 { bend + 1 } else { bend }).filter(|k| !self.pressed.has(*k)) {
+                let moving = (state.position[k], work.after[k]);
+                solver.collect_stop((dt, &law), k, moving, state.stop_torque[k]);
+            }
+        }
         report.refused_contact_count = solver.refused;
-        report.contact_count = solver.row.len();
+        report.contact_count = solver.contact.len();
         report.max_overlap_m = solver.max_overlap_m;
         if solver.is_empty() {
             return;
         }
-        self.articulated.update_mobility();
-        let parameters = &self.parameters.contact;
-        let step = ContactStep { dt, drive, planes: input.contacts, parameters };
-        solver.prepare(&step, &self.layout, &self.state, &self.articulated, &self.coupling);
-        let Outcome { iterations, residual } =
-            solver.solve(&self.layout, &mut self.articulated, &self.coupling, velocity, parameters);
-        report.iterations = iterations;
-        report.residual_m_per_s = residual;
-        velocity.copy_from_slice(&solver.velocity);
+        layout.describe(configuration, &work.diagonal, &mut solver.chain);
+        self.coupling.describe(&mut solver.chain);
+        let outcome = solver.solve(&work.after, parameters);
+        report.contact_iterations = outcome.iterations;
+        report.contact_residual_m_per_s = outcome.residual;
+        let Work { after, motions, rhs, y, .. } = work;
+        motions.fill(ZERO);
+        rhs.fill(0.0);
+        solver.impulses(
+            |link, impulse, force| add_scaled(&mut motions[link], impulse, force),
+            |freedom, impulse| rhs[freedom] += impulse,
+        );
+        self.articulated.solve(layout, Some(motions), rhs, y);
+        self.coupling.correct(y);
+        for (v, change) in after.iter_mut().zip(y) {
+            *v += *change;
+        }
     }
 
     /// Stores the impulses for the next step and adds the contact moments to the loads.
     fn store_results(&mut self, dt: f64, drive: &BaseDrive, after: &[f64], report: &mut StepReport) {
         let torque = &mut self.state.stop_torque;
-        report.stopped_joint_count = self.contact.stop_torques(dt, torque);
+        torque.fill(0.0);
+        report.stopped_joint_count = self.contact.stop_torques(dt, |freedom, value| torque[freedom] = value);
         report.stopped_joint_count += self.pressed.store(dt, after, torque);
-        self.state.result_count = self.contact.row.len();
-        for k in 0..self.contact.row.len() {
+        self.state.result_count = self.contact.contact.len();
+        for k in 0..self.contact.contact.len() {
             let result = self.contact.result(k, dt, &drive.rotation);
             let normal_force = result.normal * result.normal_force_n;
             let force = drive.rotation.inverse_transform_vector(&(normal_force + result.friction_force_n));
-            self.loads.moment += self.contact.row[k].point.cross(&force);
+            self.loads.moment += self.contact.contact[k].point.cross(&force);
             report.active_contact_count += usize::from(result.normal_force_n > 0.0);
             if self.layout.spheres[result.sphere_index].kind == SphereKind::Burr {
                 report.burr_normal_force_n += normal_force;

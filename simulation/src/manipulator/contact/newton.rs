@@ -1,0 +1,277 @@
+//! The contact problem by Newton's method on the velocities.
+//!
+//! Contact is compliant, so the velocities minimise a strictly convex, piecewise smooth function:
+//!
+//! `1/2 |v - v*|_A^2 + sum max(0, target - v_n)^2 / (2 c) + friction(v_t)`
+//!
+//! with v* the free velocities and c the compliance (the primal form of Castro, Permenter and Han 2022, "An Unconstrained Convex
+//! Formulation of Compliant Contact", IEEE Trans. Robotics 39(2), arXiv 2110.10107). Each iteration replaces every row's law by its
+//! tangent, solves the chain with the rows that press (see `chain`), and goes along the step to the minimum.
+//!
+//! **Friction.** The radius of each cone, mu times the normal impulse, is held while the function is minimised and then renewed
+//! (alternating cones), so Coulomb's law holds without the dilation of a convex cone. Within a cone, an augmented Lagrangian holds a
+//! sticking contact: impulse = projection of (q - rho v_t), where q is the last impulse and rho is so large that one renewal of q leaves
+//! no creep.
+//!
+//! All vectors of an iteration are kept per row: a solution x = v - v* obeys `A x = sum f p` with p the rows' impulses, so the function's
+//! slope along a step needs only the rows' impulses and speeds.
+
+use super::chain::{Chain, add_outer, add_scaled, dot, times};
+use super::laws::{ContactRow, StopRow, Tangent, bound_miss, onto_disc};
+use crate::manipulator::parameters::ContactParameters;
+use crate::manipulator::row::Stop;
+
+/// The cones are renewed once the rows' laws hold to this share of the cones' own residual.
+const RENEWAL_SHARE: f64 = 0.5;
+/// After this many iterations the cones go half the way: in a jam a wider cone can press harder on the others and they on it in turn.
+const PATIENCE: usize = 28;
+/// The search along a step ends at this share of the initial slope.
+const SEARCH_SHARE: f64 = 0.01;
+/// Maximum evaluations of a search.
+const SEARCH_EVALUATIONS: usize = 20;
+
+/// How a solve ended.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::manipulator) struct Outcome {
+    /// Factorisations with contact rows.
+    pub iterations: usize,
+    /// Largest speed by which a row misses its law, m/s (rad/s for stops).
+    pub residual: f64,
+}
+
+/// The rows of one step on their chain.
+pub(super) struct Problem<'s, const N: usize> {
+    pub chain: &'s mut Chain<N>,
+    /// Ordered by link.
+    pub row: &'s mut [ContactRow<N>],
+    pub stop: &'s mut [StopRow],
+    /// Free motion of each link, and free velocity of each freedom.
+    pub free_motion: &'s [[f64; N]],
+    pub free: &'s [f64],
+    pub parameters: &'s ContactParameters,
+}
+
+/// [`Problem::solve`], compiled for each instruction set. No operation is reordered or fused, so the result is the same to the bit.
+impl<const N: usize> pulp::WithSimd for Problem<'_, N> {
+    type Output = Outcome;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(mut self, _: S) -> Outcome {
+        self.solve()
+    }
+}
+
+impl<const N: usize> Problem<'_, N> {
+    /// Iterates until every row keeps its law to the tolerance, or the iteration limit is reached. Leaves the impulses in the rows.
+    #[inline(always)]
+    fn solve(&mut self) -> Outcome {
+        self.start();
+        let mut outcome = Outcome { iterations: 0, residual: f64::INFINITY };
+        while outcome.residual > self.parameters.tolerance_m_per_s
+            && outcome.iterations < self.parameters.max_iterations
+        {
+            let first = outcome.iterations == 0;
+            outcome.iterations += 1;
+            self.newton_step(first);
+            let length = if first { 1.0 } else { self.search() };
+            self.go(length);
+            let held;
+            [held, outcome.residual] = self.misses();
+            if held <= (RENEWAL_SHARE * outcome.residual).max(0.1 * self.parameters.tolerance_m_per_s) {
+                let share = if outcome.iterations < PATIENCE { 1.0 } else { 0.5 };
+                self.row.iter_mut().for_each(|row| row.renew(share));
+            }
+        }
+        self.settle();
+        outcome
+    }
+
+    /// Free speeds and mobilities of the rows, and the speeds under the last tick's impulses.
+    #[inline(always)]
+    fn start(&mut self) {
+        for row in self.row.iter_mut() {
+            let motion = &self.free_motion[row.link];
+            for j in 0..3 {
+                row.drive[j] += dot(&row.force[j], motion);
+            }
+        }
+        for stop in self.stop.iter_mut() {
+            stop.free = stop.stop.sign * self.free[stop.freedom];
+        }
+        self.chain.pressing.clear();
+        for row in self.row.iter() {
+            for j in 0..3 {
+                add_scaled(&mut self.chain.pressing.link_impulse[row.link], row.impulse[j], &row.force[j]);
+            }
+        }
+        for stop in self.stop.iter() {
+            self.chain.pressing.freedom_impulse[stop.freedom] += stop.stop.sign * stop.stop.impulse;
+        }
+        self.chain.factor();
+        self.chain.solve();
+        let (mut next_row, mut next_stop) = (0, 0);
+        let (row, stop) = (&mut *self.row, &mut *self.stop);
+        self.chain.mobilities(
+            |freedom, mobility| {
+                if next_stop < stop.len() && stop[next_stop].freedom == freedom {
+                    stop[next_stop].mobility = mobility + stop[next_stop].stop.compliance;
+                    next_stop += 1;
+                }
+            },
+            |link, mobility| {
+                while next_row < row.len() && row[next_row].link == link {
+                    let row = &mut row[next_row];
+                    let [n, a, b] = row.force.map(|f| dot(&f, &times(mobility, &f)));
+                    row.mobility = [n + row.compliance, a.max(b)];
+                    next_row += 1;
+                }
+            },
+        );
+        for row in self.row.iter_mut() {
+            let motion = &self.chain.motion[row.link];
+            row.speed = core::array::from_fn(|j| row.drive[j] + dot(&row.force[j], motion));
+            row.begin();
+        }
+        for stop in self.stop.iter_mut() {
+            stop.rate = stop.free + stop.stop.sign * self.chain.velocity[stop.freedom];
+        }
+    }
+
+    /// Solves the chain with the rows' tangent laws into each row's `next`.
+    #[inline(always)]
+    fn newton_step(&mut self, first: bool) {
+        let pressing = &mut self.chain.pressing;
+        pressing.clear();
+        for row in self.row.iter_mut() {
+            row.linearise(first);
+            let Tangent { normal, friction: [a, b, c], .. } = row.tangent;
+            let [n, s, t] = &row.force;
+            let impulse = row.tangent_law(&row.drive);
+            let (link, sum) = (&mut pressing.link[row.link], &mut pressing.link_impulse[row.link]);
+            if normal > 0.0 {
+                add_outer(link, normal, n);
+                add_scaled(sum, impulse[0], n);
+            }
+            if row.radius > 0.0 {
+                for i in 0..N {
+                    let (x, y) = (a * s[i] + b * t[i], b * s[i] + c * t[i]);
+                    for j in 0..N {
+                        link[i][j] += x * s[j] + y * t[j];
+                    }
+                }
+                add_scaled(sum, impulse[1], s);
+                add_scaled(sum, impulse[2], t);
+            }
+        }
+        for row in self.stop.iter_mut() {
+            let Stop { sign, compliance, target, impulse, .. } = row.stop;
+            let missing = target - row.rate;
+            let ahead = impulse + (missing - compliance * impulse) / row.mobility;
+            row.weight = if (if first { ahead } else { missing }) > 0.0 { 1.0 / compliance } else { 0.0 };
+            pressing.freedom[row.freedom] += row.weight;
+            pressing.freedom_impulse[row.freedom] += sign * row.weight * (target - row.free);
+        }
+        self.chain.factor();
+        self.chain.solve();
+        for row in self.row.iter_mut() {
+            let motion = &self.chain.motion[row.link];
+            row.next_speed = core::array::from_fn(|j| row.drive[j] + dot(&row.force[j], motion));
+            row.next = row.tangent_law(&row.next_speed);
+        }
+        for row in self.stop.iter_mut() {
+            row.next_rate = row.free + row.stop.sign * self.chain.velocity[row.freedom];
+            row.next = row.weight * (row.stop.target - row.next_rate);
+        }
+    }
+
+    /// Slope of the function at the share `t` of the step.
+    #[inline(always)]
+    fn slope(&self, t: f64) -> f64 {
+        let mut sum = 0.0;
+        for row in self.row.iter() {
+            let step: [f64; 3] = core::array::from_fn(|j| row.next_speed[j] - row.speed[j]);
+            let law = row.law(&core::array::from_fn(|j| row.speed[j] + t * step[j]));
+            for j in 0..3 {
+                let carried = row.impulse[j] + t * (row.next[j] - row.impulse[j]);
+                sum += (carried - law[j]) * step[j];
+            }
+        }
+        for row in self.stop.iter() {
+            let step = row.next_rate - row.rate;
+            let carried = row.stop.impulse + t * (row.next - row.stop.impulse);
+            sum += (carried - row.law(row.rate + t * step)) * step;
+        }
+        sum
+    }
+
+    /// The share of the step at which the function is least, by bisection and false position on its slope, which never falls.
+    #[inline(always)]
+    fn search(&self) -> f64 {
+        let (mut low, mut high) = (0.0, 1.0);
+        let (mut slope_low, mut slope_high) = (self.slope(0.0), self.slope(1.0));
+        let enough = SEARCH_SHARE * slope_low.abs();
+        if slope_high <= enough || slope_low >= 0.0 {
+            return 1.0;
+        }
+        for evaluation in 0..SEARCH_EVALUATIONS {
+            let middle = if evaluation % 3 == 2 {
+                0.5 * (low + high)
+            } else {
+                low + (high - low) * (slope_low / (slope_low - slope_high))
+            };
+            let slope = self.slope(middle);
+            if slope.abs() <= enough {
+                return middle;
+            }
+            if slope < 0.0 {
+                (low, slope_low) = (middle, slope);
+            } else {
+                (high, slope_high) = (middle, slope);
+            }
+        }
+        low + (high - low) * (slope_low / (slope_low - slope_high))
+    }
+
+    /// Goes the share `length` of the step.
+    #[inline(always)]
+    fn go(&mut self, length: f64) {
+        let blend = |from: f64, to: f64| if length == 1.0 { to } else { from + length * (to - from) };
+        for row in self.row.iter_mut() {
+            row.speed = core::array::from_fn(|j| blend(row.speed[j], row.next_speed[j]));
+            row.impulse = core::array::from_fn(|j| blend(row.impulse[j], row.next[j]));
+        }
+        for row in self.stop.iter_mut() {
+            row.rate = blend(row.rate, row.next_rate);
+            row.stop.impulse = blend(row.stop.impulse, row.next);
+        }
+    }
+
+    /// Largest misses of all rows: with the cones held, and of Coulomb's law.
+    #[inline(always)]
+    fn misses(&self) -> [f64; 2] {
+        let mut most = [0.0f64; 2];
+        for row in self.row.iter() {
+            let own = row.misses();
+            most = [most[0].max(own[0]), most[1].max(own[1])];
+        }
+        for row in self.stop.iter() {
+            let Stop { compliance, target, impulse, .. } = row.stop;
+            let own = bound_miss(impulse, row.rate, target, compliance, row.mobility);
+            most = [most[0].max(own), most[1].max(own)];
+        }
+        most
+    }
+
+    /// Impulses that no law allows, left by rounding or by the iteration limit, go.
+    #[inline(always)]
+    fn settle(&mut self) {
+        for row in self.row.iter_mut() {
+            let normal = row.impulse[0].max(0.0);
+            let [a, b] = onto_disc([row.impulse[1], row.impulse[2]], row.friction * normal);
+            row.impulse = [normal, a, b];
+        }
+        for row in self.stop.iter_mut() {
+            row.stop.impulse = row.stop.impulse.max(0.0);
+        }
+    }
+}
