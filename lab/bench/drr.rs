@@ -43,6 +43,12 @@ impl Times {
         self.0.iter().copied().fold(f64::INFINITY, f64::min)
     }
 
+    /// Median ratio of these times to those of another, taken in turn.
+    pub(super) fn ratio_to(&self, other: &Times) -> f64 {
+        let ratios: Vec<f64> = self.0.iter().zip(&other.0).map(|(mine, other)| mine / other).collect();
+        super::samples::median(&ratios)
+    }
+
     pub(super) fn text(&self) -> String {
         format!("{:8.3} ({:.3})", self.least(), super::samples::median(&self.0))
     }

@@ -2,6 +2,7 @@
 
 pub mod drr;
 mod drr_layers;
+pub mod drr_poses;
 mod growth;
 pub mod instructions;
 pub mod latency;

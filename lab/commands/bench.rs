@@ -7,8 +7,8 @@ use ipc_types::scene::Policy;
 
 use crate::bench::ping_pong::Wait;
 use crate::bench::{
-    drr, instructions, latency, log, memory, overhead, ping_pong, readings, recorder, soak, step, viewer,
-    xray,
+    drr, drr_poses, instructions, latency, log, memory, overhead, ping_pong, readings, recorder, soak, step,
+    viewer, xray,
 };
 use trabecula::commands::run::PolicyArgument;
 use trabecula::failure::Failure;
@@ -84,6 +84,9 @@ pub enum BenchCommand {
         /// Number of rounds, 1 to 1000.
         #[arg(long, default_value_t = 9, value_parser = clap::value_parser!(u64).range(1..=1000))]
         rounds: u64,
+        /// Instead, time this many poses about a field of 500 mm in turn with the frontal one, 4 to 10000.
+        #[arg(long, value_parser = clap::value_parser!(u64).range(4..=10_000))]
+        poses: Option<u64>,
     },
     /// Measure the state-to-command round trip by language and wait strategy, next to bare iceoryx2 and sockets.
     Latency {
@@ -185,7 +188,10 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
         BenchCommand::Memory { scene, dimensions, ticks } => {
             memory::run(&femur_or(scene.as_deref()), *dimensions, *ticks)
         }
-        BenchCommand::Drr { dimensions, rounds } => drr::run(*dimensions, *rounds as usize),
+        BenchCommand::Drr { dimensions, rounds, poses: None } => drr::run(*dimensions, *rounds as usize),
+        BenchCommand::Drr { dimensions, rounds, poses: Some(count) } => {
+            drr_poses::run(*dimensions, *count as usize, *rounds as usize)
+        }
         BenchCommand::Latency { rounds, turns, python } => {
             latency::run(*rounds as usize, *turns as usize, python.clone())
         }
