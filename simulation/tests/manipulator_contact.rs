@@ -210,6 +210,25 @@ fn deep_first_overlap_is_pushed_out_at_a_bounded_speed() {
     assert!(m.last_report().max_overlap_m < 20e-6);
 }
 
+/// Bug: the bound was a speed, so a step of 5 ms threw a tool that overlapped a wall out by a quarter of a millimetre.
+#[test]
+fn a_long_step_pushes_no_more_overlap_out_than_a_short_one() {
+    for dt_s in [1e-3, 5e-3, 1e-2] {
+        let mut m = tool(|_| ());
+        let mut planes = Vec::new();
+        half_space(&m, -Vector3::x(), 0.002, &mut planes);
+        planes.retain(|p| p.sphere_index == m.proxy_spheres().len() - 1);
+        let overlap_m = -planes[0].gap_m;
+        let before = m.proxy_spheres()[planes[0].sphere_index].centre_m.x;
+        let tendon = TendonCommand::Force([0.0; 2]);
+        let input = StepInput { base: rest(), tendon, tip_wrench: Wrench::zero(), contacts: &planes };
+        m.step(dt_s, &input).unwrap();
+        let moved_m = before - m.proxy_spheres()[planes[0].sphere_index].centre_m.x;
+        println!("{dt_s} s: {:.1} um of {:.1} mm", moved_m * 1e6, overlap_m * 1e3);
+        assert!(overlap_m > 1e-3 && moved_m > 10e-6 && moved_m < 51e-6, "{dt_s} s: {moved_m} m");
+    }
+}
+
 #[test]
 fn axial_tip_contact_is_well_posed() {
     let mut m = tool(|p| {

@@ -27,6 +27,9 @@ pub(super) use newton::Outcome;
 /// A contact inherits the last tick's impulses if it is on the same sphere and the cosine between the two normals exceeds this.
 const SAME_NORMAL_COSINE: f64 = 0.9;
 
+/// Most overlap beyond what the contact force explains that a step pushes out, m. A longer step must not throw the tool farther.
+const PUSH_OUT_M: f64 = 50.0e-6;
+
 /// Motion of the base frame in this step, base axes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BaseDrive {
@@ -244,7 +247,8 @@ impl LastContacts<'_> {
         }
         let parameters = step.parameters;
         let explained = last / parameters.stiffness_n_per_m;
-        (target(plane.gap_m, explained, parameters.push_out_speed_m_per_s, step.dt), impulse)
+        let fastest = parameters.push_out_speed_m_per_s.min(PUSH_OUT_M / step.dt);
+        (target(plane.gap_m, explained, fastest, step.dt), impulse)
     }
 
     /// The last tick's result that this contact inherits. Each result is used once.

@@ -224,6 +224,20 @@ impl AnyManipulator {
         }
     }
 
+    /// Copies the complete dynamic state into one of the same model, without allocating.
+    pub(crate) fn save(&self, into: &mut AnyManipulatorState) {
+        match (self, into) {
+            (Self::ConstantCurvature(tool), AnyManipulatorState::ConstantCurvature(state)) => {
+                state.copy_from(tool.state());
+            }
+            (Self::Planar(tool), AnyManipulatorState::Planar(state)) => **state = tool.state().clone(),
+            (Self::LongPlanar(tool), AnyManipulatorState::Spatial(state)) => state.copy_from(tool.state()),
+            (Self::Spatial(tool), AnyManipulatorState::Spatial(state)) => state.copy_from(tool.state()),
+            (Self::Full(tool), AnyManipulatorState::Spatial(state)) => state.copy_from(tool.state()),
+            (_, into) => *into = self.snapshot(),
+        }
+    }
+
     /// The complete dynamic state.
     pub(crate) fn state(&self) -> AnyManipulatorStateRef<'_> {
         match self {

@@ -6,7 +6,7 @@
 //! 2. move the arm along its jerk-limited path; the flange is the manipulator's base;
 //! 3. find the contact planes between the manipulator's proxy spheres and the bone and rigid bodies;
 //! 4. step the manipulator with these planes and the tendon tensions, contact impulses inside its implicit solve; free bodies
-//!    step with it;
+//!    step with it; without bodies, again from 3 if a sphere came farther than its planes were looked for;
 //! 5. remove bone with the burr, which presses with the normal force of that solve;
 //! 6. extend the hash chain with commands, state and removed voxels.
 
@@ -38,6 +38,19 @@ pub use setup::{contact_kind, ct_geometry, manipulator_parameters, rung};
 
 /// A contact plane takes part in a tick if its gap is within the sphere's travel in the tick plus this margin, m.
 const CONTACT_MARGIN_M: f64 = 1.0e-4;
+
+/// Maximum steps of the tool in a tick, each with planes from farther away.
+const MAX_ATTEMPTS: usize = 4;
+/// Farthest that planes are looked for, m. A tool that is faster moves the length of a hip joint in a tick.
+const MAX_REACH_M: f64 = 0.05;
+
+/// Where a sphere was before the tick, and how far its planes are looked for.
+#[derive(Debug, Clone, Copy)]
+struct Reach {
+    /// World, m.
+    from_m: Vector3<f64>,
+    margin_m: f64,
+}
 
 /// The simulation's view of the CT: geometry and Hounsfield units, x fastest, borrowed.
 #[derive(Debug, Clone, Copy)]
@@ -94,6 +107,10 @@ pub struct Simulation<'v> {
     bone: Option<Bone<'v>>,
     rigid: Option<RigidScene>,
     planes: Vec<ContactPlane>,
+    /// One per proxy sphere.
+    reach: Vec<Reach>,
+    /// Workspace: the tool before the tick.
+    before: AnyManipulatorState,
     tendon: TendonDrive,
     burr_speed_rad_per_s: f64,
     cutting_energy_j: f64,
@@ -197,19 +214,8 @@ impl<'v> Simulation<'v> {
         self.apply(latched);
         let base = self.move_arm()?;
         self.report_arm_fault();
-        self.find_contacts();
         let tendon = self.tendon.step(self.dt_s);
-        let tip_wrench = Wrench::zero();
-        let report = match &mut self.rigid {
-            Some(rigid) => {
-                let drive = ToolDrive { base, tendon, tip_wrench };
-                rigid.step(&mut self.manipulator, &drive, &mut self.planes)?
-            }
-            None => {
-                let input = StepInput { base, tendon, tip_wrench, contacts: &self.planes };
-                self.manipulator.step(self.dt_s, &input)?
-            }
-        };
+        let report = self.move_tool(&ToolDrive { base, tendon, tip_wrench: Wrench::zero() })?;
         let removed = self.grind(self.burr_force_on_bone_n(&report))?;
         self.update_state(latched, removed);
         self.update_hash(latched);
@@ -234,14 +240,61 @@ impl<'v> Simulation<'v> {
         })
     }
 
+    /// Steps tool and free bodies. If a sphere comes farther than its planes were looked for, the tool steps again with those of its whole
+    /// way: otherwise a suddenly pulled tool, whose speed at the start of the tick tells nothing, passes through bone.
+    fn move_tool(&mut self, drive: &ToolDrive) -> Result<StepReport, SimulationError> {
+        for (reach, sphere) in self.reach.iter_mut().zip(self.manipulator.proxy_spheres()) {
+            reach.from_m = sphere.centre_m;
+            reach.margin_m = CONTACT_MARGIN_M + sphere.velocity_m_per_s.norm() * self.dt_s;
+        }
+        self.find_contacts();
+        if let Some(rigid) = &mut self.rigid {
+            return Ok(rigid.step(&mut self.manipulator, drive, &mut self.planes)?);
+        }
+        if self.bone.is_some() {
+            self.manipulator.save(&mut self.before);
+        }
+        let ToolDrive { base, tendon, tip_wrench } = *drive;
+        let mut attempt = 1;
+        loop {
+            let input = StepInput { base, tendon, tip_wrench, contacts: &self.planes };
+            let report = self.manipulator.step(self.dt_s, &input)?;
+            if attempt == MAX_ATTEMPTS || !self.widen_reach() {
+                return Ok(report);
+            }
+            attempt += 1;
+            self.manipulator.restore(&self.before);
+            self.find_contacts();
+        }
+    }
+
+    /// Widens the reach of every sphere that came farther than its own; true if there is any and there is bone.
+    fn widen_reach(&mut self) -> bool {
+        let mut farther = false;
+        for (reach, sphere) in self.reach.iter_mut().zip(self.manipulator.proxy_spheres()) {
+            let moved_m = (sphere.centre_m - reach.from_m).norm();
+            if moved_m > reach.margin_m && moved_m.is_finite() {
+                reach.margin_m = (moved_m + CONTACT_MARGIN_M).min(MAX_REACH_M);
+                farther = true;
+            }
+        }
+        farther && self.bone.is_some()
+    }
+
     fn find_contacts(&mut self) {
         self.planes.clear();
         if let Some(bone) = &mut self.bone {
             bone.contacts.clear();
-            for (index, sphere) in self.manipulator.proxy_spheres().iter().enumerate() {
-                let margin_m = CONTACT_MARGIN_M + sphere.velocity_m_per_s.norm() * self.dt_s;
+            let spheres = self.manipulator.proxy_spheres().iter().zip(&self.reach);
+            for (index, (sphere, reach)) in spheres.enumerate() {
                 let (centre, radius_m) = (&sphere.centre_m, sphere.radius_m);
-                bone.field.contact_planes_tracked(index, centre, radius_m, margin_m, &mut bone.contacts);
+                bone.field.contact_planes_tracked(
+                    index,
+                    centre,
+                    radius_m,
+                    reach.margin_m,
+                    &mut bone.contacts,
+                );
             }
             self.planes.extend_from_slice(bone.contacts.planes());
         }

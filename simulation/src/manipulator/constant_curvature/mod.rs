@@ -57,6 +57,16 @@ pub struct ConstantCurvatureState {
     report: StepReport,
 }
 
+impl ConstantCurvatureState {
+    /// Copies a state of the same tool without allocating.
+    pub(super) fn copy_from(&mut self, other: &Self) {
+        self.results.clone_from(&other.results);
+        let results = core::mem::take(&mut self.results);
+        let Self { position, velocity, base, tendon, stop_torque_nm, result_count, report, .. } = *other;
+        *self = Self { position, velocity, base, tendon, stop_torque_nm, result_count, results, report };
+    }
+}
+
 /// Writes only the used results: entries past the count are left over from earlier steps.
 impl Serialize for ConstantCurvatureState {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {

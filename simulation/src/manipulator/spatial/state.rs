@@ -24,6 +24,17 @@ pub struct SpatialState {
 }
 
 impl SpatialState {
+    /// Copies a state of the same tool without allocating.
+    pub(in crate::manipulator) fn copy_from(&mut self, other: &Self) {
+        let Self { position, velocity, base, tendon, stop_torque, result_count, results, report } = self;
+        position.clone_from(&other.position);
+        velocity.clone_from(&other.velocity);
+        stop_torque.clone_from(&other.stop_torque);
+        results.clone_from(&other.results);
+        (*base, *tendon, *result_count, *report) =
+            (other.base, other.tendon, other.result_count, other.report);
+    }
+
     pub(super) fn new(base: &BaseMotion, freedoms: usize, contacts: usize) -> Self {
         Self {
             position: vec![0.0; freedoms],
