@@ -153,7 +153,7 @@ impl RunLane {
         out: &mut O,
     ) -> Result<(), O::Error> {
         let tick = Tick(state.tick);
-        let mut total = state.removed_total - removed.len() as u64;
+        let mut total = state.removed_total.saturating_sub(removed.len() as u64);
         let mut restores = Restores::Nothing;
         if latched.reset() == Reset::Yes {
             restores = Restores::Drilled;
