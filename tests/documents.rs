@@ -162,3 +162,116 @@ fn every_file_that_the_guides_for_changing_it_name_is_there() {
         assert!(missing.is_empty(), "{page} names files that are not there: {missing:?}");
     }
 }
+
+/// The integer constants of a source file, as written.
+fn constants(path: &str) -> Vec<(String, String)> {
+    let text = read(path);
+    let mut found = Vec::new();
+    for rest in text.split("const ").skip(1) {
+        let Some((head, value)) = rest.split_once(" = ") else { continue };
+        let Some((name, kind)) = head.split_once(": ") else { continue };
+        if ["usize", "u32", "u64", "i64"].contains(&kind) {
+            let value = value.split(';').next().unwrap_or_default();
+            found.push((name.to_owned(), value.to_owned()));
+        }
+    }
+    found
+}
+
+/// The value of a sum, product or shift of integers and constants of the same file.
+fn value(path: &str, expression: &str) -> u64 {
+    let expression = expression.trim();
+    let parts = |operator: &str| expression.rsplit_once(operator);
+    if let Some((left, right)) = parts(" << ") {
+        value(path, left) << value(path, right)
+    } else if let Some((left, right)) = parts(" + ") {
+        value(path, left) + value(path, right)
+    } else if let Some((left, right)) = parts(" * ") {
+        value(path, left) * value(path, right)
+    } else if let Ok(number) = expression.replace('_', "").parse() {
+        number
+    } else {
+        let constant = constants(path).into_iter().find(|(name, _)| name == expression);
+        let (_, own) = constant.unwrap_or_else(|| panic!("{path}: no constant `{expression}`"));
+        value(path, &own)
+    }
+}
+
+/// Constants that are named like capacities and limit nothing that a user has: working memory of a method, time, what is derived from a
+/// listed constant, what a report or a terminal shows.
+const NO_CAPACITIES: &[(&str, &str)] = &[
+    ("LONGEST", "ipc_types/src/session/folder.rs"),
+    ("LONGEST_GAP", "run_log/src/gaps.rs"),
+    ("LONGEST_LOOK_NS", "hub/src/patience.rs"),
+    ("LONGEST_NS", "src/report/distribution.rs"),
+    ("LONGEST_STRIDE_NS", "viewer_proc/src/log/mod.rs"),
+    ("MAX_BACKLOG_STEPS", "viewer_proc/src/live/control.rs"),
+    ("MAX_CONTACTS", "simulation/src/manipulator/constant_curvature/mod.rs"),
+    ("MAX_CONTACTS", "simulation/src/manipulator/spatial/mod.rs"),
+    ("MAX_CORES", "physics_proc/src/process/disturbance.rs"),
+    ("MAX_EVALUATIONS", "simulation/src/rigid/coupling.rs"),
+    ("MAX_FILE_BYTES", "volume_io/src/dicom/file.rs"),
+    ("MAX_GROUPS", "physics_proc/src/process/held_back.rs"),
+    ("MAX_LINES", "src/commands/plot.rs"),
+    ("MAX_LINES", "xray/src/slice_ordered/plan.rs"),
+    ("MAX_LINE_EVALUATIONS", "simulation/src/rigid/descent.rs"),
+    ("MAX_PANELS", "src/commands/plot.rs"),
+    ("MAX_RECORD_BYTES", "run_log/src/records.rs"),
+    ("MAX_REMOVED_BYTES", "run_log/src/stream/in_chunk.rs"),
+    ("MAX_ROUNDS", "simulation/src/manipulator/step.rs"),
+    ("MAX_ROWS", "simulation/src/manipulator/mod.rs"),
+    ("MAX_SPHERES", "simulation/src/manipulator/mod.rs"),
+    ("MAX_STEP", "xray/src/slice_ordered/plan.rs"),
+    ("MAX_STRAY_PIXELS", "controllers/src/tip_finder.rs"),
+    ("MAX_TENDONS", "simulation/src/manipulator/mod.rs"),
+    ("MAX_WAITING", "hub/src/x_ray/schedule.rs"),
+    ("MAX_WAITING", "run_log/src/order.rs"),
+    ("MOST", "viewer_proc/src/log/marks.rs"),
+    ("MOST", "xray/src/slice_ordered/splat.rs"),
+    ("MOST_ASKED", "viewer_proc/src/live/subscriptions.rs"),
+    ("MOST_CHARACTERS", "foreign_text/src/lib.rs"),
+    ("MOST_COMPLAINTS", "bridge_proc/src/igtl/connection.rs"),
+    ("MOST_OF_A_LINE", "foreign_text/src/lib.rs"),
+    ("MOST_REMOVED", "viewer_proc/src/log/marks.rs"),
+    ("MOST_ROWS", "viewer_proc/src/log/mod.rs"),
+];
+
+fn sources(folder: &Path, found: &mut Vec<String>) {
+    for entry in std::fs::read_dir(folder).into_iter().flatten() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            sources(&path, found);
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
+            found.push(path.strip_prefix(root()).unwrap().to_str().unwrap().to_owned());
+        }
+    }
+}
+
+/// Bug: a full pool of partly cut voxels stopped the burr, and no page said that there was one.
+#[test]
+fn the_table_of_capacities_holds_the_values_of_the_code() {
+    let page = read("docs/capacities.md");
+    let mut listed = Vec::new();
+    for row in page.lines().filter(|line| line.contains("` in `")) {
+        let cells: Vec<&str> = row.split('|').map(str::trim).collect();
+        let (most, constant) = (cells[2].split(' ').next().unwrap_or_default(), cells[3].trim_matches('`'));
+        let (name, path) = constant.split_once("` in `").unwrap();
+        assert_eq!(most.parse(), Ok(value(path, name)), "{row}");
+        listed.push((name.to_owned(), path.to_owned()));
+    }
+    assert!(listed.len() > 60, "{} rows", listed.len());
+    let known = |name: &str, path: &str| {
+        listed.iter().any(|row| (row.0.as_str(), row.1.as_str()) == (name, path))
+            || NO_CAPACITIES.contains(&(name, path))
+    };
+    let mut files = Vec::new();
+    packages().iter().for_each(|(_, folder)| sources(&folder.join("src"), &mut files));
+    sources(&root().join("src"), &mut files);
+    let ours = files.iter().filter(|path| !path.starts_with("fuzz") && !path.starts_with("hub/simulator"));
+    for path in ours {
+        for (name, _) in constants(path) {
+            let capacity = ["MAX_", "MOST", "LONGEST"].iter().any(|start| name.starts_with(start));
+            assert!(!capacity || known(&name, path), "docs/capacities.md lacks `{name}` of {path}");
+        }
+    }
+}

@@ -120,7 +120,10 @@ impl<P: Plant> InProcess<P> {
     /// # Errors
     /// [`InProcessError::Plant`].
     pub fn step(&mut self, latched: &Latched) -> Result<(), InProcessError<P::Error>> {
-        self.plant.step(latched).map_err(|cause| InProcessError::Plant { tick: Tick(latched.tick), cause })
+        let cause = |cause| InProcessError::Plant { tick: Tick(latched.tick), cause };
+        self.plant.step(latched).map_err(cause)?;
+        self.plant.make_room();
+        Ok(())
     }
 
     /// Runs one tick: [`latch`](InProcess::latch), then [`step`](InProcess::step).

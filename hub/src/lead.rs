@@ -39,8 +39,8 @@ mod tests {
         let wait =
             |more: &str| recorder_lead_ticks(&scene(&format!("[recording]\non_full = \"wait\"\n{more}")));
         assert_eq!(wait(""), Some(RECORDER_QUEUE_TICKS / 4));
-        // Eight of the longest keyframes fit into their queue.
-        assert_eq!(wait("keyframe_interval_s = 0.01"), Some(40));
+        // Two of the longest keyframes fit into their queue.
+        assert_eq!(wait("keyframe_interval_s = 0.01"), Some(10));
         let frames = "[volume]\nphantom = \"block\"\n[drr]\nrate_hz = 100.0\nisocentre_mm = [0.0, 0.0, 0.0]\ncolumns = 16\n\
                       rows = 16\npixel_pitch_mm = 1.0\n";
         assert_eq!(wait(frames), Some(320));

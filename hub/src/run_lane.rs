@@ -9,8 +9,8 @@
 //!
 //! Real processes, replays and the hub's simulator all publish through [`RunLane`], so a log and its replay agree to the byte.
 
-use messages::services::{KEYFRAME_PART_BYTES, MAX_KEYFRAME_BYTES, MAX_REMOVED_PER_TICK};
-use messages::{Keyframe, Latched, Plant, Removed, Reset, Restores, Tick};
+use messages::services::{KEYFRAME_PART_BYTES, MAX_KEYFRAME_BYTES, MAX_REMOVED_PER_MESSAGE};
+use messages::{Keyframe, Latched, Plant, Removed, Reset, Restores, State, Tick};
 use thiserror::Error;
 
 use crate::environment::Outputs;
@@ -82,7 +82,7 @@ impl RunLane {
     /// # Errors
     /// [`LaneError::Output`].
     pub fn begin<P: Plant, O: Outputs>(&mut self, plant: &P, out: &mut O) -> Outcome<O, P> {
-        for voxels in plant.predrilled().chunks(MAX_REMOVED_PER_TICK) {
+        for voxels in plant.predrilled().chunks(MAX_REMOVED_PER_MESSAGE) {
             let since = RemovedInTick { tick: Tick::START, total: 0, restores: Restores::Nothing, voxels };
             self.send_removed(since, out).map_err(LaneError::Output)?;
         }
@@ -105,13 +105,7 @@ impl RunLane {
         plant.step(latched).map_err(LaneError::Plant)?;
         let stepped_ns = now_ns(out);
         let (state, removed) = (plant.state(), plant.removed());
-        let reset = latched.reset() == Reset::Yes;
-        if reset || !removed.is_empty() {
-            let (tick, total) = (Tick(state.tick), state.removed_total);
-            let restores = if reset { Restores::Drilled } else { Restores::Nothing };
-            let removed = RemovedInTick { tick, total, restores, voxels: removed };
-            self.send_removed(removed, out).map_err(LaneError::Output)?;
-        }
+        self.send_tick_removals(latched, state, removed, out).map_err(LaneError::Output)?;
         out.send_state(state).map_err(LaneError::Output)?;
         Ok(TickMarks { latched_ns, stepped_ns, published_ns: now_ns(out) })
     }
@@ -146,6 +140,31 @@ impl RunLane {
                 data_length: part.len() as u32,
             };
             out.send_keyframe(&head, part).map_err(LaneError::Output)?;
+        }
+        Ok(())
+    }
+
+    /// Publishes what a tick removed, in as many messages as it needs; their totals rise to the state's.
+    fn send_tick_removals<O: Outputs>(
+        &mut self,
+        latched: &Latched,
+        state: &State,
+        removed: &[u32],
+        out: &mut O,
+    ) -> Result<(), O::Error> {
+        let tick = Tick(state.tick);
+        let mut total = state.removed_total.saturating_sub(removed.len() as u64);
+        let mut restores = Restores::Nothing;
+        if latched.reset() == Reset::Yes {
+            restores = Restores::Drilled;
+            if removed.is_empty() {
+                return self.send_removed(RemovedInTick { tick, total, restores, voxels: removed }, out);
+            }
+        }
+        for voxels in removed.chunks(MAX_REMOVED_PER_MESSAGE) {
+            total += voxels.len() as u64;
+            self.send_removed(RemovedInTick { tick, total, restores, voxels }, out)?;
+            restores = Restores::Nothing;
         }
         Ok(())
     }

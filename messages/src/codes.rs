@@ -286,6 +286,8 @@ codes! {
         Controller = EVENT_CONTROLLER, 6, "controller";
         /// A frame request was refused.
         RequestRefused = EVENT_REQUEST_REFUSED, 7, "request_refused";
+        /// A capacity was reached during the run; `text` says which, and what follows from it.
+        CapacityReached = EVENT_CAPACITY_REACHED, 8, "capacity_reached";
     }
 }
 

@@ -18,7 +18,7 @@ pub trait Plant {
     /// The plant rejects the tick and must not be used any more.
     fn step(&mut self, latched: &Latched) -> Result<(), Self::Error>;
 
-    /// Voxels that the last tick removed, by linear index; at most [`MAX_REMOVED_PER_TICK`](crate::services::MAX_REMOVED_PER_TICK).
+    /// Voxels that the last tick removed, by linear index.
     fn removed(&self) -> &[u32];
 
     /// Voxels removed before tick 0, by linear index, ascending.
@@ -26,6 +26,19 @@ pub trait Plant {
 
     /// Parts of the last tick's commands that could not be followed.
     fn refusals(&self) -> &[Refusal];
+
+    /// Voxels that the last tick should have cut, but for which there was no memory.
+    fn uncut_voxels(&self) -> usize {
+        0
+    }
+
+    /// Contacts that the last tick found and did not solve, because there are more than it has room for.
+    fn left_out_contacts(&self) -> usize {
+        0
+    }
+
+    /// Takes the memory that the next tick may need. Called between ticks; changes no result.
+    fn make_room(&mut self) {}
 
     /// Writes what a later run needs to continue bit for bit; returns its length in bytes.
     ///

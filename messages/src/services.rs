@@ -47,12 +47,12 @@ pub struct Service {
     pub max_bytes: usize,
 }
 
-/// Most voxels removed per tick; the physics carries the rest over to the next tick.
-pub const MAX_REMOVED_PER_TICK: usize = 4096;
-/// Largest keyframe, bytes; a larger state gets none.
-pub const MAX_KEYFRAME_BYTES: usize = 1 << 20;
+/// Most voxels in one `Removed` message; what a tick removes beyond it follows in further messages of the tick.
+pub const MAX_REMOVED_PER_MESSAGE: usize = 4096;
+/// Largest keyframe, bytes; a larger state gets none, which an event says. A hole of 36 mm in voxels of 0.06 mm needs 3.5 MB.
+pub const MAX_KEYFRAME_BYTES: usize = 8 << 20;
 /// Most bytes of a keyframe in one message.
-pub const KEYFRAME_PART_BYTES: usize = 16 << 10;
+pub const KEYFRAME_PART_BYTES: usize = 32 << 10;
 /// Bytes of an event's text, including its NUL.
 pub const MAX_EVENT_TEXT: usize = 1024;
 
@@ -93,12 +93,13 @@ pub const LATCHED: Service = fixed::<Latched>("latched", Lane::Run, PHYSICS_ONLY
 /// `Removed`, for ticks that removed voxels.
 pub const REMOVED: Service = Service {
     history: 0,
-    max_bytes: Removed::DESCRIPTION.size + MAX_REMOVED_PER_TICK * 4,
+    max_bytes: Removed::DESCRIPTION.size + MAX_REMOVED_PER_MESSAGE * 4,
     ..fixed::<Removed>("removed", Lane::Run, PHYSICS_ONLY, 512)
 };
-/// `Keyframe`, in parts, every `recording.keyframe_interval_s`. The queue holds the longest one.
+/// `Keyframe`, in parts, every `recording.keyframe_interval_s`. The queue holds the longest one, the recorder's two of them.
 pub const KEYFRAME: Service = Service {
     history: 0,
+    lossless_length: 2 * MAX_KEYFRAME_BYTES / KEYFRAME_PART_BYTES,
     max_subscribers: 2,
     max_bytes: Keyframe::DESCRIPTION.size + KEYFRAME_PART_BYTES,
     ..fixed::<Keyframe>("keyframe", Lane::Run, PHYSICS_ONLY, MAX_KEYFRAME_BYTES / KEYFRAME_PART_BYTES)

@@ -4,7 +4,8 @@ use crate::message;
 
 message! {
     /// Voxels that are removed from this tick on. Published before the tick's state, and only for ticks that remove
-    /// voxels. Messages of tick 0 hold the scene's predrilled holes, which `removed_total` does not count.
+    /// voxels; a tick that removes more than 4096 has several, in order of their `sequence`. Messages of tick 0 hold the scene's
+    /// predrilled holes, which `removed_total` does not count.
     pub struct Removed = "trabecula_msgs/msg/Removed" {
         /// `State.tick` of the first state without them.
         tick: u64,

@@ -173,6 +173,8 @@ pub struct RunLane {
     pub frames: Frames,
     /// Ticks with missing states: first and last of each gap, at most [`MAX_GAPS`] gaps.
     pub missing_ticks: Vec<[u64; 2]>,
+    /// Gaps beyond these.
+    further_gaps: u64,
     /// Messages lost, by topic, according to the end marker.
     pub lost: BTreeMap<String, u64>,
     /// Faults of the file, and how it ends unless it ends cleanly.
@@ -216,6 +218,9 @@ impl RunLane {
     ) -> Result<(), LogError> {
         while let Some(message) = stream.next_message()? {
             self.add(&message, dt_ns, middle_ns);
+        }
+        if self.further_gaps > 0 {
+            self.notes.push(format!("run.mcap: {} more gaps than the {MAX_GAPS} listed", self.further_gaps));
         }
         let ending = stream.ending();
         if !ending.is_complete() {
@@ -263,8 +268,12 @@ impl RunLane {
         }
         match &mut self.last {
             Some(last) => {
-                if state.tick > last.tick.saturating_add(1) && self.missing_ticks.len() < MAX_GAPS {
-                    self.missing_ticks.push([last.tick + 1, state.tick - 1]);
+                if state.tick > last.tick.saturating_add(1) {
+                    if self.missing_ticks.len() < MAX_GAPS {
+                        self.missing_ticks.push([last.tick + 1, state.tick - 1]);
+                    } else {
+                        self.further_gaps += 1;
+                    }
                 }
                 **last = state;
             }

@@ -23,7 +23,7 @@ use ipc_types::scene::Scene;
 use recorder_proc::log_file::LogFile;
 use run_log::{MessageStream, ReadOptions, Topic};
 use rustix::process::Signal;
-use simulation::bone::GridGeometry;
+use simulation::bone::{BoneField, BoneParameters, BurrState, GridGeometry};
 use simulation::{CtView, Simulation};
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 
@@ -146,6 +146,34 @@ fn a_moving_arm_allocates_what_ruckig_hands_out_and_nothing_else() {
     println!("{TICKS} ticks with the arm in motion: {} calls of Rust's allocator", counted.rust);
     assert!(counted.removed > 100, "it drills: {counted:?}");
     assert_eq!(counted.rust as u64, 6 * TICKS, "three vectors made and dropped a tick");
+}
+
+/// The memory for partly cut voxels grows between ticks, never within one.
+#[test]
+fn a_burr_that_outgrows_its_first_memory_allocates_nothing_in_a_tick() {
+    if !alone("a_burr_that_outgrows_its_first_memory_allocates_nothing_in_a_tick") {
+        return;
+    }
+    let geometry = GridGeometry::axis_aligned([120, 120, 320], [6.0e-5; 3], nalgebra::Vector3::zeros());
+    let hu = vec![600; geometry.voxel_count()];
+    let mut field = BoneField::new(geometry, &hu, BoneParameters::default()).unwrap();
+    let (first, mut calls) = (field.voxels().pool_bytes(), 0);
+    for tick in 0..170 {
+        let burr = BurrState {
+            centre_m: nalgebra::Vector3::new(3.6e-3, 3.6e-3, f64::from(tick) * 1.0e-4),
+            radius_m: 3.25e-3,
+            speed_rad_s: 838.0,
+            normal_force_n: 500.0,
+        };
+        let region = Region::new(GLOBAL);
+        assert_eq!(field.grind(&hu, &burr, 1e-2).unwrap().refused_count, 0);
+        let change = region.change();
+        calls += change.allocations + change.deallocations + change.reallocations;
+        field.make_room();
+    }
+    println!("{first} bytes at first, {} at the end; {calls} calls in ticks", field.voxels().pool_bytes());
+    assert!(field.voxels().pool_bytes() > first, "the memory must grow in this test");
+    assert_eq!(calls, 0);
 }
 
 /// The library that counts; the error is the reason why there is none.

@@ -27,6 +27,7 @@ mod gaps;
 mod guided;
 mod half_made;
 mod held_back;
+mod hostile;
 mod identity;
 mod interrupts;
 mod languages;

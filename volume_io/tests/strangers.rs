@@ -249,3 +249,13 @@ fn texts_of_a_volume_hold_nothing_that_a_terminal_obeys() {
     let error = read(file("v.nrrd", text.as_bytes())).unwrap_err().to_string();
     assert!(error.len() < 2000, "{}", error.len());
 }
+
+/// Bug: what lay deeper than eight folders was left out, and nothing said so.
+#[test]
+fn a_folder_deeper_than_is_looked_into_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let deep = (0..9).fold(folder.path().to_owned(), |path, _| path.join("f"));
+    fs::create_dir_all(&deep).unwrap();
+    let error = read(folder.path()).unwrap_err();
+    assert!(error.to_string().contains("more than 8 deep"), "{error}");
+}

@@ -128,6 +128,7 @@ extern "C" {
 #define TRB_EVENT_RUN 5
 #define TRB_EVENT_CONTROLLER 6
 #define TRB_EVENT_REQUEST_REFUSED 7
+#define TRB_EVENT_CAPACITY_REACHED 8
 #define TRB_SENDER_LAUNCHER 0
 #define TRB_SENDER_PHYSICS 1
 #define TRB_SENDER_DRR 2
@@ -419,8 +420,8 @@ TRB_ASSERT(offsetof(trb_latched, commands) == 16, "trb_latched.commands");
 TRB_ASSERT(sizeof(trb_latched) == 1360, "trb_latched");
 
 /* Voxels that are removed from this tick on. Published before the tick's state, and only for ticks
- * that remove voxels. Messages of tick 0 hold the scene's predrilled holes, which `removed_total` does
- * not count. */
+ * that remove voxels; a tick that removes more than 4096 has several, in order of their `sequence`.
+ * Messages of tick 0 hold the scene's predrilled holes, which `removed_total` does not count. */
 typedef struct trb_removed {
     /* `State.tick` of the first state without them. */
     uint64_t tick;

@@ -108,6 +108,7 @@ EVENT_MESSAGES_LOST = 4
 EVENT_RUN = 5
 EVENT_CONTROLLER = 6
 EVENT_REQUEST_REFUSED = 7
+EVENT_CAPACITY_REACHED = 8
 SENDER_LAUNCHER = 0
 SENDER_PHYSICS = 1
 SENDER_DRR = 2
@@ -340,7 +341,8 @@ class Latched(View):
 
 class Removed(View):
     """Voxels that are removed from this tick on. Published before the tick's state, and only for
-    ticks that remove voxels. Messages of tick 0 hold the scene's predrilled holes, which
+    ticks that remove voxels; a tick that removes more than 4096 has several, in order of
+    their `sequence`. Messages of tick 0 hold the scene's predrilled holes, which
     `removed_total` does not count.
     """
 
@@ -902,6 +904,7 @@ __all__ = [
     "EVENT_RUN",
     "EVENT_CONTROLLER",
     "EVENT_REQUEST_REFUSED",
+    "EVENT_CAPACITY_REACHED",
     "SENDER_LAUNCHER",
     "SENDER_PHYSICS",
     "SENDER_DRR",

@@ -95,8 +95,8 @@ pub const MUTANTS: &[Mutant] = &[
     mutant(
         "voxels of a reset are forgotten",
         "run_lane.rs",
-        "if reset || !removed.is_empty()",
-        "if !removed.is_empty()",
+        "            restores = Restores::Drilled;\n",
+        "",
     ),
     mutant(
         "warnings are not limited",

@@ -7,7 +7,11 @@ use messages::{ControllerIndex, Latched, Plant, Refusal, State};
 use zerocopy::IntoBytes;
 
 /// Voxels that are gone from the start, as many as two messages hold and one more.
-const PREDRILLED: usize = messages::services::MAX_REMOVED_PER_TICK + 1;
+const PREDRILLED: usize = messages::services::MAX_REMOVED_PER_MESSAGE + 1;
+/// `State.tick` of the ticks that lack memory, and for how many voxels.
+pub const UNCUT_TICKS: [u64; 2] = [9, 10];
+/// Voxels for which these ticks have no memory.
+pub const UNCUT: usize = 5;
 
 /// What the schedule does to the plant, shared with it.
 #[derive(Debug, Clone, Default)]
@@ -66,7 +70,9 @@ impl Plant for ChainPlant {
         self.state.sim_time_s += 1e-3;
         self.removed.clear();
         if self.state.tick % 5 == 2 {
-            self.removed.extend((0..3).map(|voxel| (self.state.tick * 10 + voxel) as u32));
+            // One tick needs two messages.
+            let count = if self.state.tick == 7 { PREDRILLED as u64 } else { 3 };
+            self.removed.extend((0..count).map(|voxel| (self.state.tick * 10 + voxel) as u32));
         }
         self.state.removed_in_tick = self.removed.len() as u32;
         self.state.removed_total += self.removed.len() as u64;
@@ -99,6 +105,10 @@ impl Plant for ChainPlant {
 
     fn refusals(&self) -> &[Refusal] {
         &self.refusals
+    }
+
+    fn uncut_voxels(&self) -> usize {
+        if UNCUT_TICKS.contains(&self.state.tick) { UNCUT } else { 0 }
     }
 
     fn write_keyframe(&self, buffer: &mut [u8]) -> Result<usize, String> {

@@ -212,6 +212,14 @@ enum Stage {
 /// The result of a stage: the next stage, and what to return from the advance first, if anything.
 type Step = (Stage, Option<Next>);
 
+/// What ticks had no room for, and when it was told.
+#[derive(Debug, Default)]
+struct Shortfall {
+    /// Counted once in every tick.
+    total: u64,
+    notes: LateNotes,
+}
+
 /// The tick as a state machine.
 #[derive(Debug)]
 pub struct Hub<P> {
@@ -239,6 +247,10 @@ pub struct Hub<P> {
     status_sent_ns: Option<u64>,
     /// Whether the event "state does not fit into a keyframe" has been sent.
     keyframe_refused: bool,
+    /// Voxels that could not be cut for want of memory.
+    uncut_voxels: Shortfall,
+    /// Contacts that there was no room for.
+    left_out_contacts: Shortfall,
     /// Timing of the coming or current tick.
     timing: TickTiming,
     sources: [CommandSource; MAX_CONTROLLERS],
@@ -274,6 +286,8 @@ impl<P: Plant> Hub<P> {
             control_warnings: WarningLimit::default(),
             status_sent_ns: None,
             keyframe_refused: false,
+            uncut_voxels: Shortfall::default(),
+            left_out_contacts: Shortfall::default(),
             timing: TickTiming::zeroed(),
             sources: [CommandSource::None; MAX_CONTROLLERS],
             late_notes: Default::default(),

@@ -23,6 +23,7 @@ impl<P: Plant> Hub<P> {
         self.tick += 1;
         self.after_state_published(env);
         self.publish_keyframe(env)?;
+        self.plant.make_room();
         let mut timing = TickTiming {
             tick: latched.tick,
             start_ns,
@@ -40,6 +41,7 @@ impl<P: Plant> Hub<P> {
         env.send_timing(&timing)?;
         self.report_sources(env, made)?;
         self.report_refusals(env)?;
+        self.report_shortfall(env, made)?;
         self.steps_left = self.steps_left.saturating_sub(1);
         self.send_status(env, Phase::Running, When::IfDue)?;
         Ok((Stage::TickDue, None))
@@ -60,7 +62,7 @@ impl<P: Plant> Hub<P> {
             Err(LaneError::Plant(cause)) => {
                 self.keyframe_refused = true;
                 let text = format!("no keyframe from tick {} on: {cause}", self.tick);
-                let (severity, code) = (Severity::Warning, EventCode::Run);
+                let (severity, code) = (Severity::Warning, EventCode::CapacityReached);
                 Ok(env.send_event(&Note { tick: self.tick, severity, code, text: &text })?)
             }
         }
@@ -104,6 +106,31 @@ impl<P: Plant> Hub<P> {
             let text = format!("controller `{name}`: command {}: {}{end}", refusal.sequence, refusal.reason);
             let (severity, code) = (Severity::Warning, EventCode::CommandRefused);
             env.send_event(&Note { tick: self.tick, severity, code, text: &text })?;
+        }
+        Ok(())
+    }
+
+    /// Reports what the tick had no room for: at once, then once a second.
+    fn report_shortfall<E: Environment>(&mut self, env: &mut E, made: Tick) -> Outcome<(), P, E> {
+        let (voxels, contacts) = (self.plant.uncut_voxels(), self.plant.left_out_contacts());
+        for (count, shortfall, what) in [
+            (
+                voxels,
+                &mut self.uncut_voxels,
+                "no memory for {} voxels that the burr presses on: they are not cut",
+            ),
+            (contacts, &mut self.left_out_contacts, "no room for {} contacts: they do not push"),
+        ] {
+            if count == 0 {
+                continue;
+            }
+            shortfall.total += count as u64;
+            if let Some(more) = shortfall.notes.add(made, self.settings.period_ns) {
+                let what = what.replace("{}", &count.to_string());
+                let text = format!("{what}; {} so far{more}", shortfall.total);
+                let (severity, code) = (Severity::Warning, EventCode::CapacityReached);
+                env.send_event(&Note { tick: made, severity, code, text: &text })?;
+            }
         }
         Ok(())
     }

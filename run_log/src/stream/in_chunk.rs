@@ -5,7 +5,7 @@ use std::ops::Range;
 use mcap::records::{Record, op};
 use messages::Removed;
 use messages::layout::{CDR_LITTLE_ENDIAN, Message};
-use messages::services::MAX_REMOVED_PER_TICK;
+use messages::services::MAX_REMOVED_PER_MESSAGE;
 
 use super::{Channel, MessageStream};
 use crate::error::LogError;
@@ -16,7 +16,7 @@ use crate::records::chunk_record;
 use crate::topics::{self, Topic};
 
 /// Longest removal message: as many voxels as its service can carry.
-const MAX_REMOVED_BYTES: usize = Removed::DESCRIPTION.size + MAX_REMOVED_PER_TICK * 4;
+const MAX_REMOVED_BYTES: usize = Removed::DESCRIPTION.size + MAX_REMOVED_PER_MESSAGE * 4;
 
 /// A message found in the chunk: channel, number, time, range of its body.
 pub(super) struct Found {

@@ -26,11 +26,11 @@ pub struct Volume {
     /// Slices that are unevenly spaced or stacked askew (a tilted gantry) are resampled to a rectangular grid; refused if absent.
     pub resample: Option<Resample>,
     /// A file's volume is resampled to cubic voxels of this size: thick slices make a rough tunnel wall.
-    #[schemars(range(min = 0.25, max = 5.0))]
+    #[schemars(range(min = 0.05, max = 5.0))]
     pub resample_mm: Option<f64>,
     /// Voxel size of the phantom.
     #[serde(default = "Volume::default_spacing_mm")]
-    #[schemars(range(min = 0.25, max = 2.0))]
+    #[schemars(range(min = 0.05, max = 2.0))]
     pub spacing_mm: f64,
     /// Voxels at or above this are bone.
     #[serde(default = "Volume::default_bone_threshold_hu")]

@@ -140,7 +140,7 @@ pub struct GrindReport {
     pub waiting_count: usize,
     /// Voxels that absorbed energy.
     pub cut_count: usize,
-    /// Voxels in reach that could not absorb energy because the block pool is full.
+    /// Voxels in reach that could not absorb energy because there is no memory for them.
     pub refused_count: usize,
     /// Cutting energy of the tick in J.
     pub energy_offered_j: f64,

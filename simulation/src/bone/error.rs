@@ -26,6 +26,12 @@ pub enum BoneError {
         /// Accepted range.
         expected: &'static str,
     },
+    /// The system gives no memory for the first partly cut voxels.
+    #[error("{bytes} bytes for partly cut voxels are not to be had; coarser voxels need less")]
+    Memory {
+        /// Bytes wanted.
+        bytes: usize,
+    },
     /// A burr is not finite, or larger than the field was built for.
     #[error(
         "the burr's {name} is {value}; expected {expected} (radii up to max_burr_radius_m, here {max_burr_radius_m} m)"

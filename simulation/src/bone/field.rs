@@ -25,7 +25,8 @@ pub struct BoneField {
 }
 
 impl BoneField {
-    /// Builds the field from `hu`, which has `geometry.voxel_count()` values, x fastest. Reserves all memory that drilling needs.
+    /// Builds the field from `hu`, which has `geometry.voxel_count()` values, x fastest. Reserves the memory that
+    /// drilling needs at first.
     ///
     /// # Errors
     /// An invalid grid, a CT of the wrong size, or a parameter out of range.
@@ -73,6 +74,12 @@ impl BoneField {
     /// A CT of the wrong size, or a burr that is not finite or too large; nothing has changed then.
     pub fn grind(&mut self, hu: &[i16], burr: &BurrState, dt_s: f64) -> Result<GrindReport, BoneError> {
         self.drill_cache.grind(&mut self.voxels, self.arch, hu, burr, dt_s)
+    }
+
+    /// Takes memory for the partly cut voxels of the next tick; called between ticks, it leaves the tick nothing to allocate. Changes no
+    /// result. False if the system gives none: voxels that a tick finds no memory for are not cut, and its report counts them.
+    pub fn make_room(&mut self) -> bool {
+        self.voxels.make_room()
     }
 
     /// Removes the bone whose voxel centres lie within `radius_m` of the segment `from`-`to` (world, metres) and returns the voxel

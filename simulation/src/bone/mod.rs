@@ -1,7 +1,7 @@
 //! Bone as voxels: what a sphere touches, and what a burr cuts away.
 //!
 //! [`Voxels`] is the ground truth: one bit per voxel ("bone": at least the threshold and not removed) and, in sparse blocks from a
-//! fixed pool, the fraction of each touched voxel's cutting energy that is already spent. The CT itself stays in shared memory and is
+//! pool that grows, the fraction of each touched voxel's cutting energy that is already spent. The CT itself stays in shared memory and is
 //! borrowed by the calls that need it.
 //!
 //! [`BoneField`] adds two caches: which voxels are near each sphere of the tool, and which the burr can reach. Both are built from
@@ -12,7 +12,7 @@
 //! and drilling use the same definition of that surface ([`query`], [`drilling`]), so a burr that rests on bone always
 //! overlaps the voxels it rests on, and neither the contact nor the drilled depth jumps when a voxel is removed.
 //!
-//! Only construction, snapshots and [`BoneField::predrill_capsule`] allocate memory.
+//! Only construction, snapshots, [`BoneField::predrill_capsule`] and [`BoneField::make_room`] allocate memory.
 
 mod buried;
 pub mod drilling;

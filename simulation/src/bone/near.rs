@@ -1,46 +1,104 @@
 //! The voxels that may be nearest to a sphere, and their distances, stored as arrays for branch-free SIMD loops.
 
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
+
 use nalgebra::Vector3;
 
 use super::gather::{Sphere, outside};
+use super::grid::GridGeometry;
 use super::query::{ContactKind, VoxelEnd};
 use super::strength::Place;
 use super::voxels::Voxels;
 
-/// Maximum voxels stored per sphere.
-pub(super) const MAX_NEAR: usize = 256;
+/// Fewest voxels that a search can store.
+const LEAST_NEAR: usize = 256;
+/// Area that a search can store at least if its voxels are finer than 0.25 mm, as many faces of voxels: 16 mm².
+const NEAR_AREA_M2: f64 = 16.0e-6;
+
+/// Maximum voxels that a search stores in a grid of these voxels. There may be more within reach, on a burr in its own tunnel for
+/// example; the nearest count then. They must cover an area, and not be a number, or else the finest voxels would leave of a wall all
+/// around the burr a single plane.
+pub(super) fn most_near(geometry: &GridGeometry) -> usize {
+    let edge_m = geometry.smallest_spacing_m();
+    LEAST_NEAR.max((NEAR_AREA_M2 / (edge_m * edge_m)) as usize).next_multiple_of(LANES)
+}
+
 /// Values compared at a time.
 const LANES: usize = 4;
 /// A seed within this angle (cosine; 60 degrees) of a plane or its seed belongs to that plane.
 const SAME_PLANE_COSINE: f64 = 0.5;
 
-const _: () = assert!(MAX_NEAR.is_multiple_of(LANES), "the lanes' padding has room");
+const _: () = assert!(LEAST_NEAR.is_multiple_of(LANES), "the lanes' padding has room");
+
+/// A stored voxel and how far its box is from the sphere's centre, squared. The greatest is the farthest, the first one of a tie.
+#[derive(Debug, Clone, Copy)]
+struct Far {
+    distance2: f64,
+    voxel: usize,
+}
+
+impl Ord for Far {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.distance2.total_cmp(&other.distance2).then(other.voxel.cmp(&self.voxel))
+    }
+}
+
+impl PartialOrd for Far {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Far {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other) == Ordering::Equal
+    }
+}
+
+impl Eq for Far {}
 
 /// Voxels, in the order found.
 #[derive(Debug, Clone)]
 pub(super) struct NearVoxels {
     count: usize,
     /// Centres along each grid axis, metres.
-    position: [[f64; MAX_NEAR]; 3],
+    position: [Vec<f64>; 3],
     /// Where the pool stores each voxel's spent fraction.
-    place: [Place; MAX_NEAR],
+    place: Vec<Place>,
     any_place: bool,
+    /// The voxels by their distance, once one more than there is room for has come.
+    by_distance: BinaryHeap<Far>,
 }
 
 impl NearVoxels {
-    pub fn new() -> Self {
-        Self { count: 0, position: [[0.0; MAX_NEAR]; 3], place: [Place::NONE; MAX_NEAR], any_place: false }
+    /// Room for `most` voxels.
+    pub fn new(most: usize) -> Self {
+        let numbers = || vec![0.0; most];
+        Self {
+            count: 0,
+            position: [numbers(), numbers(), numbers()],
+            place: vec![Place::NONE; most],
+            any_place: false,
+            by_distance: BinaryHeap::with_capacity(most),
+        }
+    }
+
+    /// Number of voxels that there is room for.
+    pub fn most(&self) -> usize {
+        self.place.len()
     }
 
     pub fn clear(&mut self) {
         self.count = 0;
         self.any_place = false;
+        self.by_distance.clear();
     }
 
     /// Adds a voxel; false if there is no room.
     #[inline]
     pub fn push(&mut self, position: [f64; 3], place: Place) -> bool {
-        let room = self.count < MAX_NEAR;
+        let room = self.count < self.most();
         if room {
             self.put(self.count, position, place);
             self.count += 1;
@@ -53,19 +111,22 @@ impl NearVoxels {
         if self.push(position, place) {
             return;
         }
-        let distance2 = |position: [f64; 3]| {
+        let far = |voxel: usize, position: [f64; 3]| {
             let to_box = [0, 1, 2].map(|a| outside(sphere.centre[a] - position[a], spacing[a]));
-            to_box[0] * to_box[0] + to_box[1] * to_box[1] + to_box[2] * to_box[2]
+            let distance2 = to_box[0] * to_box[0] + to_box[1] * to_box[1] + to_box[2] * to_box[2];
+            Far { distance2, voxel }
         };
-        let mut farthest = (0, 0.0);
-        for voxel in 0..MAX_NEAR {
-            let other = distance2([0, 1, 2].map(|a| self.position[a][voxel]));
-            if other > farthest.1 {
-                farthest = (voxel, other);
-            }
+        if self.by_distance.is_empty() {
+            let stored = 0..self.count;
+            self.by_distance
+                .extend(stored.map(|voxel| far(voxel, [0, 1, 2].map(|a| self.position[a][voxel]))));
         }
-        if distance2(position) < farthest.1 {
-            self.put(farthest.0, position, place);
+        let Some(mut farthest) = self.by_distance.peek_mut() else { return };
+        let new = far(farthest.voxel, position);
+        if new.distance2 < farthest.distance2 {
+            *farthest = new;
+            drop(farthest);
+            self.put(new.voxel, position, place);
         }
     }
 
@@ -94,22 +155,32 @@ pub(super) struct Seed {
 #[derive(Debug, Clone)]
 pub(super) struct Candidates {
     count: usize,
-    offset: [[f64; MAX_NEAR]; 3],
-    length2: [f64; MAX_NEAR],
+    offset: [Vec<f64>; 3],
+    length2: Vec<f64>,
     /// Infinite for voxels out of reach or dropped, and as padding from `count` up to a multiple of `LANES`.
-    distance2: [f64; MAX_NEAR],
+    distance2: Vec<f64>,
     /// Spent fractions.
-    spent: [f64; MAX_NEAR],
+    spent: Vec<f64>,
 }
 
 impl Candidates {
     pub fn new() -> Self {
         Self {
             count: 0,
-            offset: [[0.0; MAX_NEAR]; 3],
-            length2: [0.0; MAX_NEAR],
-            distance2: [f64::INFINITY; MAX_NEAR],
-            spent: [0.0; MAX_NEAR],
+            offset: Default::default(),
+            length2: Vec::new(),
+            distance2: Vec::new(),
+            spent: Vec::new(),
+        }
+    }
+
+    /// Makes room for `most` voxels.
+    pub fn make_room(&mut self, most: usize) {
+        if self.length2.len() < most {
+            let Self { offset: [x, y, z], length2, distance2, spent, .. } = self;
+            [x, y, z, length2, distance2, spent]
+                .into_iter()
+                .for_each(|list| list.resize(most, f64::INFINITY));
         }
     }
 
@@ -224,6 +295,7 @@ impl Voxels {
     #[inline(always)]
     pub(super) fn see(&self, near: &NearVoxels, sphere: &Sphere, candidates: &mut Candidates) {
         let spacing = self.geometry().spacing_m;
+        candidates.make_room(near.most());
         if self.parameters().contact == ContactKind::VoxelBalls {
             let radius_m = 0.5 * self.geometry().smallest_spacing_m();
             candidates.see_balls(near, sphere, radius_m, |place| self.pool().spent_at(place));

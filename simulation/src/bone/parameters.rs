@@ -19,10 +19,10 @@ pub struct BoneParameters {
     pub contact: ContactKind,
     /// Rule for removing voxels: by energy, unless an experiment asks for a baseline.
     pub removal: Removal,
-    /// Number of blocks of 8 x 8 x 8 voxels (4 KiB each) that may hold partly cut voxels. Once all are in use, voxels in further blocks
-    /// cannot be cut; each tick's report counts them.
+    /// Most blocks of 8 x 8 x 8 voxels (4 KiB each) that may hold partly cut voxels; by default those of the grid. Once all are in use,
+    /// voxels in further blocks cannot be cut; each tick's report counts them.
     pub pool_blocks: usize,
-    /// Maximum voxels removed per tick; the excess waits for the next tick.
+    /// Maximum voxels removed per tick, by default any number; the excess waits for the next tick.
     pub removed_per_tick: usize,
     /// Largest burr radius in metres; it determines the size of the drilling scratch memory.
     pub max_burr_radius_m: f64,
@@ -36,8 +36,8 @@ impl Default for BoneParameters {
             cutting: CuttingLaw::default(),
             contact: ContactKind::Planes,
             removal: Removal::Energy,
-            pool_blocks: 4096,
-            removed_per_tick: 4096,
+            pool_blocks: usize::MAX,
+            removed_per_tick: usize::MAX,
             max_burr_radius_m: 4.0e-3,
         }
     }

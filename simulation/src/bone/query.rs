@@ -20,7 +20,7 @@ use crate::contact_plane::ContactPlane;
 
 use super::gather::{Sphere, outside};
 use super::grid::floor_to_i64;
-use super::near::{Candidates, NearVoxels};
+use super::near::{Candidates, NearVoxels, most_near};
 use super::remembered::RememberedCells;
 use super::surface::TentSizes;
 use super::voxels::Voxels;
@@ -64,8 +64,17 @@ impl ContactBuffer {
             planes: Vec::with_capacity(capacity),
             capacity,
             dropped: 0,
-            near: Box::new(NearVoxels::new()),
+            near: Box::new(NearVoxels::new(0)),
             candidates: Box::new(Candidates::new()),
+        }
+    }
+
+    /// Makes room for what a search of these voxels stores; a query that finds less makes it itself.
+    pub fn make_room(&mut self, voxels: &Voxels) {
+        let most = most_near(voxels.geometry());
+        if self.near.most() < most {
+            *self.near = NearVoxels::new(most);
+            self.candidates.make_room(most);
         }
     }
 
@@ -176,6 +185,7 @@ impl Voxels {
 
     /// The planes of a sphere whose centre is outside bone, by a search of all voxels in reach.
     pub(super) fn planes_of_search(&self, sphere: &Sphere, out: &mut ContactBuffer) {
+        out.make_room(self);
         let ContactBuffer { near, candidates, .. } = out;
         near.clear();
         self.gather(sphere, |voxel| {

@@ -74,18 +74,35 @@ impl Press {
     }
 }
 
-/// Maximum number of voxels that a search about the largest burr can find.
+/// Maximum number of voxels that a search about the largest burr can find: their centres lie in a ball.
 pub(super) fn most_voxels(geometry: &GridGeometry, parameters: &BoneParameters) -> usize {
     let reach = Reach::of_burr(parameters.max_burr_radius_m, geometry, &parameters.cutting);
-    voxels_in_cube(geometry, reach.outer_m + geometry.smallest_spacing_m())
+    let searched_m = reach.outer_m + geometry.smallest_spacing_m();
+    cells_within(geometry, 1, searched_m, searched_m + 0.5 * diagonal_m(geometry, 1))
 }
 
-/// Maximum number of voxels that a cube of half edge `half_m` can meet.
-fn voxels_in_cube(geometry: &GridGeometry, half_m: f64) -> usize {
-    (0..3).fold(1usize, |count, axis| {
-        let along = (2.0 * half_m / geometry.spacing_m[axis]) as usize + 2;
-        count.saturating_mul(along.min(geometry.dims[axis]))
-    })
+/// Maximum number of blocks of `edge` voxels in which one tick of the largest burr can cut: they meet a ball.
+pub(super) fn most_blocks(geometry: &GridGeometry, parameters: &BoneParameters, edge: usize) -> usize {
+    let reach = Reach::of_burr(parameters.max_burr_radius_m, geometry, &parameters.cutting);
+    cells_within(geometry, edge, reach.outer_m, reach.outer_m + diagonal_m(geometry, edge))
+}
+
+/// Diagonal of a cell of `edge` voxels along each axis, m.
+fn diagonal_m(geometry: &GridGeometry, edge: usize) -> f64 {
+    let [hx, hy, hz] = geometry.spacing_m;
+    edge as f64 * (hx * hx + hy * hy + hz * hz).sqrt()
+}
+
+/// Maximum number of cells of `edge` voxels per axis, which do not overlap, that meet a cube of half edge `cube_m` and lie in a ball of
+/// radius `ball_m`.
+fn cells_within(geometry: &GridGeometry, edge: usize, cube_m: f64, ball_m: f64) -> usize {
+    let in_cube = (0..3).fold(1usize, |count, axis| {
+        let along = (2.0 * cube_m / (edge as f64 * geometry.spacing_m[axis])) as usize + 2;
+        count.saturating_mul(along.min(geometry.dims[axis].div_ceil(edge)))
+    });
+    let ball_m3 = core::f64::consts::PI * (4.0 / 3.0) * ball_m * ball_m * ball_m;
+    let cell_m3 = geometry.voxel_volume_m3() * (edge * edge * edge) as f64;
+    in_cube.min((ball_m3 / cell_m3) as usize + 1)
 }
 
 /// The voxels in reach, in grid order, x fastest, stored as arrays for branch-free SIMD loops.

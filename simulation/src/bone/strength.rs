@@ -1,5 +1,10 @@
-//! Spent cutting energy per voxel: sparse blocks of 8 x 8 x 8 voxels from a pool allocated at the start.
+//! Spent cutting energy per voxel: sparse blocks of 8 x 8 x 8 voxels from a pool that grows.
+//!
+//! The pool grows by whole segments, which never move, so a place stays valid. [`SpentPool::make_room`] keeps as many blocks free as one
+//! tick can take; called between ticks, it leaves no tick anything to allocate. A tick that finds none free all the same takes a segment
+//! itself. So growing costs time here or there and changes no result.
 
+use super::BoneError;
 use super::occupancy::VoxelBox;
 
 /// The edge of a block is `1 << BLOCK_SHIFT` voxels.
@@ -11,6 +16,15 @@ pub(super) const BLOCK_VOXELS: usize = BLOCK_EDGE * BLOCK_EDGE * BLOCK_EDGE;
 const BLOCK_ROWS: usize = BLOCK_EDGE * BLOCK_EDGE;
 
 const _: () = assert!(BLOCK_EDGE == u8::BITS as usize, "one byte says which voxels of a block's row are cut");
+
+/// Blocks of a segment: 256 KiB of fractions.
+const SEGMENT_BLOCKS: usize = 64;
+/// Voxels in a segment.
+const SEGMENT_VOXELS: usize = SEGMENT_BLOCKS * BLOCK_VOXELS;
+const _: () =
+    assert!(SEGMENT_VOXELS.is_power_of_two(), "a place within a segment is the low bits of a place");
+/// Blocks that a pool has room for from the start, 16 MiB, unless the grid has fewer.
+const FIRST_BLOCKS: usize = 4096;
 
 /// Table entry of an untouched block.
 const UNTOUCHED: u32 = u32::MAX;
@@ -49,6 +63,33 @@ impl<'p> Block<'p> {
     }
 }
 
+/// Memory of [`SEGMENT_BLOCKS`] blocks.
+#[derive(Debug, Clone)]
+struct Segment {
+    /// `BLOCK_VOXELS` fractions per block.
+    spent: Box<[f64; SEGMENT_VOXELS]>,
+    /// One byte per row of 8 voxels: bits of the voxels that may have a spent fraction above 0.
+    partial: Box<[u8; SEGMENT_VOXELS / BLOCK_EDGE]>,
+}
+
+impl Segment {
+    /// Bytes of a segment.
+    const BYTES: usize = SEGMENT_VOXELS * size_of::<f64>() + SEGMENT_VOXELS / BLOCK_EDGE;
+
+    /// A segment of whole voxels; `None` if the system gives no memory.
+    fn new() -> Option<Self> {
+        Some(Self { spent: zeroed(0.0)?, partial: zeroed(0)? })
+    }
+}
+
+/// An array of zeros; `None` if the system gives no memory.
+fn zeroed<T: Copy, const N: usize>(zero: T) -> Option<Box<[T; N]>> {
+    let mut numbers = Vec::new();
+    numbers.try_reserve_exact(N).ok()?;
+    numbers.resize(N, zero);
+    numbers.into_boxed_slice().try_into().ok()
+}
+
 /// The spent fraction of every touched voxel: 0 whole, 1 gone.
 #[derive(Debug, Clone)]
 pub(super) struct SpentPool {
@@ -58,29 +99,61 @@ pub(super) struct SpentPool {
     table: Vec<u32>,
     /// Block of each slot in use, in the order of first touch.
     owners: Vec<u32>,
-    /// `BLOCK_VOXELS` fractions per slot.
-    spent: Vec<f64>,
-    /// One byte per row of 8 voxels: bits of the voxels that may have a spent fraction above 0.
-    partial: Vec<u8>,
+    segments: Vec<Segment>,
+    /// Most blocks: those of the grid, or fewer if a test limits them.
     capacity: usize,
+    /// Blocks that [`Self::make_room`] keeps free.
+    reserve: usize,
 }
 
 impl SpentPool {
-    /// A pool of `capacity` blocks for a grid of `dims` voxels; allocates all memory here.
-    pub fn new(dims: [usize; 3], capacity: usize) -> Self {
+    /// A pool of at most `most` blocks for a grid of `dims` voxels, of which one tick takes at most `per_tick`.
+    ///
+    /// # Errors
+    /// [`BoneError::Memory`].
+    pub fn new(dims: [usize; 3], most: usize, per_tick: usize) -> Result<Self, BoneError> {
         let block_dims = dims.map(|n| n.div_ceil(BLOCK_EDGE));
         let blocks = block_dims[0] * block_dims[1] * block_dims[2];
         // A grid never uses more slots than it has blocks.
-        let capacity = capacity.min(blocks);
-        Self {
+        let capacity = most.min(blocks);
+        let mut pool = Self {
             dims,
             block_dims,
             table: vec![UNTOUCHED; blocks],
             owners: Vec::with_capacity(capacity),
-            spent: vec![0.0; capacity * BLOCK_VOXELS],
-            partial: vec![0; capacity * BLOCK_VOXELS / BLOCK_EDGE],
+            segments: Vec::with_capacity(capacity.div_ceil(SEGMENT_BLOCKS)),
             capacity,
+            reserve: FIRST_BLOCKS.max(per_tick),
+        };
+        if !pool.make_room() {
+            return Err(BoneError::Memory { bytes: pool.reserve * BLOCK_VOXELS * size_of::<f64>() });
         }
+        pool.reserve = per_tick;
+        Ok(pool)
+    }
+
+    /// Takes memory until a tick finds as many free blocks as it can take; false if the system gives none.
+    pub fn make_room(&mut self) -> bool {
+        let wanted = (self.owners.len() + self.reserve).min(self.capacity);
+        while self.segments.len() * SEGMENT_BLOCKS < wanted {
+            if !self.grow() {
+                return false;
+            }
+        }
+        true
+    }
+
+    /// Takes a segment; the list of segments has room for it.
+    fn grow(&mut self) -> bool {
+        let segment = Segment::new();
+        let grown = segment.is_some();
+        self.segments.extend(segment);
+        grown
+    }
+
+    /// Bytes of all segments.
+    pub fn bytes(&self) -> usize {
+        self.segments.len() * Segment::BYTES
     }
 
     /// Blocks in use.
@@ -88,7 +161,7 @@ impl SpentPool {
         self.owners.len()
     }
 
-    /// Number of blocks in the pool.
+    /// Most blocks that the pool may use.
     pub fn capacity(&self) -> usize {
         self.capacity
     }
@@ -107,7 +180,7 @@ impl SpentPool {
         let (block, offset) = self.locate(i, j, k);
         match self.table[block] {
             UNTOUCHED => 0.0,
-            slot => self.spent[slot as usize * BLOCK_VOXELS + offset],
+            slot => self.spent_at(Place(slot as usize * BLOCK_VOXELS + offset)),
         }
     }
 
@@ -123,16 +196,17 @@ impl SpentPool {
 
     /// The fraction at a place from [`Self::place`], valid until the next block is taken.
     #[inline]
-    pub fn spent_at(&self, place: Place) -> f64 {
+    pub fn spent_at(&self, Place(place): Place) -> f64 {
         // A whole voxel has no place.
-        self.spent.get(place.0).copied().unwrap_or(0.0)
+        self.segments.get(place / SEGMENT_VOXELS).map_or(0.0, |segment| segment.spent[place % SEGMENT_VOXELS])
     }
 
-    /// Where the voxel's fraction is stored, taking a block if needed; `None` if the pool is full.
+    /// Where the voxel's fraction is stored, taking a block if needed; `None` if there are no more.
     pub fn claim(&mut self, [i, j, k]: [usize; 3]) -> Option<Place> {
         let (block, offset) = self.locate(i, j, k);
         if self.table[block] == UNTOUCHED {
-            if self.owners.len() == self.capacity {
+            let used = self.owners.len();
+            if used == self.capacity || (used == self.segments.len() * SEGMENT_BLOCKS && !self.grow()) {
                 return None;
             }
             self.table[block] = self.owners.len() as u32;
@@ -144,10 +218,11 @@ impl SpentPool {
     /// Sets the fraction at a place from [`Self::claim`].
     #[inline]
     pub fn set(&mut self, Place(place): Place, spent: f64) {
-        let kept = &mut self.spent[place];
+        let (segment, place) = (&mut self.segments[place / SEGMENT_VOXELS], place % SEGMENT_VOXELS);
+        let kept = &mut segment.spent[place];
         // A bit is never cleared once it is set.
         if *kept == 0.0 && spent > 0.0 {
-            self.partial[place / BLOCK_EDGE] |= 1 << (place % BLOCK_EDGE);
+            segment.partial[place / BLOCK_EDGE] |= 1 << (place % BLOCK_EDGE);
         }
         *kept = spent;
     }
@@ -167,7 +242,10 @@ impl SpentPool {
             }
             match self.table[row_of_blocks + block as usize] {
                 UNTOUCHED => 0,
-                slot => u16::from(self.partial[slot as usize * BLOCK_EDGE * BLOCK_EDGE + row_in_block]),
+                slot => {
+                    let (segment, block) = (slot as usize / SEGMENT_BLOCKS, slot as usize % SEGMENT_BLOCKS);
+                    u16::from(self.segments[segment].partial[block * BLOCK_ROWS + row_in_block])
+                }
             }
         };
         let first = start >> BLOCK_SHIFT;
@@ -210,8 +288,9 @@ impl SpentPool {
     #[inline(always)]
     pub fn block(&self, blocks: &BlocksAbout, [x, y, z]: [usize; 3]) -> Option<Block<'_>> {
         let Place(place) = blocks.place[z][y][x];
-        let spent = self.spent.get(place..)?.first_chunk()?;
-        let partial = self.partial.get(place / BLOCK_EDGE..)?.first_chunk()?;
+        let (segment, place) = (self.segments.get(place / SEGMENT_VOXELS)?, place % SEGMENT_VOXELS);
+        let spent = segment.spent.get(place..)?.first_chunk()?;
+        let partial = segment.partial.get(place / BLOCK_EDGE..)?.first_chunk()?;
         Some(Block { spent, partial })
     }
 
@@ -227,21 +306,26 @@ impl SpentPool {
     pub fn forget(&mut self, [i, j, k]: [usize; 3]) {
         let (block, offset) = self.locate(i, j, k);
         if self.table[block] != UNTOUCHED {
-            self.spent[self.table[block] as usize * BLOCK_VOXELS + offset] = 0.0;
+            self.set(Place(self.table[block] as usize * BLOCK_VOXELS + offset), 0.0);
         }
     }
 
-    /// The block numbers in use, in order of first touch, and their fractions, `BLOCK_VOXELS` each.
-    pub fn contents(&self) -> (&[u32], &[f64]) {
-        (&self.owners, &self.spent[..self.owners.len() * BLOCK_VOXELS])
+    /// The blocks in use, in order of first touch: number and fractions, `BLOCK_VOXELS` each.
+    pub fn contents(&self) -> impl ExactSizeIterator<Item = (u32, &[f64])> {
+        self.owners.iter().enumerate().map(|(slot, owner)| {
+            let first = slot % SEGMENT_BLOCKS * BLOCK_VOXELS;
+            (*owner, &self.segments[slot / SEGMENT_BLOCKS].spent[first..first + BLOCK_VOXELS])
+        })
     }
 
     /// Calls `visit` with the spent fraction of every grid voxel in the blocks in use, block by block in order of first touch, x fastest
     /// within a block.
     pub fn for_each(&self, mut visit: impl FnMut([usize; 3], f64)) {
-        for (place, spent) in self.contents().1.iter().enumerate() {
-            if let Some(voxel) = self.voxel_of(place / BLOCK_VOXELS, place % BLOCK_VOXELS) {
-                visit(voxel, *spent);
+        for (slot, (_, fractions)) in self.contents().enumerate() {
+            for (offset, spent) in fractions.iter().enumerate() {
+                if let Some(voxel) = self.voxel_of(slot, offset) {
+                    visit(voxel, *spent);
+                }
             }
         }
     }
@@ -269,11 +353,15 @@ impl SpentPool {
         (0..3).all(|a| voxel[a] < self.dims[a]).then_some(voxel)
     }
 
-    /// Makes every voxel whole again.
+    /// Makes every voxel whole again; keeps the memory.
     pub fn clear(&mut self) {
-        let used = self.owners.len() * BLOCK_VOXELS;
-        self.spent[..used].fill(0.0);
-        self.partial[..used / BLOCK_EDGE].fill(0);
+        let mut rest = self.owners.len();
+        for segment in &mut self.segments {
+            let used = rest.min(SEGMENT_BLOCKS);
+            segment.spent[..used * BLOCK_VOXELS].fill(0.0);
+            segment.partial[..used * BLOCK_ROWS].fill(0);
+            rest -= used;
+        }
         for block in &self.owners {
             self.table[*block as usize] = UNTOUCHED;
         }
@@ -285,16 +373,21 @@ impl SpentPool {
         let fits = owners.len() <= self.capacity
             && spent.len() == owners.len() * BLOCK_VOXELS
             && owners.iter().all(|block| (*block as usize) < self.table.len());
-        if fits {
-            self.clear();
-            self.owners.extend_from_slice(owners);
-            for (slot, block) in owners.iter().enumerate() {
-                self.table[*block as usize] = slot as u32;
-            }
-            for (place, spent) in spent.iter().enumerate() {
-                self.set(Place(place), *spent);
-            }
+        if !fits {
+            return false;
         }
-        fits
+        self.clear();
+        self.owners.extend_from_slice(owners);
+        if !self.make_room() {
+            self.owners.clear();
+            return false;
+        }
+        for (slot, block) in owners.iter().enumerate() {
+            self.table[*block as usize] = slot as u32;
+        }
+        for (place, spent) in spent.iter().enumerate() {
+            self.set(Place(place), *spent);
+        }
+        true
     }
 }

@@ -9,7 +9,7 @@
 use pulp::Arch;
 
 use super::gather::{Sphere, outside, widening};
-use super::near::NearVoxels;
+use super::near::{NearVoxels, most_near};
 use super::occupancy::VoxelBox;
 use super::query::ContactBuffer;
 use super::remembered::RememberedCells;
@@ -95,10 +95,11 @@ pub(super) struct ContactCache {
 impl ContactCache {
     /// An empty cache for these voxels.
     pub fn new(voxels: &Voxels) -> Self {
+        let most = most_near(voxels.geometry());
         let empty = || Track {
             sphere: None,
             box_searched: VoxelBox::NOTHING,
-            near: NearVoxels::new(),
+            near: NearVoxels::new(most),
             cells: RememberedCells::new(),
         };
         Self { tracks: (0..TRACKED_SPHERES).map(|_| empty()).collect(), seen: voxels.journal().edits() }

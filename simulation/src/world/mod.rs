@@ -114,6 +114,10 @@ pub struct Simulation<'v> {
     tendon: TendonDrive,
     burr_speed_rad_per_s: f64,
     cutting_energy_j: f64,
+    /// Voxels that the last tick could not cut for want of memory.
+    uncut_voxels: usize,
+    /// Contacts that the last tick had no room for.
+    left_out_contacts: usize,
     state: State,
     predrilled: Vec<u32>,
     refusals: Vec<Refusal>,
@@ -198,6 +202,24 @@ impl<'v> Simulation<'v> {
             .collect()
     }
 
+    /// Voxels that the last tick could not cut for want of memory.
+    pub fn uncut_voxels(&self) -> usize {
+        self.uncut_voxels
+    }
+
+    /// Takes memory for what the next tick may cut, so that it allocates nothing. Changes no result, which tests verify by not calling it.
+    pub fn make_room(&mut self) {
+        if let Some(bone) = &mut self.bone {
+            // Without memory the tick counts what it cannot cut.
+            bone.field.make_room();
+        }
+    }
+
+    /// Bytes that partly cut voxels have taken.
+    pub fn bone_bytes(&self) -> usize {
+        self.bone.as_ref().map_or(0, |bone| bone.field.voxels().pool_bytes())
+    }
+
     /// Commands refused in the last tick, with reasons.
     pub fn refusals(&self) -> &[Refusal] {
         &self.refusals
@@ -216,6 +238,8 @@ impl<'v> Simulation<'v> {
         self.report_arm_fault();
         let tendon = self.tendon.step(self.dt_s);
         let report = self.move_tool(&ToolDrive { base, tendon, tip_wrench: Wrench::zero() })?;
+        let dropped = self.bone.as_ref().map_or(0, |bone| bone.contacts.dropped());
+        self.left_out_contacts = dropped + report.refused_contact_count;
         let removed = self.grind(self.burr_force_on_bone_n(&report))?;
         self.update_state(latched, removed);
         self.update_hash(latched);
@@ -327,6 +351,7 @@ impl<'v> Simulation<'v> {
         };
         let report = bone.field.grind(bone.hu, &burr, self.dt_s)?;
         self.cutting_energy_j += report.energy_used_j;
+        self.uncut_voxels = report.refused_count;
         Ok(report.removed_count)
     }
 
@@ -412,6 +437,18 @@ impl Plant for Simulation<'_> {
 
     fn refusals(&self) -> &[Refusal] {
         self.refusals()
+    }
+
+    fn uncut_voxels(&self) -> usize {
+        self.uncut_voxels()
+    }
+
+    fn left_out_contacts(&self) -> usize {
+        self.left_out_contacts
+    }
+
+    fn make_room(&mut self) {
+        self.make_room();
     }
 
     fn write_keyframe(&self, buffer: &mut [u8]) -> Result<usize, SimulationError> {

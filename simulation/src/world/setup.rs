@@ -10,10 +10,11 @@ use scene::{
 use super::tendon_drive::TendonDrive;
 use super::{ArmDriver, Bone, CtView, Simulation, SimulationError};
 use crate::arm::{Arm, ArmParameters, COMFORTABLE_Q_RAD, Compliance, ComplianceParameters, place_base_for};
+use crate::bone::query::MAX_PLANES;
 use crate::bone::{BoneField, BoneParameters, ContactBuffer, ContactKind, GridGeometry, Removal, VoxelIndex};
 use crate::manipulator::{
-    AnyManipulator, BaseMotion, Integrator, MAX_CONTACTS, ManipulatorError, ManipulatorModel,
-    ManipulatorParameters, Notch, Rung,
+    AnyManipulator, BaseMotion, Integrator, ManipulatorError, ManipulatorModel, ManipulatorParameters, Notch,
+    Rung,
 };
 use crate::rigid::{BodyMotion, BodyParameters, BodyShape, RigidScene};
 
@@ -29,15 +30,15 @@ pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulat
     let compliance = compliance(scene, &parameters)?;
     let manipulator =
         AnyManipulator::new(rung(scene.manipulator.model.unwrap_or_default()), parameters, &base)?;
+    let sphere_count = manipulator.proxy_spheres().len();
     let (bone, predrilled) = match (&scene.volume, ct) {
         (None, _) => (None, Vec::new()),
         (Some(_), None) => return Err(SimulationError::VolumeMissing),
         (Some(_), Some(ct)) => {
-            let (bone, predrilled) = bone(scene, ct, max_burr_radius_m)?;
+            let (bone, predrilled) = bone(scene, ct, max_burr_radius_m, MAX_PLANES * sphere_count)?;
             (Some(bone), predrilled)
         }
     };
-    let sphere_count = manipulator.proxy_spheres().len();
     let rigid = if scene.body.is_empty() {
         None
     } else {
@@ -54,10 +55,12 @@ pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulat
         manipulator,
         bone,
         rigid,
-        planes: Vec::with_capacity(MAX_CONTACTS + sphere_count * scene.body.len()),
+        planes: Vec::with_capacity(sphere_count * (MAX_PLANES + scene.body.len())),
         tendon: TendonDrive::new(),
         burr_speed_rad_per_s: 0.0,
         cutting_energy_j: 0.0,
+        uncut_voxels: 0,
+        left_out_contacts: 0,
         state: State::zeroed(),
         predrilled,
         refusals: Vec::with_capacity(messages::MAX_CONTROLLERS + 1),
@@ -219,6 +222,7 @@ fn bone<'v>(
     scene: &Scene,
     ct: CtView<'v>,
     max_burr_radius_m: f64,
+    most_planes: usize,
 ) -> Result<(Bone<'v>, Vec<u32>), SimulationError> {
     let mut parameters = BoneParameters { max_burr_radius_m, ..BoneParameters::default() };
     if let Some(volume) = &scene.volume {
@@ -241,7 +245,6 @@ fn bone<'v>(
         Some(SceneRemoval::Decrement) => Removal::Decrement,
         Some(SceneRemoval::Energy) | None => Removal::Energy,
     };
-    parameters.removed_per_tick = messages::services::MAX_REMOVED_PER_TICK;
     let mut field = BoneField::new(ct.geometry, ct.hu, parameters)?;
     let mut predrilled = Vec::new();
     for hole in &scene.predrill {
@@ -250,7 +253,9 @@ fn bone<'v>(
         predrilled.extend(removed.into_iter().map(VoxelIndex::number));
     }
     predrilled.sort_unstable();
-    Ok((Bone { hu: ct.hu, field, contacts: ContactBuffer::with_capacity(MAX_CONTACTS) }, predrilled))
+    let mut contacts = ContactBuffer::with_capacity(most_planes);
+    contacts.make_room(field.voxels());
+    Ok((Bone { hu: ct.hu, field, contacts }, predrilled))
 }
 
 /// The contact kind that a scene's `contact.voxels` selects.

@@ -107,7 +107,7 @@ pub(crate) fn read_file(path: &Path, options: &ReadOptions) -> Result<(Volume, V
         let folder = folder_of(path);
         let mut found = Found { where_to: options.data_files, files: Vec::new(), others: 0, entries: 0 };
         // Only the files beside it.
-        found.look_into(folder, folder, MAX_DEPTH)?;
+        found.look_into(folder, folder, MAX_DEPTH + 1)?;
         found.files.sort();
         let own_name = path.file_name();
         let mut localizers = 0;
@@ -170,6 +170,14 @@ impl Found {
             }
             if path.is_dir() {
                 // A link to a folder may lead in a circle.
+                if depth == MAX_DEPTH && !path.is_symlink() {
+                    return Err(VolumeError::Unsupported {
+                        path: root.into(),
+                        field: "folder".into(),
+                        given: format!("folders in folders, more than {MAX_DEPTH} deep"),
+                        expected: "the folder of one study".into(),
+                    });
+                }
                 if depth < MAX_DEPTH && !path.is_symlink() {
                     self.look_into(root, &path, depth + 1)?;
                 }

@@ -10,7 +10,7 @@ use messages::{
 use scene::{Drives, Mode};
 
 use crate::plan::{MS, Plan};
-use crate::plant::{ChainPlant, Handle};
+use crate::plant::{ChainPlant, Handle, UNCUT, UNCUT_TICKS};
 use controllers::Slot;
 
 /// Requests of one connection that are answered within [`RATION_NS`]; more may be passed over.
@@ -52,7 +52,9 @@ pub struct Oracle {
     /// u_k is out and x_{k+1} is not.
     latched: Option<bool>,
     removed_messages: u64,
-    removed_in_tick: bool,
+    removed_in_tick: Option<usize>,
+    /// Events that say a capacity was reached.
+    capacity_notes: u32,
     keyframe_parts: u64,
     keyframe_of_tick: bool,
     controllers: Vec<Slot>,
@@ -93,7 +95,8 @@ impl Oracle {
             shown: false,
             latched: None,
             removed_messages: 0,
-            removed_in_tick: false,
+            removed_in_tick: None,
+            capacity_notes: 0,
             keyframe_parts: 0,
             keyframe_of_tick: false,
             controllers: drives.iter().map(|_| Slot::default()).collect(),
@@ -231,7 +234,7 @@ impl Oracle {
             self.check_latched(index, latched, now_ns);
         }
         self.plant_refused = plant_refuses;
-        (self.latched, self.removed_in_tick, self.keyframe_of_tick) = (Some(reset), false, false);
+        (self.latched, self.removed_in_tick, self.keyframe_of_tick) = (Some(reset), None, false);
         if let Err(cause) = self.shadow.step(latched) {
             self.fail(format!("a replay fails: {cause}"));
         }
@@ -268,11 +271,16 @@ impl Oracle {
         let Some(reset) = self.latched else {
             return self.fail(format!("voxels of tick {} behind its state", removed.tick));
         };
-        self.removed_in_tick = true;
+        let all = self.shadow.removed();
+        let before = self.removed_in_tick.unwrap_or(0);
+        let after = before + voxels.len();
         let right = removed.tick == self.tick + 1
-            && removed.restore_first == u32::from(reset)
-            && removed.removed_total == self.shadow.state().removed_total
-            && voxels == self.shadow.removed();
+            && removed.restore_first == u32::from(reset && self.removed_in_tick.is_none())
+            && removed.removed_total
+                == self.shadow.state().removed_total - all.len().saturating_sub(after) as u64
+            && all.get(before..after) == Some(voxels)
+            && voxels.len() <= messages::services::MAX_REMOVED_PER_MESSAGE;
+        self.removed_in_tick = Some(after);
         expect!(self, right, format!("{removed:?} is not what the tick removed"));
     }
 
@@ -280,7 +288,7 @@ impl Oracle {
     pub fn state(&mut self, state: &State, now_ns: u64) {
         if !self.shown {
             let predrilled = self.shadow.predrilled().len();
-            let messages = predrilled.div_ceil(messages::services::MAX_REMOVED_PER_TICK) as u64;
+            let messages = predrilled.div_ceil(messages::services::MAX_REMOVED_PER_MESSAGE) as u64;
             let consumers = self.plan.drr_ns.iter().chain(&self.plan.recorder_ns).count();
             let (holes, here) = (self.removed_messages, self.taken.len());
             expect!(self, holes == messages, format!("{holes} messages of holes, expected {messages}"));
@@ -290,11 +298,15 @@ impl Oracle {
             let Some(reset) = self.latched.take() else {
                 return self.fail(format!("x_{} without u", state.tick));
             };
-            let due = reset || !self.shadow.removed().is_empty();
+            let removed = self.shadow.removed().len();
+            let due = (reset || removed > 0).then_some(removed);
             let (tick, sent) = (state.tick, self.removed_in_tick);
-            expect!(self, sent == due, format!("tick {tick}: voxels published: {sent}, expected {due}"));
+            expect!(self, sent == due, format!("tick {tick}: voxels published: {sent:?}, expected {due:?}"));
             self.tick += 1;
         }
+        // The plant lacks memory in two ticks of one second: the first is told.
+        let told = u32::from(self.tick > UNCUT_TICKS[0] && self.shown);
+        expect!(self, self.capacity_notes == told, format!("{} notes of a capacity", self.capacity_notes));
         let expected = self.shadow.state();
         let right = state.tick == self.tick && state.hash == expected.hash && state.tick == expected.tick;
         expect!(self, right, format!("x_{} is not what a replay of the log comes to", state.tick));
@@ -367,6 +379,11 @@ impl Oracle {
 
     /// The hub sends an event.
     pub fn event(&mut self, note: &Note<'_>, now_ns: u64) {
+        if note.code == EventCode::CapacityReached {
+            self.capacity_notes += 1;
+            let text = format!("no memory for {UNCUT} voxels");
+            expect!(self, note.text.starts_with(&text), format!("an event says `{}`", note.text));
+        }
         let limited = [EventCode::CommandRefused, EventCode::MessagesLost, EventCode::RequestRefused];
         if !limited.contains(&note.code) {
             return;

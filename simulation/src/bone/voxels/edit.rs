@@ -33,7 +33,7 @@ impl Drop for Drilling<'_> {
 }
 
 impl Drilling<'_> {
-    /// Where the voxel's spent fraction is stored, taking a block if needed; `None` if the pool is full.
+    /// Where the voxel's spent fraction is stored, taking a block if needed; `None` if there are no more.
     pub fn claim(&mut self, voxel: VoxelIndex) -> Option<Place> {
         self.voxels.pool.claim(self.voxels.geometry.voxel(voxel))
     }
@@ -97,6 +97,11 @@ impl Voxels {
         }
         self.predrilled_count += voxels.len() as u64;
         self.journal.note_everything();
+    }
+
+    /// Takes memory for the partly cut voxels of a tick, if the last one has left too little; false if the system gives none.
+    pub(in crate::bone) fn make_room(&mut self) -> bool {
+        self.pool.make_room()
     }
 
     /// Undoes all drilling: voxels and their strength, back to the start of the run. Pilot holes stay.

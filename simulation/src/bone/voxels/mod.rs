@@ -14,7 +14,7 @@ use super::material::CuttingTable;
 use super::occupancy::Occupancy;
 use super::parameters::BoneParameters;
 use super::reach;
-use super::strength::SpentPool;
+use super::strength::{BLOCK_EDGE, SpentPool};
 
 pub(super) use edit::Drilling;
 pub(super) use journal::{Ball, Journal};
@@ -62,14 +62,15 @@ impl Voxels {
         let cutting_table = CuttingTable::new(&parameters.material, parameters.threshold_hu)?;
         parameters.check()?;
         let waiting_limit = reach::most_voxels(&geometry, &parameters);
+        let blocks_per_tick = reach::most_blocks(&geometry, &parameters, BLOCK_EDGE);
         Ok(Self {
             geometry,
             parameters,
             cutting_table,
             occupancy: Occupancy::from_threshold(geometry.dims, hu, parameters.threshold_hu),
-            pool: SpentPool::new(geometry.dims, parameters.pool_blocks),
+            pool: SpentPool::new(geometry.dims, parameters.pool_blocks, blocks_per_tick)?,
             predrilled_count: 0,
-            removed: Vec::with_capacity(parameters.removed_per_tick),
+            removed: Vec::with_capacity(parameters.removed_per_tick.min(waiting_limit)),
             waiting: Vec::with_capacity(waiting_limit),
             waiting_limit,
             removed_total: 0,
@@ -151,9 +152,14 @@ impl Voxels {
         self.removed_total
     }
 
-    /// Pool blocks in use, and in total.
+    /// Blocks of partly cut voxels in use, and how many there may be.
     pub fn pool_usage(&self) -> (usize, usize) {
         (self.pool.used(), self.pool.capacity())
+    }
+
+    /// Memory that partly cut voxels have taken, bytes.
+    pub fn pool_bytes(&self) -> usize {
+        self.pool.bytes()
     }
 
     /// Energy in J to cut a whole voxel of the CT.
@@ -182,12 +188,12 @@ impl Voxels {
 
     /// What drilling has changed so far. Allocates; not for the real-time loop.
     pub fn snapshot(&self) -> BoneSnapshot {
-        let (blocks, spent) = self.pool.contents();
+        let contents = self.pool.contents();
         BoneSnapshot {
             voxel_count: self.geometry.voxel_count(),
             predrilled_count: self.predrilled_count,
-            blocks: blocks.to_vec(),
-            spent: spent.to_vec(),
+            blocks: self.pool.contents().map(|(number, _)| number).collect(),
+            spent: contents.flat_map(|(_, spent)| spent).copied().collect(),
             removed: self.removed.clone(),
             waiting: self.waiting.clone(),
             removed_total: self.removed_total,

@@ -1,4 +1,5 @@
-//! The field's snapshot as bytes: per block, which voxels are touched, which are spent, and the fractions of the rest.
+//! The field's snapshot as bytes: per block, which voxels are touched, which are spent, and the fractions of the rest; of a block that is
+//! wholly spent, its number alone.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 
@@ -22,7 +23,8 @@ impl Serialize for SavedBlock<'_> {
             gone[voxel / 64] |= u64::from(*spent == 1.0) << (voxel % 64);
         }
         let partial = Partial { spent: self.spent, touched: &touched, gone: &gone };
-        (self.number, touched, gone, partial).serialize(serializer)
+        let cut = (gone != [u64::MAX; WORDS]).then_some((touched, gone, partial));
+        (self.number, cut).serialize(serializer)
     }
 }
 
@@ -53,9 +55,7 @@ struct Blocks<'a>(&'a Voxels);
 
 impl Serialize for Blocks<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let (numbers, spent) = self.0.pool.contents();
-        let blocks = numbers.iter().zip(spent.chunks_exact(BLOCK_VOXELS));
-        serializer.collect_seq(blocks.map(|(number, spent)| SavedBlock { number: *number, spent }))
+        serializer.collect_seq(self.0.pool.contents().map(|(number, spent)| SavedBlock { number, spent }))
     }
 }
 
@@ -70,7 +70,7 @@ impl Voxels {
 
 impl<'de> Deserialize<'de> for BoneSnapshot {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<BoneSnapshot, D::Error> {
-        type Block = (u32, [u64; WORDS], [u64; WORDS], Vec<f64>);
+        type Block = (u32, Option<([u64; WORDS], [u64; WORDS], Vec<f64>)>);
         type Whole = (u64, u64, Vec<Block>, (Vec<VoxelIndex>, Vec<VoxelIndex>), u64);
         let (voxels, predrilled_count, saved, (removed, waiting), removed_total) =
             Whole::deserialize(deserializer)?;
@@ -80,8 +80,12 @@ impl<'de> Deserialize<'de> for BoneSnapshot {
         }
         let mut blocks = Vec::new();
         let mut spent = Vec::new();
-        for (number, touched, gone, partial) in &saved {
+        for (number, cut) in &saved {
             blocks.push(*number);
+            let Some((touched, gone, partial)) = cut else {
+                spent.extend_from_slice(&[1.0; BLOCK_VOXELS]);
+                continue;
+            };
             let mut rest = partial.iter();
             for voxel in 0..BLOCK_VOXELS {
                 let bit = |words: &[u64; WORDS]| words[voxel / 64] >> (voxel % 64) & 1 == 1;
