@@ -50,7 +50,7 @@ pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulat
         dt_s: scene.dt_s(),
         arm,
         compliance,
-        reach: vec![super::Reach { from_m: Vector3::zeros(), margin_m: 0.0 }; sphere_count],
+        reach: vec![super::Reach::none(); sphere_count],
         before: manipulator.snapshot(),
         manipulator,
         bone,
