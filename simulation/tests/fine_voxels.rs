@@ -1,5 +1,7 @@
 //! Fine voxels: the same path whatever their size, and memory that grows with what is drilled.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
 use messages::Plant;
 use nalgebra::Vector3;
 use simulation::Simulation;
