@@ -8,7 +8,7 @@
 //!
 //! // A controller process without its session says so; `trabecula run` starts it with one.
 //! let outcome = process::run("/nowhere".as_ref(), "reference");
-//! assert!(matches!(outcome, Err(ControllerError::Session(_))), "{outcome:?}");
+//! assert!(matches!(outcome, Err(ControllerError::Scene(_))), "{outcome:?}");
 //! ```
 
 pub mod process;

@@ -9,7 +9,7 @@
 //!
 //! // A DRR process without its session says so; `trabecula run` starts it with one.
 //! let outcome = process::run("/nowhere".as_ref());
-//! assert!(matches!(outcome, Err(DrrProcessError::Session(_))), "{outcome:?}");
+//! assert!(matches!(outcome, Err(DrrProcessError::Scene(_))), "{outcome:?}");
 //! ```
 
 pub mod machine;

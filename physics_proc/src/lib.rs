@@ -9,7 +9,7 @@
 //!
 //! // A physics process without its session says so; `trabecula run` starts it with one.
 //! let outcome = process::run("/nowhere".as_ref());
-//! assert!(matches!(outcome, Err(PhysicsError::Session(_))), "{outcome:?}");
+//! assert!(matches!(outcome, Err(PhysicsError::Scene(_))), "{outcome:?}");
 //! ```
 
 pub mod process;

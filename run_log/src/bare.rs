@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use mcap::records::{Record, op};
 
 use crate::lengths::parse_record;
-use crate::sink::is_ours;
+use crate::library::is_ours;
 
 /// Types of records that stand in chunks, or, in a file without chunks, beside each other.
 pub(crate) fn is_bare(opcode: u8) -> bool {

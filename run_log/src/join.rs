@@ -10,6 +10,7 @@ use sha2::{Digest, Sha256};
 use crate::end::END_RECORD;
 use crate::error::LogError;
 use crate::header::{HEADER_RECORD, RUNS_RECORD};
+use crate::library;
 use crate::limits::Declared;
 use crate::rewrite::{Packing, Rewriter};
 use crate::source::LogSource;
@@ -72,7 +73,7 @@ pub fn compress<W: Write>(
     path: &Path,
     packing: Packing,
 ) -> Result<W, LogError> {
-    let mut out = Rewriter::create(out, path, packing)?;
+    let mut out = Rewriter::create(out, path, packing, library::of_rewritten(&[input]))?;
     walk_whole(input, &mut |piece| out.piece(piece))?;
     out.finish()
 }
@@ -102,7 +103,7 @@ fn prefix(run: usize) -> String {
 /// # Errors
 /// [`LogError::NotWhole`], [`LogError::SeveralRuns`], and any error of the output.
 pub fn cat_files<W: Write>(inputs: &[&dyn LogSource], out: W, path: &Path) -> Result<W, LogError> {
-    let mut out = Rewriter::create(out, path, Packing::RECORDED)?;
+    let mut out = Rewriter::create(out, path, Packing::RECORDED, library::of_rewritten(inputs))?;
     let runs = BTreeMap::from([("count".to_string(), inputs.len().to_string())]);
     out.metadata(RUNS_RECORD.to_string(), runs)?;
     for (index, input) in inputs.iter().enumerate() {
@@ -166,7 +167,7 @@ pub fn check_holds_runs(input: &dyn LogSource) -> Result<(), LogError> {
 /// # Errors
 /// [`LogError::NotWhole`], and any error of the outputs.
 pub fn split(input: &dyn LogSource, outputs: &mut impl RunOutputs) -> Result<usize, LogError> {
-    let mut split = Split::of(outputs);
+    let mut split = Split::of(outputs, library::of_rewritten(&[input]));
     walk_whole(input, &mut |piece| split.take(piece))?;
     split.finish_run()?;
     match split.whole {
@@ -183,6 +184,8 @@ fn not_whole(input: &dyn LogSource, cause: &str) -> LogError {
 /// time.
 struct Split<'o, O: RunOutputs> {
     outputs: &'o mut O,
+    /// What the runs say of their writer.
+    library: &'static str,
     /// Number of runs completed.
     whole: usize,
     /// The run being written.
@@ -200,9 +203,9 @@ struct InRun<'a, W: Write> {
 }
 
 impl<'o, O: RunOutputs> Split<'o, O> {
-    fn of(outputs: &'o mut O) -> Split<'o, O> {
+    fn of(outputs: &'o mut O, library: &'static str) -> Split<'o, O> {
         let (schemas, kept) = (BTreeMap::new(), Declared::default());
-        Split { outputs, whole: 0, out: None, schemas, kept, chunk_is_ours: false }
+        Split { outputs, library, whole: 0, out: None, schemas, kept, chunk_is_ours: false }
     }
 
     fn take(&mut self, piece: Piece<'_>) -> Result<(), LogError> {
@@ -262,7 +265,7 @@ impl<'o, O: RunOutputs> Split<'o, O> {
         if run == present + 1 {
             self.finish_run()?;
             let (output, path) = (self.outputs.begin(run)?, self.outputs.path_of(run));
-            self.out = Some(Rewriter::create(output, &path, Packing::RECORDED)?);
+            self.out = Some(Rewriter::create(output, &path, Packing::RECORDED, self.library)?);
         } else if run != present {
             let cause = format!(
                 "run {run} is interleaved with run {present}: `cat-files` writes them one after the other"

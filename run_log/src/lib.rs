@@ -82,6 +82,7 @@ mod index;
 pub mod info;
 pub mod join;
 mod lengths;
+mod library;
 mod limits;
 mod mcap_writer;
 pub mod misses;

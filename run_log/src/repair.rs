@@ -19,6 +19,7 @@ use crate::end::{Cut, END_RECORD, EndMarker, EndReason, REPAIR_RECORD};
 use crate::error::LogError;
 use crate::header::{CALIBRATION_ATTACHMENT, HEADER_RECORD, SCENE_ATTACHMENT, other_layout};
 use crate::index::Summary;
+use crate::library;
 use crate::limits::{Declared, MAX_REPORTED};
 use crate::opening::Parts;
 use crate::reader::LogReader;
@@ -176,7 +177,8 @@ impl<'i> Repair<'i> {
     /// # Errors
     /// Any error of the input or the output.
     pub fn write<W: Write>(mut self, out: W, path: &Path) -> Result<(W, RepairReport), LogError> {
-        let mut rewriter = Rewriter::create(out, path, Packing::RECORDED)?;
+        let mut rewriter =
+            Rewriter::create(out, path, Packing::RECORDED, library::of_rewritten(&[self.input]))?;
         rewriter.declare(std::mem::take(&mut self.survey.declared));
         write_repaired(self.input.open()?, self.input.path(), &self.survey, &mut rewriter)?;
         Ok((rewriter.finish()?, self.survey.report))

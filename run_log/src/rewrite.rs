@@ -13,7 +13,7 @@ use crate::error::LogError;
 use crate::index::Summary;
 use crate::limits::Declared;
 use crate::records::Attached;
-use crate::sink::{LIBRARY, PROFILE};
+use crate::sink::PROFILE;
 use crate::walk::Piece;
 
 /// How chunks are compressed.
@@ -57,15 +57,15 @@ pub(crate) struct Rewriter<W: Write> {
 }
 
 impl<W: Write> Rewriter<W> {
-    /// Writes the start of a log to `out`; errors will name `path`.
+    /// Writes the start of a log to `out` that says `library` wrote it; errors will name `path`.
     ///
     /// # Errors
     /// [`LogError::Write`].
-    pub fn create(out: W, path: &Path, packing: Packing) -> Result<Rewriter<W>, LogError> {
+    pub fn create(out: W, path: &Path, packing: Packing, library: &str) -> Result<Rewriter<W>, LogError> {
         let (compression, level) = packing.compression();
         // We alone decide where chunks end, so the bytes depend on nothing but the calls.
         let options =
-            WriteOptions::new().library(LIBRARY).profile(PROFILE).chunk_size(None).disable_seeking(true);
+            WriteOptions::new().library(library).profile(PROFILE).chunk_size(None).disable_seeking(true);
         let options = options.compression(compression).compression_level(level).compression_threads(0);
         let writer = options.create(NoSeek::new(out));
         Ok(Rewriter {

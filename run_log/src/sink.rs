@@ -12,19 +12,13 @@ use messages::services::{EVENT, KEYFRAME, REMOVED};
 use crate::end::{END_RECORD, EndMarker};
 use crate::error::LogError;
 use crate::header::{CALIBRATION_ATTACHMENT, HEADER_RECORD, LogHeader, SCENE_ATTACHMENT};
+use crate::library::LIBRARY;
 use crate::mcap_writer::{IndexStore, McapWriter};
 use crate::records::MAX_RECORD_BYTES;
 use crate::topics;
 
 /// Declares that all channels are `cdr` with `ros2msg` schemas; `rosbags` opens no file without it.
 pub(crate) const PROFILE: &str = "ros2";
-/// The program that wrote a log.
-pub(crate) const LIBRARY: &str = concat!("trabecula ", env!("CARGO_PKG_VERSION"));
-
-/// Whether a file's header names this program, of any version.
-pub(crate) fn is_ours(library: &str) -> bool {
-    library.starts_with("trabecula ")
-}
 /// A chunk is closed after this much simulated time, which bounds what is lost if the recorder is killed.
 const CHUNK_NS: u64 = 100_000_000;
 /// A chunk is also closed once it holds this many bytes.

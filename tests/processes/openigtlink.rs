@@ -98,7 +98,7 @@ fn a_slicer_program_plans_drills_looks_pauses_and_stops_and_the_log_replays() {
     let tip_m = log.ticks.last().unwrap().state.t_world_tip.position_m;
     assert!((tip_m[2] + 0.025).abs() < 0.3e-3, "the tip ended at {tip_m:?} m");
     assert!(log.ticks.last().unwrap().state.removed_total > 0, "nothing was drilled on the way");
-    assert!(counts(&ended.folder.join("run.mcap"))["frame"] > 0);
+    assert!(counts(&ended.folder.join("run.mcap"))["/drr/frame"] > 0);
     assert_replays(&ended.folder);
 }
 

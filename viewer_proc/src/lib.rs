@@ -7,7 +7,7 @@
 //! is bounded; a client without the token reads and changes nothing.
 //!
 //! ```
-//! use viewer_proc::surface::field::{Field, Geometry};
+//! use viewer_proc::surface::field::{Field, Geometry, Voxel};
 //!
 //! // Ten voxels a side, 1 mm apart; bone from 200 HU on.
 //! let geometry = Geometry {
@@ -17,7 +17,7 @@
 //!     dimensions: [10; 3],
 //! };
 //! let mut field = Field::new(geometry, 200);
-//! assert!(field.set_removed(0, true));
+//! assert!(field.set(0, Voxel::Removed));
 //! assert_eq!(field.removed(), [0]);
 //! ```
 //!

@@ -222,9 +222,6 @@ fn compare(friction: f64, coupled: bool) -> (f64, usize) {
 fn the_solution_is_that_of_many_thousand_gauss_seidel_sweeps() {
     for (friction, coupled) in [(0.0, false), (0.2, false), (0.2, true), (0.6, false)] {
         let (most, iterations) = compare(friction, coupled);
-        println!(
-            "friction {friction}, coupled {coupled}: {most:.1e} m/s apart, {iterations} iterations at most"
-        );
         // The residual of 1e-9 m/s times the condition of the contact matrix, up to 100 here.
         assert!(most < 1e-7, "{most:.1e} m/s");
         assert!(iterations <= if friction > 0.5 { 100 } else { 40 }, "{iterations} iterations");
