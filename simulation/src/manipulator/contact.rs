@@ -27,11 +27,8 @@ pub(super) use newton::Outcome;
 /// A contact inherits the last tick's impulses if it is on the same sphere and the cosine between the two normals exceeds this.
 const SAME_NORMAL_COSINE: f64 = 0.9;
 
-/// Most overlap beyond what the contact force explains that a step pushes out, m, while the overlap is shallow. A longer step must not
-/// throw the tool farther.
+/// Most overlap beyond what the contact force explains that a step pushes out, m. A longer step must not throw the tool farther.
 const PUSH_OUT_M: f64 = 50.0e-6;
-/// The same as a share of a deep overlap: where a tool swung through a wall within a step, it must come out in time.
-const PUSH_OUT_SHARE: f64 = 0.1;
 
 /// Motion of the base frame in this step, base axes.
 #[derive(Debug, Clone, Copy)]
@@ -250,9 +247,7 @@ impl LastContacts<'_> {
         }
         let parameters = step.parameters;
         let explained = last / parameters.stiffness_n_per_m;
-        let unexplained_m = -plane.gap_m - explained;
-        let most_m = PUSH_OUT_M.max(PUSH_OUT_SHARE * unexplained_m);
-        let fastest = parameters.push_out_speed_m_per_s.min(most_m / step.dt);
+        let fastest = parameters.push_out_speed_m_per_s.min(PUSH_OUT_M / step.dt);
         (target(plane.gap_m, explained, fastest, step.dt), impulse)
     }
 

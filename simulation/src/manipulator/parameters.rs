@@ -47,7 +47,7 @@ pub struct ContactParameters {
     pub burr_friction_coefficient: f64,
     /// Stiffness of one contact, N/m: the overlap at rest is force / stiffness.
     pub stiffness_n_per_m: f64,
-    /// Maximum speed at which overlap beyond what the contact force explains is pushed out, m/s; in a step at most 0.05 mm, or a tenth of a deeper overlap.
+    /// Maximum speed at which overlap beyond what the contact force explains is pushed out, m/s; at most 0.05 mm a step.
     pub push_out_speed_m_per_s: f64,
     /// Maximum number of Newton iterations of the contact solver.
     pub max_iterations: usize,
