@@ -102,19 +102,18 @@ impl Connection {
         Ok(())
     }
 
-    /// Whether the peer is gone or was given up.
+    /// Whether nothing is sent to the peer any more: its threads have ended, or it was given the write limit after it was given up. To
+    /// drop this then waits for nobody.
     pub(crate) fn is_over(&self) -> bool {
-        self.peer.outbox.is_closed()
+        self.threads.iter().all(JoinHandle::is_finished)
+            || self.peer.outbox.closed().is_some_and(|closed| closed.elapsed() >= WRITE_LIMIT)
     }
 }
 
 impl Drop for Connection {
-    /// Sends what waits, within the write limit, and closes.
+    /// Closes at once: what still waits is not sent.
     fn drop(&mut self) {
         self.peer.outbox.close();
-        if let Some(writer) = self.threads.pop() {
-            let _ = writer.join();
-        }
         let _ = self.stream.shutdown(Shutdown::Both);
         self.threads.drain(..).for_each(|thread| {
             let _ = thread.join();
@@ -196,5 +195,63 @@ fn write(mut stream: TcpStream, peer: &Peer) {
             let _ = stream.shutdown(Shutdown::Both);
             return;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "a test fails by it")]
+
+    use std::net::TcpListener;
+    use std::sync::mpsc::sync_channel;
+    use std::time::Instant;
+
+    use super::*;
+
+    const LIMIT: Duration = Duration::from_secs(60);
+
+    fn wait_for(what: &str, is_so: impl Fn() -> bool) {
+        let begin = Instant::now();
+        while !is_so() {
+            assert!(begin.elapsed() < LIMIT, "{what}: not within {LIMIT:?}");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// A peer that sent garbage while more waited for it than the buffers of both sockets hold.
+    fn given_up() -> (Connection, TcpStream) {
+        let listener = TcpListener::bind(("127.0.0.1", 0)).unwrap();
+        let mut peer = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
+        let (sender, _requests) = sync_channel(1);
+        let connection = Connection::start(listener.accept().unwrap().0, sender).unwrap();
+        for part in 0..250 {
+            let text = Body::Text("x".repeat(60_000));
+            connection.peer.outbox.put(Message::new(&format!("Part{part}"), text).unwrap());
+        }
+        peer.write_all(&[0xff; 4096]).unwrap();
+        wait_for("the peer is given up", || connection.peer.outbox.is_closed());
+        (connection, peer)
+    }
+
+    /// Bug: the bridge's loop, which answers the physics, waited for the writer of a peer that was given up and read nothing.
+    #[test]
+    fn a_peer_that_is_given_up_and_does_not_read_is_over_only_when_its_writer_is() {
+        let (connection, peer) = given_up();
+        assert!(!connection.is_over(), "its writer is still sending");
+        wait_for("the writer's end", || connection.is_over());
+        drop(peer);
+    }
+
+    #[test]
+    fn a_peer_that_reads_a_little_now_and_then_is_over_after_the_write_limit() {
+        let (connection, mut peer) = given_up();
+        peer.set_read_timeout(Some(LIMIT)).unwrap();
+        let begin = Instant::now();
+        while !connection.is_over() {
+            assert!(begin.elapsed() < LIMIT, "still sent to after {LIMIT:?}");
+            peer.read_exact(&mut [0; 8192]).unwrap();
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        drop(connection);
     }
 }

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use openigtlink::{Body, Message};
 
@@ -21,7 +21,7 @@ pub(crate) struct Outbox {
 struct Waiting {
     messages: VecDeque<Message>,
     replaced: u64,
-    is_closed: bool,
+    closed: Option<Instant>,
 }
 
 impl Outbox {
@@ -52,7 +52,7 @@ impl Outbox {
 
     /// The next message; waits for one. `None` once the outbox is closed and empty, or nothing came within the limit.
     pub(crate) fn take(&self, limit: Duration) -> Option<Message> {
-        let idle = |waiting: &mut Waiting| waiting.messages.is_empty() && !waiting.is_closed;
+        let idle = |waiting: &mut Waiting| waiting.messages.is_empty() && waiting.closed.is_none();
         let waited = self.changed.wait_timeout_while(self.lock(), limit, idle);
         let (mut waiting, _) = waited.unwrap_or_else(PoisonError::into_inner);
         waiting.messages.pop_front()
@@ -60,12 +60,17 @@ impl Outbox {
 
     /// Lets the last messages go and takes no more waits.
     pub(crate) fn close(&self) {
-        self.lock().is_closed = true;
+        self.lock().closed.get_or_insert_with(Instant::now);
         self.changed.notify_all();
     }
 
     pub(crate) fn is_closed(&self) -> bool {
-        self.lock().is_closed
+        self.closed().is_some()
+    }
+
+    /// When it was closed.
+    pub(crate) fn closed(&self) -> Option<Instant> {
+        self.lock().closed
     }
 
     /// Messages that a newer one replaced before they were sent.

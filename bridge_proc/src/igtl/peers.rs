@@ -12,6 +12,8 @@ use super::{IgtlError, Permission, Summary, Where};
 
 /// Most peers at a time; further ones are closed at once.
 const MOST_PEERS: usize = 16;
+/// How often the end looks whether all is sent.
+const SENT_PERIOD: Duration = Duration::from_millis(5);
 /// Requests that may wait for the bridge.
 const MOST_REQUESTS: usize = 64;
 /// How often a peer that is to listen is sought, and how long for.
@@ -115,9 +117,13 @@ impl Peers {
         self.connections.iter().for_each(|connection| connection.peer.outbox.put(message.clone()));
     }
 
-    /// Sends what waits and closes all.
+    /// Sends what waits, to all at the same time, and closes all.
     pub(crate) fn close(mut self) -> Summary {
         let all = std::mem::take(&mut self.connections);
+        all.iter().for_each(|connection| connection.peer.outbox.close());
+        while !all.iter().all(Connection::is_over) {
+            std::thread::sleep(SENT_PERIOD);
+        }
         self.let_go(all);
         self.summary
     }
