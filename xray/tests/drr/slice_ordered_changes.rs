@@ -3,10 +3,42 @@
 use proptest::prelude::*;
 use xray::removal::RemovedVoxels;
 use xray::slice_ordered::{SliceOrderedOptions, Update};
-use xray::{CArm, DrrParameters, DrrRenderer, FrameSeed, Projector, RenderKind, Tool, VolumeView};
+use xray::{CArm, DrrParameters, DrrRenderer, FrameSeed, Grid, Projector, RenderKind, Tool, VolumeView};
 
 use crate::machine::Desk;
 use crate::slice_ordered::{POSES, c_arm, full, hash, random, remove, slices, volume};
+
+/// Removes voxels in batches of these sizes; after each, sums and image are those of a full render with the voxels in reverse order.
+/// Returns how many batches changed the kept sums instead of making them anew.
+pub fn assert_removals_equal_full_renders(
+    view: &VolumeView<'_>,
+    grid: &Grid,
+    c_arm: &CArm,
+    options: SliceOrderedOptions,
+    batches: &[u64],
+) -> usize {
+    let mut kept = slices(view, options);
+    let mut set = RemovedVoxels::new(grid);
+    let mut image = vec![0.0; c_arm.pixels()];
+    kept.project(view, &set, c_arm, &mut image).unwrap();
+    let mut all: Vec<u32> = Vec::new();
+    let mut changed = 0;
+    for (step, count) in batches.iter().enumerate() {
+        let from = 1_000_000 * step as u64;
+        let batch: Vec<u32> =
+            (from..from + count).map(|i| (random(i) % grid.voxels() as u64) as u32).collect();
+        remove(&mut kept, view, &mut set, &batch);
+        all.extend(&batch);
+        let update = kept.project(view, &set, c_arm, &mut image).unwrap();
+        changed += usize::from(matches!(update, Update::Changed(_)));
+        let reversed: Vec<u32> = all.iter().rev().copied().collect();
+        let (want, sums) = full(view, options, &reversed, c_arm);
+        assert!(kept.sums().values == sums, "{c_arm:?}: sums after {} removals", all.len());
+        assert!(hash(&image) == hash(&want), "{c_arm:?}: image after {} removals", all.len());
+    }
+    assert_eq!(kept.project(view, &set, c_arm, &mut image).unwrap(), Update::Unchanged);
+    changed
+}
 
 #[test]
 fn removals_by_ones_and_by_thousands_equal_full_renders_bit_for_bit() {
@@ -16,27 +48,9 @@ fn removals_by_ones_and_by_thousands_equal_full_renders_bit_for_bit() {
         for &(primary, secondary) in poses {
             let c_arm = c_arm(primary, secondary, 90);
             let options = SliceOrderedOptions { reduction, ..SliceOrderedOptions::default() };
-            let mut kept = slices(&view, options);
-            let mut set = RemovedVoxels::new(&grid);
-            let mut image = vec![0.0; c_arm.pixels()];
-            kept.project(&view, &set, &c_arm, &mut image).unwrap();
-            let mut all: Vec<u32> = Vec::new();
-            let mut changed = 0;
-            for (step, count) in [1, 100, 3, 10_000, 100_000].into_iter().enumerate() {
-                let from = 1_000_000 * step as u64;
-                let batch: Vec<u32> =
-                    (from..from + count).map(|i| (random(i) % grid.voxels() as u64) as u32).collect();
-                remove(&mut kept, &view, &mut set, &batch);
-                all.extend(&batch);
-                let update = kept.project(&view, &set, &c_arm, &mut image).unwrap();
-                changed += usize::from(matches!(update, Update::Changed(_)));
-                let reversed: Vec<u32> = all.iter().rev().copied().collect();
-                let (want, sums) = full(&view, options, &reversed, &c_arm);
-                assert!(kept.sums().values == sums, "sums after {} removals", all.len());
-                assert!(hash(&image) == hash(&want), "image after {} removals", all.len());
-            }
+            let batches = [1, 100, 3, 10_000, 100_000];
+            let changed = assert_removals_equal_full_renders(&view, &grid, &c_arm, options, &batches);
             assert!(changed >= 2, "the cached sums were hardly used");
-            assert_eq!(kept.project(&view, &set, &c_arm, &mut image).unwrap(), Update::Unchanged);
         }
     }
 }

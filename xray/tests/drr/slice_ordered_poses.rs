@@ -6,11 +6,12 @@ use proptest::prelude::*;
 use xray::ray::{IndexRay, RayFan, WorldRay};
 use xray::reference::{self, Ellipsoid, relative_rms};
 use xray::removal::{AttenuationField, BlockMap, RemovedVoxels};
-use xray::slice_ordered::{Instructions, SliceOrderedOptions, Update};
+use xray::slice_ordered::{Instructions, SliceOrderedOptions};
 use xray::{CArm, DetectorFormat, Grid, Material, PositionerAngles, VolumeView, joseph};
 use xxhash_rust::xxh3::xxh3_64;
 
-use crate::slice_ordered::{full, hash, random, remove, slices, table, volume};
+use crate::slice_ordered::{full, hash, slices, table, volume};
+use crate::slice_ordered_changes::assert_removals_equal_full_renders;
 
 /// A C-arm about the world's origin.
 #[derive(Debug, Clone, Copy)]
@@ -224,23 +225,7 @@ fn removals_from_every_side_equal_full_renders_bit_for_bit() {
     for (reduction, pose) in unordinary().enumerate().map(|(n, pose)| (1 + n as u32 % 2, pose)) {
         let c_arm = pose.c_arm(60);
         let options = SliceOrderedOptions { reduction, ..SliceOrderedOptions::default() };
-        let mut kept = slices(&view, options);
-        let mut set = RemovedVoxels::new(&grid);
-        let mut image = vec![0.0; c_arm.pixels()];
-        kept.project(&view, &set, &c_arm, &mut image).unwrap();
-        let mut all: Vec<u32> = Vec::new();
-        for (step, count) in [1, 100, 10_000].into_iter().enumerate() {
-            let from = 1_000_000 * step as u64;
-            let batch: Vec<u32> =
-                (from..from + count).map(|i| (random(i) % grid.voxels() as u64) as u32).collect();
-            remove(&mut kept, &view, &mut set, &batch);
-            all.extend(&batch);
-            let update = kept.project(&view, &set, &c_arm, &mut image).unwrap();
-            changed += usize::from(matches!(update, Update::Changed(_)));
-            let (want, sums) = full(&view, options, &all, &c_arm);
-            assert!(kept.sums().values == sums, "{pose:?}: sums after {} removals", all.len());
-            assert!(hash(&image) == hash(&want), "{pose:?}: image after {} removals", all.len());
-        }
+        changed += assert_removals_equal_full_renders(&view, &grid, &c_arm, options, &[1, 100, 10_000]);
     }
     assert!(changed >= unordinary().count(), "the cached sums were hardly used");
 }
