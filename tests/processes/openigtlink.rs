@@ -3,14 +3,15 @@
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 
 use openigtlink::{Body, HeaderVersion, Message};
 use serde_json::Value;
+use test_support::limited::{COMMAND_LIMIT, Watchdog};
 use test_support::python::or_skip;
 
 use crate::common::logs::{assert_replays, counts, read};
-use crate::common::program::{LIMIT, Place, assert_nothing_left, trabecula, wait_for};
+use crate::common::program::{Guarded, LIMIT, Place, assert_nothing_left, trabecula, wait_for};
 use crate::common::scenes;
 use crate::languages::output_within_limit;
 
@@ -27,7 +28,7 @@ threads = 1
 
 /// A bridge that has said where it listens.
 struct Bridge {
-    child: Child,
+    process: Guarded,
     port: u16,
 }
 
@@ -35,12 +36,14 @@ impl Bridge {
     fn start(session: &Path, more: &[&str]) -> Bridge {
         let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
         command.args(["bridge", "igtl", "--port", "0", "--session"]).arg(session).args(more);
-        let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().unwrap();
+        let mut process = Guarded(command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().unwrap());
+        let watchdog = Watchdog::over(&process.0, COMMAND_LIMIT);
         let mut line = String::new();
-        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
+        BufReader::new(process.0.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
+        drop(watchdog);
         let port =
             line.trim().strip_prefix("OpenIGTLink at 127.0.0.1:").unwrap_or_else(|| panic!("{line:?}"));
-        Bridge { port: port.parse().unwrap(), child }
+        Bridge { port: port.parse().unwrap(), process }
     }
 
     fn peer(&self) -> TcpStream {
@@ -51,14 +54,7 @@ impl Bridge {
 
     /// Its exit code, once its session is over.
     fn end(mut self) -> Option<i32> {
-        wait_for("the bridge's end", || self.child.try_wait().unwrap()).code()
-    }
-}
-
-impl Drop for Bridge {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        wait_for("the bridge's end", || self.process.0.try_wait().unwrap()).code()
     }
 }
 
@@ -143,9 +139,9 @@ fn what_a_peer_must_not_do_is_refused_and_the_run_goes_on() {
 fn a_killed_bridge_leaves_the_run_and_its_name_can_be_taken_again() {
     let place = Place::new();
     let run = place.start(&scenes::piloted("realtime", 4.0, "hold_ticks = 20"));
-    let mut bridge = Bridge::start(&run.session(), &["--controller", "pilot"]);
-    bridge.child.kill().unwrap();
-    bridge.child.wait().unwrap();
+    let mut killed = Bridge::start(&run.session(), &["--controller", "pilot"]);
+    killed.process.0.kill().unwrap();
+    killed.end();
     let again = Bridge::start(&run.session(), &["--controller", "pilot"]);
     let ended = run.end();
     assert_eq!(ended.code, Some(0), "{}", ended.err);
