@@ -37,11 +37,11 @@ fn progress_from_a_foreign_program_neither_lifts_nor_stalls_lockstep() {
     let physics = stranger.waker(Reader::Physics).unwrap();
     let refusal = stranger.publisher::<Progress>(&services::PROGRESS).unwrap_err();
     assert!(matches!(refusal, SessionError::Reserved { .. }), "{refusal}");
+    let port = bare_port(&stranger, "progress", size_of::<Progress>());
+    // A recorder that has not connected yet has not claimed its part, and would be waited for in another way.
+    let mut last = watcher.wait_for_state(|state| state.tick > 0).tick;
     let taken = stranger.claim(Part::Recorder).unwrap_err();
     assert!(matches!(taken, SessionError::PartTaken { .. }), "{taken}");
-    let port = bare_port(&stranger, "progress", size_of::<Progress>());
-    // A recorder that has not connected yet would be waited for in another way.
-    let mut last = watcher.wait_for_state(|state| state.tick > 0).tick;
     let recorder = run.part("recorder");
     signal(recorder, Signal::STOP);
     let newest = || {
