@@ -27,6 +27,8 @@ const TICKS_AFTER: u64 = 200;
 /// A killed recorder takes with it what it had not written: 100 ms, and on a machine as loaded as these tests make it what
 /// it was late by.
 const RECORDER_LOSS: u64 = 400;
+/// A log's header is shorter: scene, calibration and schemas.
+const HEADER_BYTES: u64 = 100_000;
 const STOP_TIME: Duration = Duration::from_secs(2);
 
 /// The scene of most trials: every part takes part, and a guest may.
@@ -98,6 +100,12 @@ impl Watched {
         wait_for("a tick", || (self.published() >= tick).then_some(()));
     }
 
+    /// A log without any tick, of a recorder killed too early for one, has a test of its own.
+    fn wait_for_recorded_ticks(&self) {
+        let length = || self.run.log().and_then(|log| log.metadata().ok()).map_or(0, |file| file.len());
+        wait_for("the first ticks in the log", || (length() > HEADER_BYTES).then_some(()));
+    }
+
     fn pid_of(&self, victim: Victim) -> u32 {
         match victim {
             Victim::Launcher => self.run.pid(),
@@ -143,6 +151,7 @@ fn in_the_middle(fault: Fault, random: &mut Rng) -> Result<Outcome, String> {
         guests.push(guest(&watched, Behaviour::Steady, random));
     }
     watched.wait_for_tick(100 + random.u64(..300));
+    watched.wait_for_recorded_ticks();
     // In lockstep its silence would end the run.
     if fault.may_have_company() && !lockstep && random.u64(..3) == 0 {
         let behaviour = Behaviour::bad(random);

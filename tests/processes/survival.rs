@@ -1,6 +1,6 @@
 //! What a log survives: killed processes, a full disk, a folder that cannot be written.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use ipc_types::messages::{CONTROL_PAUSE, CONTROL_STOP, Progress, SENDER_RECORDER};
@@ -105,6 +105,23 @@ fn a_killed_recorder_loses_at_most_100_ms_and_its_log_can_be_repaired() {
     assert!(lost <= 100, "{lost} of {published} ticks lost");
     let said = assert_repairs(&place, &ended.folder);
     assert!(said.contains("no end marker"), "{said}");
+}
+
+/// Bug: the header came with the first ticks, so a recorder that was killed before them left an empty file.
+#[test]
+fn a_recorder_that_is_killed_before_the_first_tick_leaves_a_log_that_says_of_what() {
+    let place = Place::new();
+    // Its controller never joins.
+    let run = place.start(&scenes::piloted("lockstep", 4.0, ""));
+    let is_begun = |log: PathBuf| std::fs::metadata(log).is_ok_and(|file| file.len() > 0);
+    wait_for("the header of the log", || run.log().is_some_and(is_begun).then_some(()));
+    signal(run.part("recorder"), Signal::KILL);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(1), "{}", ended.err);
+    for file in ["run.mcap", "timing.mcap"] {
+        let told = trabecula(&[&"log", &"info", &ended.folder.join(file)]);
+        assert!(told.out.contains("piloted"), "{file}: exit {:?}\n{}\n{}", told.code, told.out, told.err);
+    }
 }
 
 #[test]

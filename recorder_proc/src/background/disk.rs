@@ -104,6 +104,7 @@ impl Disk {
                 let outcome = if failed { Ok(()) } else { self.put(&mut buffer) };
                 state = shared.lock();
                 state.free.push(buffer);
+                state.unwritten -= 1;
                 state.fail(outcome);
                 shared.changed.notify_all();
             } else if state.closed {

@@ -68,6 +68,8 @@ struct State {
     /// Last in, first out, so that as little memory as possible is touched.
     free: Vec<Buffer>,
     full: VecDeque<Buffer>,
+    /// Buffers handed over and not in the file yet: those in `full`, and the one being written.
+    unwritten: usize,
     failure: Option<(io::ErrorKind, Option<i32>, String)>,
     closed: bool,
 }
@@ -137,7 +139,7 @@ impl BackgroundFile {
         let mut free = (0..options.buffers.max(2)).map(buffer).collect::<io::Result<Vec<Buffer>>>()?;
         let full = VecDeque::with_capacity(free.len());
         let current = free.pop();
-        let state = State { free, full, failure: None, closed: false };
+        let state = State { free, full, unwritten: 0, failure: None, closed: false };
         let shared = Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() });
         let of_thread = Arc::clone(&shared);
         let direct = options.direct;
@@ -145,6 +147,11 @@ impl BackgroundFile {
         let thread = std::thread::Builder::new().name("log writer".to_owned());
         let thread = thread.spawn(move || disk.serve(&of_thread))?;
         Ok(BackgroundFile { shared, current, thread: Some(thread), direct })
+    }
+
+    /// To wait for what is flushed.
+    pub fn written(&self) -> Written {
+        Written(Arc::clone(&self.shared))
     }
 
     /// Whether the file was opened for `O_DIRECT`.
@@ -187,11 +194,29 @@ impl BackgroundFile {
             next.memory[..rest].copy_from_slice(&done.memory[whole..done.length]);
             (next.offset, next.carried, next.length) = (done.offset + whole as u64, rest, rest);
             state.full.push_back(done);
+            state.unwritten += 1;
         }
         drop(state);
         self.shared.changed.notify_all();
         self.current = Some(next);
         Ok(())
+    }
+}
+
+/// Waits for the writes of a [`BackgroundFile`], which may belong to somebody else by then.
+pub struct Written(Arc<Shared>);
+
+impl Written {
+    /// Waits until everything that was flushed is in the file: there even if this process is killed.
+    ///
+    /// # Errors
+    /// The first error of the disk.
+    pub fn wait(&self) -> io::Result<()> {
+        let mut state = self.0.lock();
+        while state.unwritten > 0 {
+            state = self.0.wait(state);
+        }
+        check(&state)
     }
 }
 
@@ -317,6 +342,17 @@ mod tests {
         std::thread::sleep(2 * SYNC_PERIOD);
         assert_eq!(disk.lock().unwrap().syncs, before);
         drop(file);
+    }
+
+    #[test]
+    fn what_was_flushed_is_in_the_file_after_the_wait() {
+        let (disk, mut file) = file();
+        for length in [1, 5000, 30_000] {
+            file.write_all(&vec![7; length]).unwrap();
+            file.flush().unwrap();
+            file.written().wait().unwrap();
+            assert!(disk.lock().unwrap().cache.iter().filter(|byte| **byte == 7).count() >= length);
+        }
     }
 
     #[test]

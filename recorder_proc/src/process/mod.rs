@@ -108,14 +108,12 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
     let header = header(&session, &scene, &end)?;
     let ports = Ports::open(&session, &scene)?;
     let (run, timing) = (output.join("run.mcap"), output.join("timing.mcap"));
+    let (run_file, timing_file) =
+        (create(&run, BackgroundOptions::RUN)?, create(&timing, BackgroundOptions::TIMING)?);
+    let (run_written, timing_written) = (run_file.written(), timing_file.written());
     let mut recorder = Recorder {
-        run: RunLog::create_named(create(&run, BackgroundOptions::RUN)?, &run, index_beside(&run), &header)?,
-        timing: TimingLog::create_named(
-            create(&timing, BackgroundOptions::TIMING)?,
-            &timing,
-            index_beside(&timing),
-            &header,
-        )?,
+        run: RunLog::create_named(run_file, &run, index_beside(&run), &header)?,
+        timing: TimingLog::create_named(timing_file, &timing, index_beside(&timing), &header)?,
         recording: scene.recording.clone(),
         newest_tick: 0,
         reported_tick: 0,
@@ -127,7 +125,12 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
         gap_warnings: WarningLimit::default(),
         ports,
     };
-    // From here on, even after a power failure the files are present and identify themselves.
+    // From the first tick on, the files identify themselves, even if this process is killed.
+    recorder.run.close_chunk()?;
+    recorder.timing.flush()?;
+    for (written, path) in [(run_written, run), (timing_written, timing)] {
+        written.wait().map_err(|source| LogError::Write { path, source })?;
+    }
     sync_folder(output)?;
     let recorded = recorder.record(&end);
     let how_far = if recorded.is_ok() { Recorded::UpToTheEnd } else { Recorded::UpToAnError };
