@@ -12,7 +12,6 @@ use simulation::manipulator_parameters;
 use viewer_proc::live::{self, LiveOptions};
 use viewer_proc::log::{self, LogOptions, LogVolume, SceneHelp};
 use viewer_proc::server::Server;
-use viewer_proc::surface::Geometry;
 use viewer_proc::{ServerOptions, ToolShape, ViewerError};
 
 use crate::failure::{EXIT_INTERRUPTED, Failure};
@@ -126,16 +125,9 @@ fn view_logs(log: &Path, arguments: &ViewArguments, end: &EndRequest) -> Result<
 /// The volume of a log's scene, generated or read again.
 fn log_volume(scene: &Scene, files: VolumeFiles) -> Result<Option<LogVolume>, String> {
     let loaded = volume_source::load(scene, files).map_err(|error| error.to_string())?;
-    Ok(loaded.map(|(volume, sha256)| {
-        let message = volume_source::message(&volume, sha256);
-        let geometry = Geometry {
-            origin_m: volume.origin_m,
-            spacing_m: volume.spacing_m,
-            direction: message.direction,
-            dimensions: volume.dims,
-        };
-        LogVolume { geometry, hu: volume.hu, sha256 }
-    }))
+    let Some((volume, sha256)) = loaded else { return Ok(None) };
+    let grid = volume_source::message(&volume, sha256).grid().map_err(|error| error.to_string())?;
+    Ok(Some(LogVolume { grid, hu: volume.hu, sha256 }))
 }
 
 fn failure(error: &ViewerError) -> Failure {

@@ -7,18 +7,16 @@
 //! is bounded; a client without the token reads and changes nothing.
 //!
 //! ```
-//! use viewer_proc::surface::field::{Field, Geometry, Voxel};
+//! use viewer_proc::surface::{Field, Voxel};
+//! use voxel_grid::VoxelGrid;
 //!
 //! // Ten voxels a side, 1 mm apart; bone from 200 HU on.
-//! let geometry = Geometry {
-//!     origin_m: [0.0; 3],
-//!     spacing_m: [1e-3; 3],
-//!     direction: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-//!     dimensions: [10; 3],
-//! };
-//! let mut field = Field::new(geometry, 200);
+//! let axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+//! let grid = VoxelGrid::new([10; 3], [1e-3; 3], [0.0; 3], axes)?;
+//! let mut field = Field::new(grid, 200);
 //! assert!(field.set(0, Voxel::Removed));
 //! assert_eq!(field.removed(), [0]);
+//! # Ok::<(), voxel_grid::GridError>(())
 //! ```
 //!
 //! | module | what it holds |

@@ -3,28 +3,29 @@
 
 use std::collections::BTreeMap;
 
-use viewer_proc::surface::{BlockMesh, Blocks, Field, Geometry, Voxel};
+use viewer_proc::surface::{BlockMesh, Blocks, Field, Voxel};
+use voxel_grid::VoxelGrid;
 
 const THRESHOLD_HU: i16 = 150;
 
 /// A grid of unlike spacings that is turned in space.
-fn turned(dimensions: [usize; 3], spacing_m: [f64; 3]) -> Geometry {
+fn turned(dims: [usize; 3], spacing_m: [f64; 3]) -> VoxelGrid {
     // A rotation by 120° about (1, 1, 1) and one by 36.87° about z: columns are the axes of i, j, k.
-    let direction = [0.0, 0.8, 0.6, 0.0, -0.6, 0.8, 1.0, 0.0, 0.0];
-    Geometry { origin_m: [0.01, -0.02, 0.03], spacing_m, direction, dimensions }
+    let axes = [[0.0, 0.8, 0.6], [0.0, -0.6, 0.8], [1.0, 0.0, 0.0]];
+    VoxelGrid::new(dims, spacing_m, [0.01, -0.02, 0.03], axes).unwrap()
 }
 
 /// A ball whose HU pass the threshold linearly at its radius.
-fn ball(geometry: &Geometry, centre_voxel: [f64; 3], radius_m: f64) -> Vec<i16> {
-    let [ni, nj, nk] = geometry.dimensions;
-    let mut hu = Vec::with_capacity(geometry.voxel_count());
+fn ball(grid: &VoxelGrid, centre_voxel: [f64; 3], radius_m: f64) -> Vec<i16> {
+    let [ni, nj, nk] = grid.dims();
+    let mut hu = Vec::with_capacity(grid.voxel_count());
     for k in 0..nk {
         for j in 0..nj {
             for i in 0..ni {
                 let distance: f64 = [i, j, k]
                     .iter()
                     .enumerate()
-                    .map(|(axis, x)| ((*x as f64 - centre_voxel[axis]) * geometry.spacing_m[axis]).powi(2))
+                    .map(|(axis, x)| ((*x as f64 - centre_voxel[axis]) * grid.spacing_m()[axis]).powi(2))
                     .sum::<f64>()
                     .sqrt();
                 let above = (radius_m - distance) * 4.0e5;
@@ -79,12 +80,12 @@ fn area_and_volume(triangles: &[[[i64; 3]; 3]], scale_m: f64) -> (f64, f64) {
 
 #[test]
 fn a_ball_is_closed_and_has_its_area_and_volume() {
-    let geometry = turned([64, 60, 40], [0.5e-3, 0.5e-3, 0.75e-3]);
+    let grid = turned([64, 60, 40], [0.5e-3, 0.5e-3, 0.75e-3]);
     let radius_m = 0.012;
     let centre = [30.3, 29.6, 19.2];
-    let hu = ball(&geometry, centre, radius_m);
-    let field = Field::new(geometry, THRESHOLD_HU);
-    let mut blocks = Blocks::new(&geometry);
+    let hu = ball(&grid, centre, radius_m);
+    let field = Field::new(grid, THRESHOLD_HU);
+    let mut blocks = Blocks::new(&grid);
     let meshes = mesh_all(&mut blocks, &field, &hu);
     assert!(meshes.len() > 8, "the ball spans blocks: {}", meshes.len());
     let triangles = triangles(meshes.values());
@@ -102,7 +103,7 @@ fn a_ball_is_closed_and_has_its_area_and_volume() {
     assert!((volume / expected_volume - 1.0).abs() < 0.01, "{volume} {expected_volume}");
     assert!((area / expected_area - 1.0).abs() < 0.02, "{area} {expected_area}");
     // Every vertex lies on the ball and its normal points away from the centre.
-    let middle = geometry.world_m(centre);
+    let middle = grid.world_m(centre);
     for mesh in meshes.values() {
         for (number, normal) in mesh.normals.iter().enumerate() {
             let point = mesh.vertex_m(number as u32);
@@ -117,10 +118,10 @@ fn a_ball_is_closed_and_has_its_area_and_volume() {
 
 #[test]
 fn bone_that_reaches_the_edge_of_the_volume_is_closed_there() {
-    let geometry = turned([30, 25, 23], [1e-3; 3]);
-    let hu = vec![1000; geometry.voxel_count()];
-    let field = Field::new(geometry, THRESHOLD_HU);
-    let meshes = mesh_all(&mut Blocks::new(&geometry), &field, &hu);
+    let grid = turned([30, 25, 23], [1e-3; 3]);
+    let hu = vec![1000; grid.voxel_count()];
+    let field = Field::new(grid, THRESHOLD_HU);
+    let meshes = mesh_all(&mut Blocks::new(&grid), &field, &hu);
     let triangles = triangles(meshes.values());
     assert!(!triangles.is_empty());
     assert_eq!(open_edges(&triangles), 0);
@@ -136,19 +137,19 @@ fn next(seed: &mut u64) -> u64 {
 
 #[test]
 fn meshing_what_changed_is_meshing_from_nothing() {
-    let geometry = turned([50, 49, 47], [0.5e-3; 3]);
-    let hu = ball(&geometry, [25.0, 24.0, 23.0], 0.011);
-    let mut field = Field::new(geometry, THRESHOLD_HU);
-    let mut blocks = Blocks::new(&geometry);
+    let grid = turned([50, 49, 47], [0.5e-3; 3]);
+    let hu = ball(&grid, [25.0, 24.0, 23.0], 0.011);
+    let mut field = Field::new(grid, THRESHOLD_HU);
+    let mut blocks = Blocks::new(&grid);
     let mut shown = mesh_all(&mut blocks, &field, &hu);
     let mut seed = 7;
     for round in 0..12 {
         // A drilled ball at a random place; every third round puts one back.
         let middle: [f64; 3] =
-            core::array::from_fn(|axis| (next(&mut seed) % geometry.dimensions[axis] as u64) as f64);
+            core::array::from_fn(|axis| (next(&mut seed) % grid.dims()[axis] as u64) as f64);
         let mut changed = 0;
-        for index in 0..geometry.voxel_count() as u32 {
-            let voxel = geometry.voxel(index).unwrap();
+        for index in 0..grid.voxel_count() as u32 {
+            let voxel = grid.voxel(index as usize).unwrap();
             let distance: f64 = (0..3).map(|axis| (voxel[axis] as f64 - middle[axis]).powi(2)).sum();
             if distance < 36.0
                 && field.set(index, if round % 3 == 2 { Voxel::Present } else { Voxel::Removed })
@@ -165,7 +166,7 @@ fn meshing_what_changed_is_meshing_from_nothing() {
                 false => drop(shown.insert(block, mesh)),
             }
         }
-        let fresh = mesh_all(&mut Blocks::new(&geometry), &field, &hu);
+        let fresh = mesh_all(&mut Blocks::new(&grid), &field, &hu);
         assert_eq!(shown, fresh, "round {round}");
         assert_eq!(open_edges(&triangles(shown.values())), 0, "round {round}");
     }
@@ -173,9 +174,9 @@ fn meshing_what_changed_is_meshing_from_nothing() {
 
 #[test]
 fn a_mesh_is_written_as_the_contract_says() {
-    let geometry = turned([4, 4, 4], [1e-3; 3]);
-    let field = Field::new(geometry, THRESHOLD_HU);
-    let mesh = mesh_all(&mut Blocks::new(&geometry), &field, &[500; 64]).remove(&0).unwrap();
+    let grid = turned([4, 4, 4], [1e-3; 3]);
+    let field = Field::new(grid, THRESHOLD_HU);
+    let mesh = mesh_all(&mut Blocks::new(&grid), &field, &[500; 64]).remove(&0).unwrap();
     let bytes = mesh.bytes();
     let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
     let float = |at: usize| f32::from_bits(word(at));

@@ -127,6 +127,21 @@ impl VoxelGrid {
     pub fn axes(&self) -> [[f64; 3]; 3] {
         self.placement.axes
     }
+
+    /// World position of a point that is given in voxels; (0, 0, 0) is the centre of the first.
+    pub fn world_m(&self, voxel: [f64; 3]) -> [f64; 3] {
+        let Placement { spacing_m, origin_m, axes } = self.placement;
+        core::array::from_fn(|row| {
+            let part = |axis: usize| axes[axis][row] * spacing_m[axis] * voxel[axis];
+            origin_m[row] + part(0) + part(1) + part(2)
+        })
+    }
+
+    /// i, j, k of a voxel by its place in memory; `None` outside the grid.
+    pub fn voxel(&self, index: usize) -> Option<[usize; 3]> {
+        let [ni, nj, _] = self.dims;
+        (index < self.voxel_count()).then(|| [index % ni, index / ni % nj, index / (ni * nj)])
+    }
 }
 
 /// A grid without dimensions, for a reader that learns them last.

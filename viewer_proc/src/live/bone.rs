@@ -14,10 +14,10 @@ use ipc_types::session::{Session, SessionError};
 use recorder_proc::log_file::LogFile;
 use run_log::reader::voxel_indices;
 use run_log::{MessageStream, ReadOptions, Topic};
+use voxel_grid::{GridError, VoxelGrid};
 use zerocopy::FromBytes;
 
 use crate::board::Board;
-use crate::surface::Geometry;
 use crate::surface::bone::Bone;
 
 /// Time between two polls of the removals; the queue holds half a second of them at 1 kHz.
@@ -39,7 +39,7 @@ pub(super) struct BoneThread {
 
 impl BoneThread {
     /// Starts the thread; calls `known` with the volume's grid as soon as it has arrived.
-    pub(super) fn start(self, known: impl FnOnce(&Geometry) + Send + 'static) {
+    pub(super) fn start(self, known: impl FnOnce(&VoxelGrid) + Send + 'static) {
         std::thread::spawn(move || {
             if let Err(error) = self.run(known) {
                 self.board.notice("warning", &format!("the bone is not shown: {error}"));
@@ -47,7 +47,7 @@ impl BoneThread {
         });
     }
 
-    fn run(&self, known: impl FnOnce(&Geometry)) -> Result<(), BoneError> {
+    fn run(&self, known: impl FnOnce(&VoxelGrid)) -> Result<(), BoneError> {
         let session = Session::join(&self.session)?;
         let removals = Removals::open(&session, &self.session)?;
         let volumes = session.subscriber::<Volume>(&services::VOLUME)?;
@@ -60,10 +60,10 @@ impl BoneThread {
                 None => std::thread::sleep(POLL_PERIOD),
             }
         };
-        let geometry = geometry(volume.message());
-        known(&geometry);
+        let grid = volume.message().grid()?;
+        known(&grid);
         let hu = voxels(volume.tail());
-        let bone = Bone::new(geometry, self.threshold_hu);
+        let bone = Bone::new(grid, self.threshold_hu);
         self.follow(bone, &hu, removals)
     }
 
@@ -91,16 +91,8 @@ enum BoneError {
     Session(#[from] SessionError),
     #[error(transparent)]
     Port(#[from] PortError),
-}
-
-/// The grid of a volume message.
-pub(super) fn geometry(volume: &Volume) -> Geometry {
-    Geometry {
-        origin_m: volume.origin_m,
-        spacing_m: volume.spacing_m,
-        direction: volume.direction,
-        dimensions: volume.dimensions.map(|n| n as usize),
-    }
+    #[error("volume: {0}")]
+    Grid(#[from] GridError),
 }
 
 /// The voxels in place, or a copy if they are not aligned.

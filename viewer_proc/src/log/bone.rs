@@ -1,19 +1,20 @@
 //! The bone at any time of a log.
 
 use ipc_types::messages::Removed;
+use voxel_grid::VoxelGrid;
 
 use crate::board::Board;
+use crate::surface::Voxel;
 use crate::surface::bone::Bone;
-use crate::surface::{Geometry, Voxel};
 
 /// The voxels of the log's volume.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LogVolume {
     /// Grid.
-    pub geometry: Geometry,
+    pub grid: VoxelGrid,
     /// Hounsfield units, x fastest.
     pub hu: Vec<i16>,
-    /// SHA-256 of geometry and voxels.
+    /// SHA-256 of grid and voxels.
     pub sha256: [u8; 32],
 }
 
@@ -32,7 +33,7 @@ impl LogBone {
         threshold_hu: i16,
         removals: Vec<(u64, Removed, Vec<u32>)>,
     ) -> LogBone {
-        LogBone { bone: Bone::new(volume.geometry, threshold_hu), hu: volume.hu, removals, taken: 0 }
+        LogBone { bone: Bone::new(volume.grid, threshold_hu), hu: volume.hu, removals, taken: 0 }
     }
 
     /// Brings the bone to a time. Going forward applies the removals in between. Going backward restarts at the last reset before that
@@ -78,13 +79,9 @@ mod tests {
     /// Every path to a time must give the same bone as applying the removals in order.
     #[test]
     fn the_bone_of_a_time_does_not_depend_on_the_way_there() {
-        let geometry = Geometry {
-            origin_m: [0.0; 3],
-            spacing_m: [1e-3; 3],
-            direction: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-            dimensions: [8; 3],
-        };
-        let volume = LogVolume { geometry, hu: vec![1000; 512], sha256: [0; 32] };
+        let axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let grid = VoxelGrid::new([8; 3], [1e-3; 3], [0.0; 3], axes).unwrap();
+        let volume = LogVolume { grid, hu: vec![1000; 512], sha256: [0; 32] };
         let removals = vec![
             removal(0, 0, &[1, 2]),
             removal(10, 0, &[3, 4]),

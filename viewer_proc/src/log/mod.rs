@@ -103,7 +103,7 @@ pub fn view(
         Arc::clone(&over),
     )?;
     let volume = scene_volume(&scene, &first, help, &board);
-    let grid = volume.as_ref().map(|volume| volume_box(&volume.geometry));
+    let grid = volume.as_ref().map(|volume| volume_box(&volume.grid));
     let origin = Origin::Log(path.display().to_string());
     let tool = (help.tool)(&scene);
     board.publish_json(INFO, &info(&scene, &origin, &tool, grid.as_ref()));

@@ -1,8 +1,9 @@
 //! The bone as removals change it, and its surface on the board.
 
 use ipc_types::messages::Removed;
+use voxel_grid::VoxelGrid;
 
-use super::field::{Field, Geometry, Voxel};
+use super::field::{Field, Voxel};
 use super::nets::Blocks;
 use crate::board::Board;
 use crate::channels::SURFACE;
@@ -21,12 +22,8 @@ pub struct Bone {
 
 impl Bone {
     /// Undrilled bone, with nothing meshed yet.
-    pub fn new(geometry: Geometry, threshold_hu: i16) -> Bone {
-        Bone {
-            field: Field::new(geometry, threshold_hu),
-            blocks: Blocks::new(&geometry),
-            predrilled: Vec::new(),
-        }
+    pub fn new(grid: VoxelGrid, threshold_hu: i16) -> Bone {
+        Bone { field: Field::new(grid, threshold_hu), blocks: Blocks::new(&grid), predrilled: Vec::new() }
     }
 
     /// The voxels.
@@ -60,7 +57,7 @@ impl Bone {
     /// Removes or restores a voxel and marks the blocks around it for meshing.
     pub fn set(&mut self, index: u32, voxel: Voxel) {
         if self.field.set(index, voxel)
-            && let Some(voxel) = self.field.geometry().voxel(index)
+            && let Some(voxel) = self.field.grid().voxel(index as usize)
         {
             self.blocks.touch(voxel);
         }
@@ -76,10 +73,10 @@ impl Bone {
 }
 
 /// Bounding box of a grid's voxels.
-pub fn volume_box(geometry: &Geometry) -> VolumeBox {
-    let last = geometry.dimensions.map(|n| n as f64 - 0.5);
+pub fn volume_box(grid: &VoxelGrid) -> VolumeBox {
+    let last = grid.dims().map(|n| n as f64 - 0.5);
     let corner = |i: usize| {
-        geometry.world_m(core::array::from_fn(|axis| if i >> axis & 1 == 1 { last[axis] } else { -0.5 }))
+        grid.world_m(core::array::from_fn(|axis| if i >> axis & 1 == 1 { last[axis] } else { -0.5 }))
     };
     let (mut min_m, mut max_m) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
     for point in (0..8).map(corner) {
@@ -88,5 +85,5 @@ pub fn volume_box(geometry: &Geometry) -> VolumeBox {
             max_m[axis] = max_m[axis].max(point[axis]);
         }
     }
-    VolumeBox { min_m, max_m, spacing_m: geometry.spacing_m }
+    VolumeBox { min_m, max_m, spacing_m: grid.spacing_m() }
 }

@@ -1,51 +1,11 @@
 //! The voxels that the surface encloses: Hounsfield units minus the drilled voxels.
 
-/// The grid of a volume in the patient frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Geometry {
-    /// Centre of voxel (0, 0, 0), m.
-    pub origin_m: [f64; 3],
-    /// Distance between voxel centres, m.
-    pub spacing_m: [f64; 3],
-    /// Unit axes of i, j, k, one after the other.
-    pub direction: [f64; 9],
-    /// Number of voxels along i, j, k.
-    pub dimensions: [usize; 3],
-}
-
-impl Geometry {
-    /// Converts a point from voxels to the patient frame (m).
-    pub fn world_m(&self, voxel: [f64; 3]) -> [f64; 3] {
-        core::array::from_fn(|row| {
-            let part = |axis: usize| self.direction[3 * axis + row] * self.spacing_m[axis] * voxel[axis];
-            self.origin_m[row] + part(0) + part(1) + part(2)
-        })
-    }
-
-    /// Converts a gradient from per voxel to the patient frame (per m).
-    pub fn world_gradient(&self, gradient: [f64; 3]) -> [f64; 3] {
-        core::array::from_fn(|row| {
-            (0..3).map(|axis| self.direction[3 * axis + row] * gradient[axis] / self.spacing_m[axis]).sum()
-        })
-    }
-
-    /// Number of voxels.
-    pub fn voxel_count(&self) -> usize {
-        self.dimensions.iter().product()
-    }
-
-    /// i, j, k of a linear index; `None` outside the grid.
-    pub fn voxel(&self, index: u32) -> Option<[usize; 3]> {
-        let [ni, nj, _] = self.dimensions;
-        let index = index as usize;
-        (index < self.voxel_count()).then(|| [index % ni, index / ni % nj, index / (ni * nj)])
-    }
-}
+use voxel_grid::VoxelGrid;
 
 /// Which voxels have been drilled away; the Hounsfield units stay where they are.
 #[derive(Debug, Clone)]
 pub struct Field {
-    geometry: Geometry,
+    grid: VoxelGrid,
     threshold_hu: i16,
     removed: Vec<u64>,
     removed_count: u64,
@@ -62,18 +22,13 @@ pub enum Voxel {
 
 impl Field {
     /// A field with nothing drilled.
-    pub fn new(geometry: Geometry, threshold_hu: i16) -> Field {
-        Field {
-            geometry,
-            threshold_hu,
-            removed: vec![0; geometry.voxel_count().div_ceil(64)],
-            removed_count: 0,
-        }
+    pub fn new(grid: VoxelGrid, threshold_hu: i16) -> Field {
+        Field { grid, threshold_hu, removed: vec![0; grid.voxel_count().div_ceil(64)], removed_count: 0 }
     }
 
     /// The grid.
-    pub fn geometry(&self) -> &Geometry {
-        &self.geometry
+    pub fn grid(&self) -> &VoxelGrid {
+        &self.grid
     }
 
     /// Number of removed voxels.
@@ -83,7 +38,7 @@ impl Field {
 
     /// Removes or restores a voxel. Returns whether that changed anything.
     pub fn set(&mut self, index: u32, voxel: Voxel) -> bool {
-        if index as usize >= self.geometry.voxel_count() {
+        if index as usize >= self.grid.voxel_count() {
             return false;
         }
         let (word, bit) = (index as usize / 64, 1u64 << (index % 64));
@@ -111,7 +66,7 @@ impl Field {
     /// neighbours.
     pub fn row(&self, hu: &[i16], first: [i64; 3], values: &mut [f32]) {
         values.fill(OUTSIDE);
-        let [ni, nj, nk] = self.geometry.dimensions;
+        let [ni, nj, nk] = self.grid.dims();
         let [i, j, k] = first;
         let inside = |x: i64, n: usize| x >= 0 && (x as usize) < n;
         if !(inside(j, nj) && inside(k, nk)) {

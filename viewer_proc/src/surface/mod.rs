@@ -10,6 +10,6 @@ pub mod field;
 pub mod mesh;
 pub mod nets;
 
-pub use field::{Field, Geometry, Voxel};
+pub use field::{Field, Voxel};
 pub use mesh::BlockMesh;
 pub use nets::{BLOCK, Blocks};

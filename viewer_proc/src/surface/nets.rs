@@ -2,7 +2,9 @@
 
 use std::collections::BTreeSet;
 
-use super::field::{Field, Geometry};
+use voxel_grid::VoxelGrid;
+
+use super::field::Field;
 use super::mesh::BlockMesh;
 
 /// Voxels along a block's edge.
@@ -26,11 +28,11 @@ pub struct Blocks {
 
 impl Blocks {
     /// All blocks of a grid, all marked for meshing.
-    pub fn new(geometry: &Geometry) -> Blocks {
-        let counts = geometry.dimensions.map(|n| (n as u64 + 1).div_ceil(BLOCK as u64) as i64);
+    pub fn new(grid: &VoxelGrid) -> Blocks {
+        let counts = grid.dims().map(|n| (n as u64 + 1).div_ceil(BLOCK as u64) as i64);
         let total = counts.iter().product::<i64>() as u32;
         // The length of a step: a block with its neighbours' cells spans less than 65536 steps in any direction.
-        let largest = geometry.spacing_m.iter().fold(0.0f64, |all, spacing| all.max(*spacing));
+        let largest = grid.spacing_m().iter().fold(0.0f64, |all, spacing| all.max(*spacing));
         let scale_m = largest * VOXELS as f64 * 3f64.sqrt() / 65000.0;
         Blocks { counts, changed: (0..total).collect(), shown: BTreeSet::new(), scale_m }
     }
@@ -194,13 +196,13 @@ impl Builder<'_> {
         }
         let number = self.order.len() as u32;
         let (position, gradient) = self.crossing(cell);
-        let geometry = self.field.geometry();
+        let grid = self.field.grid();
         let voxel = core::array::from_fn(|axis| {
             (self.samples.first[axis] + cell[axis] as i64) as f64 + position[axis]
         });
-        let steps = geometry.world_m(voxel).map(|metres| (metres / self.scale_m).round() as i64);
+        let steps = grid.world_m(voxel).map(|metres| (metres / self.scale_m).round() as i64);
         self.order.push(steps);
-        self.normals.push(normal(geometry.world_gradient(gradient)));
+        self.normals.push(normal(world_gradient(grid, gradient)));
         self.vertices[key] = number;
         number
     }
@@ -231,6 +233,12 @@ impl Builder<'_> {
         }
         (sum.map(|sum| sum / f64::max(count, 1.0)), gradient)
     }
+}
+
+/// A gradient per voxel as one per metre of the patient frame.
+fn world_gradient(grid: &VoxelGrid, gradient: [f64; 3]) -> [f64; 3] {
+    let (axes, spacing_m) = (grid.axes(), grid.spacing_m());
+    core::array::from_fn(|row| (0..3).map(|axis| axes[axis][row] * gradient[axis] / spacing_m[axis]).sum())
 }
 
 /// Outward unit normal in 127ths; values are higher inside the bone.
