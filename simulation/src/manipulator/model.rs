@@ -230,7 +230,7 @@ impl AnyManipulator {
             (Self::ConstantCurvature(tool), AnyManipulatorState::ConstantCurvature(state)) => {
                 state.copy_from(tool.state());
             }
-            (Self::Planar(tool), AnyManipulatorState::Planar(state)) => **state = tool.state().clone(),
+            (Self::Planar(tool), AnyManipulatorState::Planar(state)) => state.copy_from(tool.state()),
             (Self::LongPlanar(tool), AnyManipulatorState::Spatial(state)) => state.copy_from(tool.state()),
             (Self::Spatial(tool), AnyManipulatorState::Spatial(state)) => state.copy_from(tool.state()),
             (Self::Full(tool), AnyManipulatorState::Spatial(state)) => state.copy_from(tool.state()),

@@ -223,6 +223,30 @@ impl ManipulatorState {
             report: StepReport::none(),
         }
     }
+
+    /// Copies a state, of the results only the used ones: all of them are 14 kB, which every tick would move.
+    pub(super) fn copy_from(&mut self, other: &Self) {
+        let used = ..other.result_count;
+        self.results[used].copy_from_slice(&other.results[used]);
+        let Self {
+            joint_position_rad,
+            joint_velocity_rad_per_s,
+            mount_displacement_m,
+            mount_velocity_m_per_s,
+            base,
+            tendon,
+            stop_torque_nm,
+            result_count,
+            results: _,
+            report,
+        } = self;
+        *joint_position_rad = other.joint_position_rad;
+        *joint_velocity_rad_per_s = other.joint_velocity_rad_per_s;
+        *mount_displacement_m = other.mount_displacement_m;
+        *mount_velocity_m_per_s = other.mount_velocity_m_per_s;
+        (*base, *tendon, *stop_torque_nm) = (other.base, other.tendon, other.stop_torque_nm);
+        (*result_count, *report) = (other.result_count, other.report);
+    }
 }
 
 /// `count` result entries, the first ones from `used`; `None` if there is no room for that many.

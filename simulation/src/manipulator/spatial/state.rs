@@ -30,7 +30,8 @@ impl SpatialState {
         position.clone_from(&other.position);
         velocity.clone_from(&other.velocity);
         stop_torque.clone_from(&other.stop_torque);
-        results.clone_from(&other.results);
+        let used = ..other.result_count;
+        results[used].copy_from_slice(&other.results[used]);
         (*base, *tendon, *result_count, *report) =
             (other.base, other.tendon, other.result_count, other.report);
     }
