@@ -17,13 +17,14 @@ mod stress;
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use trabecula::commands::laboratory::about;
 use trabecula::commands::proc::ProcCommand;
 use trabecula::commands::run::RunArguments;
 use trabecula::commands::view::ViewArguments;
 use trabecula::failure::Failure;
-use trabecula::program::{self, EXIT_CODES};
+use trabecula::help::{self, Examples};
+use trabecula::program;
 
 use commands::bench::BenchCommand;
 use commands::chart::ChartCommand;
@@ -31,7 +32,7 @@ use commands::reproduce::ReproduceArguments;
 use commands::stress::{LoadArguments, StressArguments};
 /// Trabecula's laboratory: benchmarks, accuracy measurements and stress tests.
 #[derive(Debug, Parser)]
-#[command(name = "trabecula-lab", version, about, after_help = EXIT_CODES)]
+#[command(name = "trabecula-lab", version, about)]
 struct Arguments {
     #[command(subcommand)]
     command: Command,
@@ -67,8 +68,37 @@ enum UserCommand {
     View(ViewArguments),
 }
 
+/// The whole command line, each command's help with examples and exit codes.
+fn command_line() -> clap::Command {
+    help::completed(Arguments::command(), EXAMPLES)
+}
+
+/// The product's program passes these commands on, so its name begins them.
+const EXAMPLES: &[Examples] = &[
+    ("bench overhead", &["trabecula bench overhead"]),
+    ("bench step", &["trabecula bench step", "trabecula bench step --instructions"]),
+    ("bench memory", &["trabecula bench memory"]),
+    ("bench drr", &["trabecula bench drr", "trabecula bench drr --poses 64"]),
+    ("bench latency", &["trabecula bench latency --turns 5"]),
+    ("bench viewer", &["trabecula bench viewer"]),
+    ("bench readings", &["trabecula bench readings"]),
+    ("bench recorder", &["trabecula bench recorder"]),
+    ("bench xray", &["trabecula bench xray"]),
+    ("bench soak", &["trabecula bench soak --minutes 10 -o out/soak"]),
+    ("stress", &["trabecula stress --cores 1,2", "trabecula stress scene.toml --load none,spin:2 -o out"]),
+    ("chart drr", &["trabecula chart drr --quick", "trabecula chart drr -o out/charts --rounds 9"]),
+    ("chart physics", &["trabecula chart physics --quick -o out/charts"]),
+    ("chart flexure", &["trabecula chart flexure"]),
+    ("chart promise", &["trabecula chart promise --free 10 --bone 10"]),
+    ("chart stability", &["trabecula chart stability --quick -o out/charts"]),
+    ("reproduce", &["trabecula reproduce", "trabecula reproduce --only 2 --quick -o out/reproduce"]),
+];
+
 fn main() -> ExitCode {
-    let parse = || Arguments::try_parse().map(|arguments| arguments.command);
+    let parse = || {
+        let matches = command_line().try_get_matches()?;
+        Arguments::from_arg_matches(&matches).map(|arguments| arguments.command)
+    };
     program::run(parse, |command| match command {
         Command::Proc(part) => trabecula::commands::proc::run(&part).map(Some),
         Command::User(command) => dispatch(&command).map(|()| None),
@@ -89,23 +119,33 @@ fn dispatch(command: &UserCommand) -> Result<(), Failure> {
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory;
+    use test_support::grammar;
+
+    #[test]
+    fn every_command_has_examples_that_it_accepts_and_its_exit_codes_in_its_help() {
+        grammar::assert_helpful(&crate::command_line(), &[]);
+    }
+
+    #[test]
+    fn every_output_is_named_by_o_and_output() {
+        grammar::assert_outputs(&crate::command_line());
+    }
 
     /// Commands with an output, and the argument that names it. All are in the table of `tests/processes/outputs.rs`,
     /// except `stress`, which creates a folder with a new name, and `chart flexure`, whose folder only holds a Python environment.
     const KNOWN: [&str; 8] = [
         "bench soak --output",
-        "chart drr --out",
+        "chart drr --output",
         "chart drr --rungs",
-        "chart flexure --out",
-        "chart physics --out",
-        "chart stability --out",
-        "reproduce --out",
+        "chart flexure --output",
+        "chart physics --output",
+        "chart stability --output",
+        "reproduce --output",
         "stress --output",
     ];
 
     #[test]
     fn every_command_with_an_output_is_in_the_table_of_the_tests() {
-        assert_eq!(test_support::outputs::outputs_of(&crate::Arguments::command()), KNOWN);
+        assert_eq!(test_support::outputs::outputs_of(&crate::command_line()), KNOWN);
     }
 }

@@ -2,7 +2,7 @@
 
 use std::process::ExitCode;
 
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use crate::commands;
 use crate::commands::bridge::BridgeCommand;
@@ -21,11 +21,12 @@ use crate::commands::scene::SceneCommand;
 use crate::commands::view::ViewArguments;
 use crate::commands::volume::{PhantomArguments, VolumeCommand};
 use crate::failure::Failure;
-use crate::program::{self, EXIT_CODES};
+use crate::help;
+use crate::program;
 
 /// A zero-copy shared-memory co-simulation hub for image-guided bone drilling with a continuum manipulator.
 #[derive(Debug, Parser)]
-#[command(name = "trabecula", version, about, after_help = EXIT_CODES)]
+#[command(name = "trabecula", version, about)]
 pub struct Arguments {
     #[command(subcommand)]
     command: Option<Command>,
@@ -87,17 +88,22 @@ pub fn main() -> ExitCode {
     })
 }
 
+/// The whole command line, each command's help with examples and exit codes.
+pub fn command_line() -> clap::Command {
+    help::completed(Arguments::command(), help::EXAMPLES)
+}
+
 /// The requested command; without one, `run` with the default scene.
 fn command() -> Result<Command, clap::Error> {
-    Arguments::try_parse().and_then(|arguments| match arguments.command {
+    let parsed = |matches: clap::ArgMatches| Arguments::from_arg_matches(&matches).map(|all| all.command);
+    match command_line().try_get_matches().and_then(parsed)? {
         Some(command) => Ok(command),
         None => {
-            let run = Arguments::try_parse_from(["trabecula", "run"])?.command;
-            run.ok_or_else(|| {
-                Arguments::command().error(clap::error::ErrorKind::MissingSubcommand, "expected a command")
+            command_line().try_get_matches_from(["trabecula", "run"]).and_then(parsed)?.ok_or_else(|| {
+                command_line().error(clap::error::ErrorKind::MissingSubcommand, "expected a command")
             })
         }
-    })
+    }
 }
 
 fn dispatch(command: &UserCommand) -> Result<(), Failure> {
@@ -117,5 +123,57 @@ fn dispatch(command: &UserCommand) -> Result<(), Failure> {
         UserCommand::Docs(command) => commands::docs::run(command),
         UserCommand::Doctor(arguments) => commands::doctor::run(arguments),
         UserCommand::Laboratory(command) => commands::laboratory::run(command),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use test_support::grammar;
+
+    /// Commands that print no figures: their answer is text for another program, a picture or a page, or files alone.
+    const WITHOUT_FIGURES: [&str; 14] = [
+        "bridge igtl",
+        "docs completions",
+        "docs install",
+        "docs man",
+        "docs messages",
+        "docs scene",
+        "docs schema",
+        "log cat",
+        "log cat-files",
+        "log split",
+        "plot",
+        "scene init",
+        "scene schema",
+        "view",
+    ];
+
+    #[test]
+    fn every_command_has_examples_that_it_accepts_and_its_exit_codes_in_its_help() {
+        grammar::assert_helpful(&command_line(), &["bench", "stress", "chart", "reproduce"]);
+    }
+
+    #[test]
+    fn every_output_is_named_by_o_and_output_and_every_command_with_figures_has_json() {
+        grammar::assert_outputs(&command_line());
+        assert_eq!(
+            grammar::without_json(&command_line(), &["bench", "stress", "chart", "reproduce"]),
+            WITHOUT_FIGURES
+        );
+    }
+
+    /// The suggestion is clap's; a feature of it that somebody switches off would take it away.
+    #[test]
+    fn a_misspelt_command_or_option_is_answered_with_the_one_that_was_meant() {
+        for (words, meant) in [
+            (&["trabecula", "rpelay"][..], "'replay'"),
+            (&["trabecula", "log", "exprot"], "'export'"),
+            (&["trabecula", "run", "--duraton-s", "1"], "'--duration-s'"),
+            (&["trabecula", "phantom", "pelvs", "-o", "x"], "'pelvis'"),
+        ] {
+            let said = command_line().try_get_matches_from(words).unwrap_err().to_string();
+            assert!(said.contains(meant), "{said}");
+        }
     }
 }

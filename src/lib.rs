@@ -12,6 +12,7 @@ pub mod say;
 pub mod cli;
 pub mod commands;
 pub mod failure;
+pub mod help;
 mod keeper;
 pub mod launcher;
 pub mod machine;

@@ -58,6 +58,21 @@ pub fn answer(text: &str) {
     line(&mut printer::Answers, text);
 }
 
+/// How a command prints its figures.
+#[derive(Debug, Clone, Copy, Default, clap::Args)]
+pub struct Figures {
+    /// Print the figures as one JSON object, for scripts.
+    #[arg(long)]
+    pub json: bool,
+}
+
+impl Figures {
+    /// Writes an answer: its text for people, or its figures for programs.
+    pub fn say(self, text: impl FnOnce() -> String, figures: impl FnOnce() -> serde_json::Value) {
+        answer(&if self.json { figures().to_string() } else { text() });
+    }
+}
+
 /// Writes our own text unescaped, such as shell completions.
 pub fn verbatim(text: &str) {
     // `Noting` remembers a failure.

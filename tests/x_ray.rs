@@ -28,7 +28,7 @@ fn text(path: &Path) -> &str {
 fn ball() -> (tempfile::TempDir, PathBuf) {
     let place = tempfile::tempdir().unwrap();
     let volume = place.path().join("ball.nrrd");
-    assert_eq!(trabecula(&["phantom", "sphere", text(&volume), "--spacing-mm", "1"]).code, Some(0));
+    assert_eq!(trabecula(&["phantom", "sphere", "-o", text(&volume), "--spacing-mm", "1"]).code, Some(0));
     (place, volume)
 }
 
@@ -171,7 +171,7 @@ for name in sys.argv[1:]:
 #[test]
 fn the_quick_chart_has_every_projector_with_its_error() {
     let place = tempfile::tempdir().unwrap();
-    let done = trabecula(&["chart", "drr", "--quick", "--rounds", "1", "--out", text(place.path())]);
+    let done = trabecula(&["chart", "drr", "--quick", "--rounds", "1", "--output", text(place.path())]);
     assert_eq!(done.code, Some(0), "{}", done.err);
     let csv = fs::read_to_string(place.path().join("drr.csv")).unwrap();
     let lines: Vec<Vec<&str>> = csv.lines().skip(1).map(|line| line.split(',').collect()).collect();

@@ -28,6 +28,16 @@ pub enum CommandRefusal {
         /// Highest allowed.
         highest: f64,
     },
+    /// A number that has to be positive is not, or is above its range.
+    #[error("`{field}` is {value}, allowed is above 0 and at most {highest}")]
+    NotPositive {
+        /// Field.
+        field: &'static str,
+        /// Value given.
+        value: f64,
+        /// Highest allowed.
+        highest: f64,
+    },
     /// A mode is unknown.
     #[error(transparent)]
     UnknownMode(#[from] UnknownCode),
@@ -190,8 +200,12 @@ fn check_insertion(command: &Command) -> Result<(), CommandRefusal> {
         return Err(CommandRefusal::NotAUnitVector { length });
     }
     range(|| "arm_depth_m".to_owned(), command.arm_depth_m, -MAX_DEPTH_M, MAX_DEPTH_M)?;
-    // An insertion at speed 0 would never arrive, so the minimum is the smallest positive number.
-    range(|| "arm_speed_m_per_s".to_owned(), command.arm_speed_m_per_s, f64::MIN_POSITIVE, MAX_SPEED_M_PER_S)
+    // An insertion at speed 0 would never arrive. Written so that NaN fails.
+    let (value, highest) = (command.arm_speed_m_per_s, MAX_SPEED_M_PER_S);
+    if value > 0.0 && value <= highest {
+        return Ok(());
+    }
+    Err(CommandRefusal::NotPositive { field: "arm_speed_m_per_s", value, highest })
 }
 
 fn check_pose(command: &Command) -> Result<(), CommandRefusal> {

@@ -145,7 +145,7 @@ pub enum BenchCommand {
         #[arg(long, value_enum)]
         policy: Option<PolicyArgument>,
         /// Keep the logs in this folder; default: remove them.
-        #[arg(long)]
+        #[arg(short, long)]
         output: Option<PathBuf>,
     },
     /// The answering side of a ping-pong.

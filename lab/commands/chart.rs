@@ -26,8 +26,8 @@ pub enum ChartCommand {
 #[derive(Debug, Args)]
 pub struct DrrChartArguments {
     /// Output folder.
-    #[arg(long, default_value = "out/charts")]
-    out: PathBuf,
+    #[arg(short, long, default_value = "out/charts")]
+    output: PathBuf,
     /// Finish in seconds: an eighth of the resolution, 128 x 128 pixels.
     #[arg(long)]
     quick: bool,
@@ -45,8 +45,8 @@ pub struct DrrChartArguments {
 #[derive(Debug, Args)]
 pub struct ChartArguments {
     /// Output folder.
-    #[arg(long, default_value = "out/charts")]
-    out: PathBuf,
+    #[arg(short, long, default_value = "out/charts")]
+    output: PathBuf,
     /// Finish in seconds, with only a few points.
     #[arg(long)]
     quick: bool,
@@ -69,8 +69,8 @@ pub struct PhysicsChartArguments {
 #[derive(Debug, Args)]
 pub struct FlexureChartArguments {
     /// Folder of the Python environment.
-    #[arg(long, default_value = "out/charts")]
-    out: PathBuf,
+    #[arg(short, long, default_value = "out/charts")]
+    output: PathBuf,
     /// The folder of the script; it makes its own Python environment.
     #[arg(long, value_name = "FOLDER", default_value = "charts/peers/flexure")]
     peers: PathBuf,
@@ -100,7 +100,7 @@ pub struct PromiseArguments {
 pub fn run(command: &ChartCommand) -> Result<(), Failure> {
     match command {
         ChartCommand::Drr(arguments) => drr::run(&drr::Plan {
-            out: arguments.out.clone(),
+            out: arguments.output.clone(),
             quick: arguments.quick,
             peers: arguments.peers.clone(),
             rounds: arguments.rounds as usize,
@@ -109,13 +109,15 @@ pub fn run(command: &ChartCommand) -> Result<(), Failure> {
         ChartCommand::Physics(arguments) => {
             let quick = arguments.common.quick;
             physics::run(&physics::Plan {
-                out: arguments.common.out.clone(),
+                out: arguments.common.output.clone(),
                 effort: Effort::of_option(quick),
                 peers: arguments.peers.clone(),
                 settings_only: arguments.plan_only,
             })
         }
-        ChartCommand::Flexure(arguments) => flexure::run(&arguments.out, &arguments.peers, arguments.size_mm),
+        ChartCommand::Flexure(arguments) => {
+            flexure::run(&arguments.output, &arguments.peers, arguments.size_mm)
+        }
         ChartCommand::Promise(arguments) => {
             let plan =
                 physics::promise::Plan { free: arguments.free, bone: arguments.bone, seed: arguments.seed };
@@ -125,7 +127,7 @@ pub fn run(command: &ChartCommand) -> Result<(), Failure> {
             }
         }
         ChartCommand::Stability(arguments) => {
-            stability::run(&arguments.out, Effort::of_option(arguments.quick))
+            stability::run(&arguments.output, Effort::of_option(arguments.quick))
         }
     }
 }

@@ -17,8 +17,8 @@ pub struct ReproduceArguments {
     #[arg(long)]
     quick: bool,
     /// Output folder.
-    #[arg(long, default_value = "out/reproduce")]
-    out: PathBuf,
+    #[arg(short, long, default_value = "out/reproduce")]
+    output: PathBuf,
 }
 
 /// Runs the command.
@@ -26,6 +26,6 @@ pub struct ReproduceArguments {
 /// # Errors
 /// A file that cannot be written (1).
 pub fn run(arguments: &ReproduceArguments) -> Result<(), Failure> {
-    let plan = Plan { out: arguments.out.clone(), effort: Effort::of_option(arguments.quick) };
+    let plan = Plan { out: arguments.output.clone(), effort: Effort::of_option(arguments.quick) };
     reproduce::run(&plan, arguments.only.map(usize::from))
 }

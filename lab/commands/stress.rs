@@ -51,7 +51,7 @@ pub struct StressArguments {
     #[arg(long, value_name = "JSON")]
     pub compare: Option<PathBuf>,
     /// Parent of the test's folder.
-    #[arg(long, default_value = "out")]
+    #[arg(short, long, default_value = "out")]
     pub output: PathBuf,
     /// Keep the runs' folders.
     #[arg(long)]

@@ -27,6 +27,28 @@ pub struct Code {
     pub word: &'static str,
 }
 
+/// The codes of a field, under the name of their enum.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CodeSet {
+    /// Name of the enum.
+    pub name: &'static str,
+    /// What it says.
+    pub doc: &'static str,
+    /// All codes, rising.
+    pub codes: &'static [Code],
+}
+
+/// A field of a message that holds a code.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CodeField {
+    /// Name of the message.
+    pub message: &'static str,
+    /// Name of the field.
+    pub field: &'static str,
+    /// Name of the enum of its codes.
+    pub codes: &'static str,
+}
+
 /// A field holds a number that is no code of it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 #[error("`{field}` is {number}, expected {}", Expected(.known))]
@@ -82,6 +104,10 @@ macro_rules! codes {
             pub const CODES: &'static [Code] = &[$(
                 Code { constant: stringify!($constant), number: $number, word: $word },
             )*];
+
+            /// The codes with the enum's name and text.
+            pub const SET: CodeSet =
+                CodeSet { name: stringify!($name), doc: concat!($($doc),*), codes: $name::CODES };
 
             /// The number on the wire.
             pub const fn code(self) -> u32 {
@@ -292,25 +318,34 @@ codes! {
 }
 
 /// Every code that a client needs, in the order of the client libraries' constants.
-pub const CLIENT_CODES: &[&[Code]] = &[
-    TendonMode::CODES,
-    ArmMode::CODES,
-    ArmStatus::CODES,
-    BurrMode::CODES,
-    CommandSource::CODES,
-    ContactPart::CODES,
-    ControlAction::CODES,
-    ControlStatus::CODES,
-    GeometryChoice::CODES,
-    DrrStatus::CODES,
-    Phase::CODES,
-    Severity::CODES,
-    EventCode::CODES,
+pub const CLIENT_CODES: &[CodeSet] = &[
+    TendonMode::SET,
+    ArmMode::SET,
+    ArmStatus::SET,
+    BurrMode::SET,
+    CommandSource::SET,
+    ContactPart::SET,
+    ControlAction::SET,
+    ControlStatus::SET,
+    GeometryChoice::SET,
+    DrrStatus::SET,
+    Phase::SET,
+    Severity::SET,
+    EventCode::SET,
 ];
 
 /// Declares the conversion of a message's code fields.
 macro_rules! fields {
     ($( $message:ident { $( $(#[doc = $doc:literal])* $field:ident: $codes:ident, )* } )*) => {
+        /// Every field of a message that holds a code.
+        pub const CODE_FIELDS: &[CodeField] = &[$($(
+            CodeField {
+                message: stringify!($message),
+                field: stringify!($field),
+                codes: stringify!($codes),
+            },
+        )*)*];
+
         $( impl $message { $(
             $(#[doc = $doc])*
             ///

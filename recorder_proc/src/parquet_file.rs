@@ -13,7 +13,7 @@ use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::{Type, TypePtr};
 
 use run_log::LogError;
-use run_log::columns::{Column, Rows};
+use run_log::columns::{Column, LOG_COLUMNS, Rows};
 use run_log::fields::Scalar;
 
 /// Rows per Parquet row group: a minute of ticks.
@@ -84,7 +84,7 @@ impl<W: Write + Send> Parquet<W> {
     /// Any error of the output.
     pub fn new(out: W, columns: &[Column]) -> Result<Parquet<W>, LogError> {
         let named = columns.iter().map(|column| (column.name.as_str(), Values::of(column.ros_type)));
-        let time = ["tick", "log_time_ns"].map(|name| (name, Values::of("int64")));
+        let time = LOG_COLUMNS.map(|name| (name, Values::of("int64")));
         let (mut fields, mut values) = (Vec::new(), Vec::new());
         for (name, empty) in time.into_iter().chain(named) {
             let field = Type::primitive_type_builder(name, empty.physical());

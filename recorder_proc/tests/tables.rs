@@ -42,7 +42,7 @@ fn a_csv_has_a_line_a_message_and_a_column_a_number() {
     rows.finish().unwrap();
     let text = String::from_utf8(text).unwrap();
     let mut lines = text.lines();
-    let names = "tick,log_time_ns,tick,t_world_link[7].position_m[0],t_world_link[7].position_m[1],\
+    let names = "log_tick,log_time_ns,tick,t_world_link[7].position_m[0],t_world_link[7].position_m[1],\
                  t_world_link[7].position_m[2],hash[0],hash[1],removed_in_tick";
     assert_eq!(lines.next().unwrap(), names);
     let wanted = states(&steps);

@@ -10,6 +10,10 @@ use crate::stream::{MessageStream, ReadOptions};
 use crate::topics::{self, Topic};
 use crate::verdict::Verdict;
 
+/// The first columns of a table: when a message was logged, as a tick and as simulated time. No message has fields of these names, so no two
+/// columns have one.
+pub const LOG_COLUMNS: [&str; 2] = ["log_tick", "log_time_ns"];
+
 /// One column: one scalar of a message.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Column {
@@ -126,4 +130,24 @@ pub fn read_rows(
         rows.row(tick, message.log_time_ns, &values)?;
     }
     Ok(stream.verdict())
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test fails by it")]
+mod tests {
+    use super::*;
+
+    /// Two columns were called `tick`: pandas, polars and fastparquet refused the table.
+    #[test]
+    fn no_two_columns_of_a_table_have_one_name() {
+        for topic in Topic::ALL {
+            let columns = columns(topic.description(), &[]).unwrap();
+            let mut names: Vec<&str> = LOG_COLUMNS.to_vec();
+            names.extend(columns.iter().map(|column| column.name.as_str()));
+            let count = names.len();
+            names.sort_unstable();
+            names.dedup();
+            assert_eq!(names.len(), count, "{}", topic.name());
+        }
+    }
 }

@@ -4,7 +4,7 @@ use std::io::Write;
 
 use messages::Tick;
 
-use crate::columns::{Column, Rows};
+use crate::columns::{Column, LOG_COLUMNS, Rows};
 use crate::error::LogError;
 use crate::fields::Scalar;
 
@@ -18,7 +18,7 @@ impl<W: Write> Csv<W> {
     /// Any error of the output.
     pub fn new(mut out: W, columns: &[Column]) -> Result<Csv<W>, LogError> {
         let names: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
-        writeln!(out, "tick,log_time_ns{}{}", if names.is_empty() { "" } else { "," }, names.join(","))?;
+        writeln!(out, "{}", [&LOG_COLUMNS, names.as_slice()].concat().join(","))?;
         Ok(Csv(out))
     }
 

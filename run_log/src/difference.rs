@@ -48,6 +48,18 @@ pub const MAX_LISTED: usize = 16;
 
 impl std::fmt::Display for Divergence {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let saved = |difference: &FieldDifference| difference.path.starts_with("data[");
+        if self.topic == Topic::Keyframe && self.differences.iter().all(saved) {
+            // Bytes of a saved simulation have no names.
+            let first = self.differences.first().map_or("", |difference| &difference.path);
+            return write!(
+                f,
+                "first divergence: tick {}, {}: the saved simulation differs in {} of its bytes, the first of them {first}. The states up \
+                 to there are compared by themselves; a keyframe also holds what no state shows: the friction of tendons and contacts, \
+                 the arm's trajectory, and the order in which a build lays them down",
+                self.tick, self.topic, self.total
+            );
+        }
         write!(f, "first divergence: tick {}, {}, {} values differ", self.tick, self.topic, self.total)?;
         self.differences.iter().try_for_each(|difference| write!(f, "\n  {difference}"))
     }

@@ -133,6 +133,19 @@ pub struct Place {
     pub size: usize,
 }
 
+/// A wrong name with the nearest right one, and all that there are.
+fn no_field(description: &Description, name: &str) -> String {
+    let near = |field: &&Field| strsim::jaro_winkler(field.name, name);
+    let nearest = description.fields.iter().max_by(|a, b| near(a).total_cmp(&near(b)));
+    let nearest = nearest.filter(|field| near(field) > NEAR_ENOUGH);
+    let meant = nearest.map_or(String::new(), |field| format!(" (did you mean '{}'?)", field.name));
+    let names: Vec<&str> = description.fields.iter().map(|field| field.name).collect();
+    format!("{} has no field '{name}'{meant}; it has {}", description.short_name(), names.join(", "))
+}
+
+/// Similarity (Jaro-Winkler) above which a name is offered in place of a wrong one, as clap does.
+const NEAR_ENOUGH: f64 = 0.7;
+
 /// Finds a field by its path; the error says where the path stops matching.
 pub fn find(description: &'static Description, path: &str) -> Result<Place, String> {
     let mut current = description;
@@ -141,7 +154,7 @@ pub fn find(description: &'static Description, path: &str) -> Result<Place, Stri
     while let Some(segment) = segments.next() {
         let (name, index) = split_index(segment)?;
         let field = current.fields.iter().find(|field| field.name == name);
-        let field = field.ok_or_else(|| format!("{} has no field '{name}'", current.short_name()))?;
+        let field = field.ok_or_else(|| no_field(current, name))?;
         let mut place = Place {
             path: path.to_string(),
             element: field.element,

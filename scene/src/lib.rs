@@ -36,6 +36,7 @@ mod check;
 mod declaration;
 mod error;
 mod model;
+mod place;
 mod ranges;
 pub mod reference;
 mod schema;
@@ -61,7 +62,10 @@ impl Scene {
         let malformed = |cause: toml::de::Error| SceneError::Malformed {
             file: path.to_owned(),
             line: cause.span().map_or(0, |span| text[..span.start.min(text.len())].matches('\n').count() + 1),
-            cause: cause.message().to_owned(),
+            cause: match cause.span().and_then(|span| place::key_at(text, span.start)) {
+                Some(key) => format!("`{key}`: {}", place::in_words(cause.message())),
+                None => cause.message().to_owned(),
+            },
         };
         let mut scene: Scene = toml::from_str(text).map_err(malformed)?;
         let given: toml::Table = toml::from_str(text).map_err(malformed)?;

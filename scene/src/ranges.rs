@@ -46,7 +46,11 @@ fn check_value(kind: &Kind, value: &Value, path: &str, checker: &Checker) -> Res
                 let count = Range { lowest: 0.0, highest: *most as f64, or_zero: false };
                 checker.range(&format!("{path} (their number)"), values.len() as f64, count)?;
             }
-            values.iter().try_for_each(|value| check_value(of, value, path, checker))
+            let is_vector = matches!(**of, Kind::Number(_) | Kind::Integer(_));
+            values.iter().enumerate().try_for_each(|(index, value)| match is_vector {
+                true => check_value(of, value, &format!("{path}[{index}]"), checker),
+                false => check_value(of, value, path, checker),
+            })
         }
         (Kind::Table(declared), Value::Table(given)) => check(declared, given, path, checker),
         // Whether a value is of its key's type, serde has looked.
@@ -106,7 +110,9 @@ mod tests {
         let mut count = 0;
         each_range(&SCENE, &[], &mut |keys, kind, range| {
             count += 1;
-            let (path, scene) = (keys.join("."), |value| with_key(keys, kind, value));
+            let component = if matches!(kind, Kind::List(..)) { "[0]" } else { "" };
+            let path = keys.join(".") + component;
+            let scene = |value| with_key(keys, kind, value);
             for allowed in [range.lowest, range.highest, 0.5 * (range.lowest + range.highest)] {
                 assert_eq!(refused(&scene(allowed)), None, "{path}");
             }
@@ -163,6 +169,13 @@ mod tests {
         assert_eq!(refused(&body("a_b")), None);
         let said = refused(&body("a-b")).unwrap().to_string();
         assert_eq!(said, "a.toml: `body.name` is \"a-b\"; expected 1 to 64 letters, digits, `_`");
+    }
+
+    #[test]
+    fn of_a_vector_the_component_that_is_out_of_range_is_named() {
+        let scene = toml::from_str("[tool]\nburr_start_mm = [0.0, 1e9, 0.0]").unwrap();
+        let said = refused(&scene).unwrap().to_string();
+        assert_eq!(said, "a.toml: `tool.burr_start_mm[1]` is 1e9, allowed is -100000 to 100000");
     }
 
     /// Of several errors always the same is named: the first in the order of the declarations, not of the file.

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use controllers::{Calibration, Controller, TensionSweepController};
+use controllers::{Calibration, CalibrationRow, Controller, TensionSweepController};
 use hub::in_process::{Answer, InProcess};
 use ipc_types::scene::{Mode, Scene};
 use simulation::{CtView, Simulation, ct_geometry};
@@ -12,6 +12,7 @@ use crate::failure::Failure;
 use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::output::{refuse_existing, within};
 use crate::report::calibration_figure;
+use crate::say::Figures;
 use crate::scenes::{BuiltIn, SceneSource};
 
 /// Arguments of `calibrate`.
@@ -25,6 +26,9 @@ pub struct CalibrateArguments {
     /// Which files the volume may name.
     #[command(flatten)]
     pub volume_files: VolumeFiles,
+    /// How its figures are printed.
+    #[command(flatten)]
+    pub figures: Figures,
 }
 
 /// Steps the physics through the sweep in this process, as fast as possible, and writes the measurements.
@@ -44,8 +48,13 @@ pub fn run(arguments: &CalibrateArguments) -> Result<(), Failure> {
     let title = format!("{}: calibration of tendon 0, {} levels", scene.name, calibration.rows.len());
     let [png, svg] = calibration_figure::draw(&title, &calibration)?.files(folder, "calibration")?;
     output_file::write_all(&[(file.clone(), calibration.to_csv().into_bytes()), png, svg])?;
-    say!("{}", summary(&calibration));
-    say!("\nwritten      {}, calibration.png, calibration.svg", file.display());
+    arguments.figures.say(
+        || {
+            let summary = summary(&calibration);
+            format!("{summary}\n\nwritten      {}, calibration.png, calibration.svg", file.display())
+        },
+        || serde_json::json!({"output": file, "rows": calibration.rows.iter().map(json_of).collect::<Vec<_>>()}),
+    );
     Ok(())
 }
 
@@ -78,6 +87,18 @@ fn sweep(scene: &Scene, source: &SceneSource, files: VolumeFiles) -> Result<Cali
         run.step(&latched).map_err(|cause| Failure::failed(cause.to_string()))?;
     }
     Ok(controller.calibration().clone())
+}
+
+fn json_of(row: &CalibrationRow) -> serde_json::Value {
+    serde_json::json!({
+        "rising": row.rising,
+        "commanded": row.commanded,
+        "tension_n": row.tension_n,
+        "displacement_mm": row.displacement_mm,
+        "bend_deg": row.bend_deg,
+        "tip_mm": row.tip_mm,
+        "rate_deg_per_s": row.rate_deg_per_s,
+    })
 }
 
 /// Summarises the sweep in five lines.

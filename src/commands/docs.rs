@@ -1,13 +1,16 @@
 //! `trabecula docs`: documentation generated from the declarations of messages, scenes and commands.
 
-use clap::{CommandFactory, Subcommand};
+use std::path::{Path, PathBuf};
+
+use clap::Subcommand;
 use clap_complete::Shell;
 use ipc_types::reference::{every_message, message_reference};
 use ipc_types::scene::reference::scene_reference;
 use run_log::topics::schema_of;
 
-use crate::cli::Arguments;
+use crate::cli::command_line;
 use crate::failure::Failure;
+use crate::output::refuse_existing;
 use crate::say;
 
 /// What to print.
@@ -29,12 +32,18 @@ pub enum DocsCommand {
     },
     /// The man page, in roff: `trabecula docs man | man -l -`.
     Man,
+    /// Write man pages and shell completions to where a system looks for them below a prefix, such as `~/.local` or `/usr`.
+    Install {
+        /// The prefix; its folders are created if missing.
+        #[arg(short, long)]
+        output: PathBuf,
+    },
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// No such message (2).
+/// No such message, a file that already exists (2); a full disk (1).
 pub fn run(command: &DocsCommand) -> Result<(), Failure> {
     let text = match command {
         DocsCommand::Messages => message_reference(),
@@ -42,20 +51,62 @@ pub fn run(command: &DocsCommand) -> Result<(), Failure> {
         DocsCommand::Schema { message } => schema(message)?,
         DocsCommand::Completions { shell } => completions(*shell),
         DocsCommand::Man => man_page()?,
+        DocsCommand::Install { output } => return install(output),
     };
     say::verbatim(&text);
     Ok(())
 }
 
+/// Where shells and `man` look below a prefix (the paths of bash-completion, fish's vendor folder and zsh's site functions).
+fn install(prefix: &Path) -> Result<(), Failure> {
+    let mut files: Vec<(PathBuf, Vec<u8>)> = Vec::new();
+    for (place, shell) in [
+        ("share/bash-completion/completions/trabecula", Shell::Bash),
+        ("share/zsh/site-functions/_trabecula", Shell::Zsh),
+        ("share/fish/vendor_completions.d/trabecula.fish", Shell::Fish),
+    ] {
+        files.push((prefix.join(place), completions(shell).into_bytes()));
+    }
+    let mut command = command_line();
+    command.build();
+    for (name, page) in pages(&command, "trabecula")? {
+        files.push((prefix.join("share/man/man1").join(format!("{name}.1")), page));
+    }
+    let paths: Vec<&Path> = files.iter().map(|(path, _)| path.as_path()).collect();
+    refuse_existing(&paths)?;
+    for folder in paths.iter().filter_map(|path| path.parent()) {
+        output_file::create_folder(folder).map_err(Failure::folder(folder))?;
+    }
+    output_file::write_all(&files)?;
+    files.iter().for_each(|(path, _)| say!("{}", path.display()));
+    Ok(())
+}
+
+/// A man page for a command and for each below it, by name: `trabecula-log-export`.
+fn pages(command: &clap::Command, name: &str) -> Result<Vec<(String, Vec<u8>)>, Failure> {
+    let mut text = Vec::new();
+    let man = clap_mangen::Man::new(command.clone()).title(name);
+    man.render(&mut text)
+        .map_err(|cause| Failure::failed(format!("cannot create the man page {name}: {cause}")))?;
+    let mut all = vec![(name.to_owned(), text)];
+    for below in command.get_subcommands() {
+        let is_of_users = !below.is_hide_set() && !["help", "proc"].contains(&below.get_name());
+        if is_of_users {
+            all.extend(pages(below, &format!("{name}-{}", below.get_name()))?);
+        }
+    }
+    Ok(all)
+}
+
 fn completions(shell: Shell) -> String {
     let mut text = Vec::new();
-    clap_complete::generate(shell, &mut Arguments::command(), "trabecula", &mut text);
+    clap_complete::generate(shell, &mut command_line(), "trabecula", &mut text);
     String::from_utf8_lossy(&text).into_owned()
 }
 
 /// The man page of the command, followed by one per subcommand.
 fn man_page() -> Result<String, Failure> {
-    let mut command = Arguments::command();
+    let mut command = command_line();
     command.build();
     let mut text = Vec::new();
     let failed = |cause: std::io::Error| Failure::failed(format!("cannot create the man page: {cause}"));

@@ -16,6 +16,7 @@ use crate::failure::Failure;
 use crate::launcher::suspicions;
 use crate::launcher::volume_source::VolumeChoice;
 use crate::output::refuse_existing;
+use crate::say::Figures;
 use crate::x_ray::dicom::{Series, write_dicom};
 use crate::x_ray::files::{Picture, write_nrrd, write_png};
 use crate::x_ray::poses::{self, Placed, Pose};
@@ -92,6 +93,9 @@ pub struct DrrArguments {
     /// Number of render threads.
     #[arg(long, default_value_t = 2)]
     pub threads: usize,
+    /// How its figures are printed.
+    #[command(flatten)]
+    pub figures: Figures,
 }
 
 /// Projectors.
@@ -182,7 +186,10 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
         write_png(&arguments.output, &animation)?;
     }
     let (count, output) = (placed.len(), arguments.output.display());
-    say!("{output}: {count} frame(s), the slowest took {slowest_ms:.1} ms");
+    arguments.figures.say(
+        || format!("{output}: {count} frame(s), the slowest took {slowest_ms:.1} ms"),
+        || serde_json::json!({"output": arguments.output, "frames": count, "slowest_ms": slowest_ms}),
+    );
     Ok(())
 }
 

@@ -5,11 +5,13 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use ipc_types::scene::Scene;
+use serde_json::json;
 
 use crate::failure::Failure;
 use crate::launcher::volume_source::VolumeFiles;
 use crate::plan::{self, check, resolve};
 use crate::replay::Overrides;
+use crate::say::Figures;
 use crate::scenes::SceneSource;
 
 /// Arguments of `plan`.
@@ -39,6 +41,9 @@ pub struct PlanArguments {
     /// Which files the volume may name.
     #[command(flatten)]
     pub volume_files: VolumeFiles,
+    /// How its figures are printed.
+    #[command(flatten)]
+    pub figures: Figures,
 }
 
 /// Runs the command.
@@ -47,10 +52,12 @@ pub struct PlanArguments {
 /// Bad input (2); a log whose path error exceeded its scene's tolerance (1).
 pub fn run(arguments: &PlanArguments) -> Result<(), Failure> {
     match (&arguments.scene, &arguments.check) {
-        (Some(scene), _) => show(scene),
+        (Some(scene), _) => show(scene, arguments.figures),
         (None, Some(log)) => check_log(log, arguments),
         (None, None) => {
-            say!("{}", plan::TABLE.trim_end());
+            arguments
+                .figures
+                .say(|| plan::TABLE.trim_end().to_owned(), || json!({ "table_csv": plan::TABLE }));
             Ok(())
         }
     }
@@ -66,16 +73,16 @@ pub fn load(source: &SceneSource) -> Result<(Scene, Option<String>), Failure> {
     Ok((scene, choice.map(|choice| choice.text())))
 }
 
-fn show(file: &Path) -> Result<(), Failure> {
+fn show(file: &Path, figures: Figures) -> Result<(), Failure> {
     let (scene, choice) = load(&SceneSource::File(file.to_owned()))?;
-    match choice {
-        Some(choice) => say!("{}: scene `{}`\n{choice}", file.display(), scene.name),
-        None => say!(
-            "{}: scene `{}` states no `tolerance` of tip or path: the standard settings, or what it names",
-            file.display(),
-            scene.name
-        ),
-    }
+    let none = "states no `tolerance` of tip or path: the standard settings, or what it names";
+    figures.say(
+        || match &choice {
+            Some(choice) => format!("{}: scene `{}`\n{choice}", file.display(), scene.name),
+            None => format!("{}: scene `{}` {none}", file.display(), scene.name),
+        },
+        || json!({"scene": scene.name, "choice": choice}),
+    );
     Ok(())
 }
 
@@ -87,30 +94,43 @@ fn check_log(log: &Path, arguments: &PlanArguments) -> Result<(), Failure> {
         volume_files: arguments.volume_files,
     };
     let (scene, found) = check::check(log, &overrides, arguments.samples, arguments.to)?;
-    say!(
-        "{}: {} ticks again by the reference (full, own flexures, hybrid, dt {} ms) in {:.1} s, tip compared at {}",
-        log.display(),
-        found.last_tick,
-        0.5 * scene.run.dt_ms,
-        found.wall_s,
-        found.samples
-    );
     let largest_s = found.largest.1 as f64 * scene.dt_s();
-    say!(
-        "path error    {:.4} mm r.m.s., largest {:.4} mm at {largest_s:.3} s, at the end {:.4} mm",
-        found.rms_mm,
-        found.largest.0,
-        found.end_mm
+    let allowed = scene.tolerance.as_ref().and_then(|tolerance| tolerance.path_mm);
+    arguments.figures.say(
+        || {
+            let kept = allowed.filter(|allowed| found.rms_mm <= *allowed);
+            let kept = kept.map_or(String::new(), |allowed| format!("\ntolerance     {allowed} mm: kept"));
+            format!(
+                "{}: {} ticks again by the reference (full, own flexures, hybrid, dt {} ms) in {:.1} s, tip compared at {}\n\
+                 path error    {:.4} mm r.m.s., largest {:.4} mm at {largest_s:.3} s, at the end {:.4} mm{kept}",
+                log.display(),
+                found.last_tick,
+                0.5 * scene.run.dt_ms,
+                found.wall_s,
+                found.samples,
+                found.rms_mm,
+                found.largest.0,
+                found.end_mm
+            )
+        },
+        || {
+            json!({
+                "last_tick": found.last_tick,
+                "samples": found.samples,
+                "wall_s": found.wall_s,
+                "rms_mm": found.rms_mm,
+                "largest_mm": found.largest.0,
+                "largest_at_s": largest_s,
+                "end_mm": found.end_mm,
+                "tolerance_mm": allowed,
+            })
+        },
     );
-    match scene.tolerance.as_ref().and_then(|tolerance| tolerance.path_mm) {
+    match allowed {
         Some(allowed) if found.rms_mm > allowed || found.rms_mm.is_nan() => Err(Failure::failed(format!(
             "the path was {:.4} mm off (r.m.s.), `tolerance.path_mm` allows {allowed}",
             found.rms_mm
         ))),
-        Some(allowed) => {
-            say!("tolerance     {allowed} mm: kept");
-            Ok(())
-        }
-        None => Ok(()),
+        _ => Ok(()),
     }
 }

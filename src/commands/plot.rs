@@ -37,7 +37,7 @@ pub struct PlotArguments {
     #[arg(long, default_value = Topic::State.name())]
     topic: String,
     /// Path of the figure, with or without its extension; `.png` and `.svg` are written.
-    #[arg(long, default_value = "plot")]
+    #[arg(short, long, default_value = "plot")]
     output: PathBuf,
 }
 

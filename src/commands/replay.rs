@@ -9,6 +9,7 @@ use run_log::{
     LogError, ReplayReport, SavedState, SegmentOptions, SegmentReport, Verdict, keyframe_before,
     segments::Passed, verify_segments,
 };
+use serde_json::json;
 
 use ipc_types::messages::{Tick, TickRange};
 use ipc_types::process::EXIT_GAP;
@@ -16,6 +17,7 @@ use ipc_types::process::EXIT_GAP;
 use crate::failure::Failure;
 use crate::launcher::volume_source::VolumeFiles;
 use crate::replay::{LivePlan, OpenedLog, Overrides, record, run_live, verify_frames};
+use crate::say::Figures;
 
 /// Arguments of `replay`.
 #[derive(Debug, Args)]
@@ -38,10 +40,10 @@ pub struct ReplayArguments {
     #[arg(long)]
     pub frames: bool,
     /// Record the replay to `run.mcap` in this folder and compare it with the original file.
-    #[arg(long, value_name = "FOLDER", conflicts_with_all = ["from", "to"])]
-    pub record: Option<PathBuf>,
+    #[arg(short, long, value_name = "FOLDER", conflicts_with_all = ["from", "to"])]
+    pub output: Option<PathBuf>,
     /// Run this program as one of the scene's controllers, feed it the logged states and compare its commands. May be repeated.
-    #[arg(long, value_name = "[NAME=]COMMAND", conflicts_with_all = ["verify", "from", "frames", "record"])]
+    #[arg(long, value_name = "[NAME=]COMMAND", conflicts_with_all = ["verify", "from", "frames", "output"])]
     pub controller: Vec<String>,
     /// With `--controller`: step the physics with the program's commands, in lockstep.
     #[arg(long, requires = "controller")]
@@ -58,6 +60,9 @@ pub struct ReplayArguments {
     /// Which files the volume may name.
     #[command(flatten)]
     pub volume_files: VolumeFiles,
+    /// How its figures are printed.
+    #[command(flatten)]
+    pub figures: Figures,
 }
 
 /// A tick, or simulated time.
@@ -110,9 +115,9 @@ pub fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
     if !arguments.controller.is_empty() {
         return live(arguments, &log, last.unwrap_or(Tick(u64::MAX)));
     }
-    if let Some(folder) = &arguments.record {
+    if let Some(folder) = &arguments.output {
         let threads = arguments.frames.then(|| arguments.threads());
-        return tell_recorded(&record(&log, folder, threads)?, &log);
+        return tell_recorded(&record(&log, folder, threads)?, &log, arguments.figures);
     }
     let code = replay(arguments, &log, ticks)?;
     if arguments.frames {
@@ -121,10 +126,14 @@ pub fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
         let (frames, in_gaps) = verify_frames(&log, ticks, threads)?;
         let wall_s = began.elapsed().as_secs_f64();
         let label = log.label();
-        say!("rendered {frames} frames again on {threads} threads, all identical{label}, in {wall_s:.3} s");
-        if in_gaps > 0 {
-            say!("{in_gaps} frames fall into a gap of the log and were not rendered");
-        }
+        arguments.figures.say(
+            || {
+                let gaps = format!("\n{in_gaps} frames fall into a gap of the log and were not rendered");
+                let gaps = if in_gaps > 0 { gaps.as_str() } else { "" };
+                format!("rendered {frames} frames again on {threads} threads, all identical{label}, in {wall_s:.3} s{gaps}")
+            },
+            || json!({"identical_frames": frames, "frames_in_gaps": in_gaps, "wall_s": wall_s}),
+        );
     }
     match code {
         0 => Ok(()),
@@ -168,6 +177,7 @@ fn replay(arguments: &ReplayArguments, log: &OpenedLog, ticks: TickRange) -> Res
         verdict,
         label: log.label(),
         wall_s,
+        figures: arguments.figures,
     };
     let ended_early = report.log_error.is_none() && report.simulation_error.is_none();
     if ended_early && report.divergence.is_none() && from > Tick::START {
@@ -257,6 +267,7 @@ struct ReplayOutcome {
     verdict: Option<Verdict>,
     label: String,
     wall_s: f64,
+    figures: Figures,
 }
 
 impl ReplayOutcome {
@@ -264,6 +275,26 @@ impl ReplayOutcome {
     fn exit_code(&self) -> u8 {
         let of_gaps = if self.gaps.is_empty() { 0 } else { EXIT_GAP };
         self.verdict.as_ref().map_or(of_gaps, |verdict| exit_code(verdict).max(of_gaps))
+    }
+
+    fn json(&self, report: &ReplayReport) -> serde_json::Value {
+        let gaps: Vec<[Option<u64>; 2]> = self
+            .gaps
+            .iter()
+            .map(|gap| [gap.after, gap.resumed].map(|tick| tick.map(|tick| tick.0)))
+            .collect();
+        json!({
+            "verified": self.verified,
+            "first_tick": self.first.0,
+            "ticks": report.identical_ticks,
+            "last_tick": report.last_tick.0,
+            "hash": run_log::end::hash_text(report.hash),
+            "simulated_s": report.simulated_ns as f64 * 1e-9,
+            "wall_s": self.wall_s,
+            "identical_keyframes": self.keyframes,
+            "gaps_after_and_resumed": gaps,
+            "intact": self.verdict.as_ref().map(Verdict::is_intact),
+        })
     }
 
     fn tell(&self, report: &ReplayReport) -> Result<(), Failure> {
@@ -281,6 +312,10 @@ impl ReplayOutcome {
         }
         if let Some(divergence) = &report.divergence {
             return Err(Failure::failed(format!("{divergence}{label}")));
+        }
+        if self.figures.json {
+            say!("{}", self.json(report));
+            return Ok(());
         }
         let from = if self.first > Tick::START {
             format!(" from the keyframe of tick {}", self.first)
@@ -314,9 +349,23 @@ impl ReplayOutcome {
     }
 }
 
-fn tell_recorded(recorded: &crate::replay::Recorded, log: &OpenedLog) -> Result<(), Failure> {
+fn tell_recorded(
+    recorded: &crate::replay::Recorded,
+    log: &OpenedLog,
+    figures: Figures,
+) -> Result<(), Failure> {
     let [theirs, ours] = &recorded.sha256;
     let label = log.label();
+    let differ =
+        || Failure::failed("every message is identical, but the files differ: see above how the log ends");
+    if figures.json {
+        let (ticks, frames) = (recorded.ticks, recorded.frames);
+        say!(
+            "{}",
+            json!({"output": recorded.path, "ticks": ticks, "frames": frames, "sha256": recorded.sha256})
+        );
+        return if theirs == ours { Ok(()) } else { Err(differ()) };
+    }
     say!("recorded {} ticks and {} frames again{label}", recorded.ticks, recorded.frames);
     say!("sha256 {theirs}  {}\nsha256 {ours}  {}", log.path.display(), recorded.path.display());
     if let Some(remark) = &recorded.remark {
@@ -326,7 +375,7 @@ fn tell_recorded(recorded: &crate::replay::Recorded, log: &OpenedLog) -> Result<
         say!("the files are identical");
         return Ok(());
     }
-    Err(Failure::failed("every message is identical, but the files differ: see above how the log ends"))
+    Err(differ())
 }
 
 fn live(arguments: &ReplayArguments, log: &OpenedLog, to_tick: Tick) -> Result<(), Failure> {
@@ -338,7 +387,10 @@ fn live(arguments: &ReplayArguments, log: &OpenedLog, to_tick: Tick) -> Result<(
     };
     let label = log.label();
     for (name, commands) in run_live(log, &plan)? {
-        say!("controller `{name}`: {commands} commands, all identical{label}");
+        arguments.figures.say(
+            || format!("controller `{name}`: {commands} commands, all identical{label}"),
+            || json!({"controller": name, "identical_commands": commands}),
+        );
     }
     Ok(())
 }

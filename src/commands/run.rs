@@ -27,6 +27,9 @@ use crate::scenes::{BuiltIn, SceneSource};
 pub struct RunArguments {
     /// Scene file; default: the built-in femur.
     pub scene: Option<PathBuf>,
+    /// Set a key of the scene, such as `run.duration_s=2` or `controller.0.optional=true` (may be repeated).
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub settings: Vec<String>,
     /// Lockstep or real time; overrides the scene.
     #[arg(long, value_enum)]
     pub mode: Option<ModeArgument>,
@@ -34,7 +37,7 @@ pub struct RunArguments {
     #[arg(long)]
     pub duration_s: Option<f64>,
     /// Parent of the run's folder.
-    #[arg(long, default_value = "out")]
+    #[arg(short, long, default_value = "out")]
     pub output: PathBuf,
     /// Do not record.
     #[arg(long)]
@@ -150,6 +153,11 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     if let Some(choice) = xray::from_scene::tolerance_text(&scene).filter(|_| !arguments.json) {
         say!("{choice}");
     }
+    if let Some(path) = scene.volume.as_ref().and_then(|volume| volume.path.as_ref()) {
+        let named =
+            arguments.scene.as_ref().map_or_else(|| scene.name.clone(), |file| file.display().to_string());
+        volume_source::refuse_missing(&named, path)?;
+    }
     let output = match arguments.no_record {
         true => None,
         false => {
@@ -206,7 +214,8 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
 }
 
 fn scene_of(arguments: &RunArguments) -> Result<Scene, Failure> {
-    let (mut scene, choice) = plan::load(&SceneSource::new(arguments.scene.as_deref(), BuiltIn::Femur))?;
+    let (mut scene, choice) =
+        plan::load(&SceneSource::new(arguments.scene.as_deref(), BuiltIn::Femur).with(&arguments.settings)?)?;
     if let Some(choice) = choice.filter(|_| !arguments.json) {
         say!("{choice}");
     }

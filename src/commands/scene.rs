@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 use controllers::Calibration;
+use ipc_types::scene::Scene;
 
 use crate::failure::Failure;
 use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::output::refuse_existing;
-use crate::say;
+use crate::say::{self, Figures};
 use crate::scenes::{BuiltIn, SceneSource};
 
 /// What to do with a scene.
@@ -22,12 +23,15 @@ pub enum SceneCommand {
         /// Which files the volume may name.
         #[command(flatten)]
         volume_files: VolumeFiles,
+        /// How its figures are printed.
+        #[command(flatten)]
+        figures: Figures,
     },
     /// Write a built-in scene to a folder as a starting point.
     Init {
         /// Folder; created if missing.
-        #[arg(default_value = ".")]
-        folder: PathBuf,
+        #[arg(short, long, default_value = ".")]
+        output: PathBuf,
         /// The scene to write.
         #[arg(long, value_enum, default_value_t = BuiltIn::Femur)]
         scene: BuiltIn,
@@ -42,8 +46,8 @@ pub enum SceneCommand {
 /// An invalid scene (2); a file that already exists or cannot be written.
 pub fn run(command: &SceneCommand) -> Result<(), Failure> {
     match command {
-        SceneCommand::Check { file, volume_files } => check(file, *volume_files),
-        SceneCommand::Init { folder, scene } => init(folder, *scene),
+        SceneCommand::Check { file, volume_files, figures } => check(file, *volume_files, *figures),
+        SceneCommand::Init { output, scene } => init(output, *scene),
         SceneCommand::Schema => schema(),
     }
 }
@@ -66,41 +70,50 @@ fn init(folder: &Path, scene: BuiltIn) -> Result<(), Failure> {
     Ok(())
 }
 
-fn check(file: &Path, volume_files: VolumeFiles) -> Result<(), Failure> {
+fn check(file: &Path, volume_files: VolumeFiles, figures: Figures) -> Result<(), Failure> {
+    let mut notes = Vec::new();
     let (scene, _) = super::plan::load(&SceneSource::File(file.to_owned()))?;
     if let Some(path) = scene.volume.as_ref().and_then(|volume| volume.path.as_ref()) {
-        if !path.exists() {
-            return Err(Failure::bad_input(format!(
-                "{}: `volume.path` is {}, which does not exist",
-                file.display(),
-                path.display()
-            )));
-        }
+        volume_source::refuse_missing(&file.display().to_string(), path)?;
         let loaded = volume_source::load_with_notes(&scene, volume_files)?;
-        for note in loaded.iter().flat_map(|loaded| &loaded.notes) {
-            say!("{note}");
-        }
+        notes.extend(loaded.into_iter().flat_map(|loaded| loaded.notes));
     }
     let calibrations = scene.controller.iter().filter_map(|controller| controller.curved_drilling.as_ref());
     for path in calibrations.filter_map(|drilling| drilling.calibration.as_ref()) {
         Calibration::load(path, &ipc_types::text_file::read)
             .map_err(|cause| Failure::bad_input(format!("{}: {cause}", file.display())))?;
     }
-    say!(
-        "{}: scene `{}` is valid: {:?}, {} ticks of {} ms, {} controllers, {}",
+    notes.extend(xray::from_scene::tolerance_text(&scene));
+    figures.say(
+        || [notes.join("\n"), text_of(file, &scene)].join("\n").trim_start().to_owned(),
+        || json_of(&scene, &notes),
+    );
+    Ok(())
+}
+
+fn text_of(file: &Path, scene: &Scene) -> String {
+    let frames = match scene.frame_period_ticks() {
+        Some(ticks) => format!("a frame every {ticks} ticks"),
+        None => "no scheduled frames".to_owned(),
+    };
+    format!(
+        "{}: scene `{}` is valid: {:?}, {} ticks of {} ms, {} controllers, {frames}",
         file.display(),
         scene.name,
         scene.run.mode,
         scene.tick_count(),
         scene.run.dt_ms,
-        scene.controller.len(),
-        match scene.frame_period_ticks() {
-            Some(ticks) => format!("a frame every {ticks} ticks"),
-            None => "no scheduled frames".to_owned(),
-        }
-    );
-    if let Some(choice) = xray::from_scene::tolerance_text(&scene) {
-        say!("{choice}");
-    }
-    Ok(())
+        scene.controller.len()
+    )
+}
+
+fn json_of(scene: &Scene, notes: &[String]) -> serde_json::Value {
+    serde_json::json!({
+        "scene": scene.name,
+        "ticks": scene.tick_count(),
+        "dt_s": scene.dt_s(),
+        "controllers": scene.controller_names(),
+        "frame_period_ticks": scene.frame_period_ticks(),
+        "notes": notes,
+    })
 }

@@ -3,12 +3,13 @@
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
-use volume_io::{phantom, read_as, write_nrrd};
+use volume_io::{VolumeInfo, phantom, read_as, write_nrrd};
 
 use crate::failure::Failure;
 use crate::launcher::volume_source::{VolumeChoice, VolumeFiles};
 use crate::output::refuse_existing;
 use crate::replay::{OpenedLog, Overrides};
+use crate::say::Figures;
 
 /// What to do with a volume.
 #[derive(Debug, Subcommand)]
@@ -20,6 +21,9 @@ pub enum VolumeCommand {
         /// What of it is read.
         #[command(flatten)]
         choice: VolumeChoice,
+        /// How its figures are printed.
+        #[command(flatten)]
+        figures: Figures,
     },
     /// Write a run's CT with the drilled voxels set to air, as NRRD; also works during the run.
     Drilled(DrilledArguments),
@@ -30,8 +34,9 @@ pub enum VolumeCommand {
 pub struct DrilledArguments {
     /// Folder of a run, or its `run.mcap`.
     log: PathBuf,
-    /// Output file (NRRD, gzip).
-    file: PathBuf,
+    /// New file (NRRD, gzip).
+    #[arg(short, long)]
+    output: PathBuf,
     /// Show the bone after this tick; default: the last tick of the log.
     #[arg(long)]
     tick: Option<u64>,
@@ -40,13 +45,16 @@ pub struct DrilledArguments {
     volume: Option<PathBuf>,
     #[command(flatten)]
     volume_files: VolumeFiles,
+    /// How its figures are printed.
+    #[command(flatten)]
+    figures: Figures,
 }
 
 /// Value of a drilled voxel: air.
 const AIR_HU: i16 = -1000;
 
 fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
-    refuse_existing(&[&arguments.file])?;
+    refuse_existing(&[&arguments.output])?;
     let overrides = Overrides {
         volume: arguments.volume.clone(),
         volume_files: arguments.volume_files,
@@ -79,8 +87,12 @@ fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
             *hu = AIR_HU;
         }
     }
-    write_nrrd(&arguments.file, &volume)?;
-    say!("{}: the CT after tick {last}, {} voxels removed", arguments.file.display(), gone.len());
+    write_nrrd(&arguments.output, &volume)?;
+    let output = arguments.output.display();
+    arguments.figures.say(
+        || format!("{output}: the CT after tick {last}, {} voxels removed", gone.len()),
+        || serde_json::json!({"output": arguments.output, "tick": last, "removed_voxels": gone.len()}),
+    );
     Ok(())
 }
 
@@ -89,13 +101,29 @@ fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
 /// # Errors
 /// Not a volume, or not a log with one (2); a log that cannot be read to its end, a full disk (1).
 pub fn run(command: &VolumeCommand) -> Result<(), Failure> {
-    let (file, choice) = match command {
-        VolumeCommand::Info { file, choice } => (file, choice),
+    let (file, choice, figures) = match command {
+        VolumeCommand::Info { file, choice, figures } => (file, choice, figures),
         VolumeCommand::Drilled(arguments) => return write_drilled(arguments),
     };
     let (_, info) = read_as(file, &choice.options())?;
-    say!("{info}");
+    figures.say(|| info.to_string(), || json_of(&info));
     Ok(())
+}
+
+fn json_of(info: &VolumeInfo) -> serde_json::Value {
+    serde_json::json!({
+        "format": info.format,
+        "stored_as": info.stored_as,
+        "units": info.units,
+        "dimensions": info.dims,
+        "spacing_m": info.spacing_m,
+        "origin_m": info.origin_m,
+        "direction": info.direction,
+        "min_hu": info.hu.min_hu,
+        "max_hu": info.hu.max_hu,
+        "mean_hu": info.hu.mean_hu,
+        "notes": info.notes,
+    })
 }
 
 /// Arguments of `phantom`.
@@ -104,11 +132,15 @@ pub struct PhantomArguments {
     /// The volume to generate.
     #[arg(value_enum)]
     pub kind: PhantomKind,
-    /// Output file (NRRD, gzip).
-    pub file: PathBuf,
-    /// Voxel size in millimetres, 0.25 to 2.
-    #[arg(long, default_value_t = 0.5)]
-    pub spacing_mm: f64,
+    /// New file (NRRD, gzip).
+    #[arg(short, long)]
+    pub output: PathBuf,
+    /// Voxel size in millimetres, 0.25 to 2; 0.5 by default, 1 for the pelvis.
+    #[arg(long)]
+    pub spacing_mm: Option<f64>,
+    /// How its figures are printed.
+    #[command(flatten)]
+    pub figures: Figures,
 }
 
 /// Built-in synthetic volumes.
@@ -120,6 +152,8 @@ pub enum PhantomKind {
     Block,
     /// A ball.
     Sphere,
+    /// A pelvis with both proximal femurs, in place of a patient's CT: `configs/pelvis_ct.toml` drills into it.
+    Pelvis,
 }
 
 /// Writes a phantom.
@@ -127,12 +161,13 @@ pub enum PhantomKind {
 /// # Errors
 /// A spacing out of range, a file that already exists, a folder that cannot be written (2); a full disk (1).
 pub fn write_phantom(arguments: &PhantomArguments) -> Result<(), Failure> {
-    if !(0.25..=2.0).contains(&arguments.spacing_mm) {
-        let given = arguments.spacing_mm;
-        return Err(Failure::bad_input(format!("--spacing-mm is {given}, allowed is 0.25 to 2")));
+    let usual = if matches!(arguments.kind, PhantomKind::Pelvis) { 1.0 } else { 0.5 };
+    let spacing_mm = arguments.spacing_mm.unwrap_or(usual);
+    if !(0.25..=2.0).contains(&spacing_mm) {
+        return Err(Failure::bad_input(format!("--spacing-mm is {spacing_mm}, allowed is 0.25 to 2")));
     }
-    refuse_existing(&[&arguments.file])?;
-    let spacing_m = arguments.spacing_mm * 1e-3;
+    refuse_existing(&[&arguments.output])?;
+    let spacing_m = spacing_mm * 1e-3;
     let volume = match arguments.kind {
         PhantomKind::Femur => phantom::femur(&phantom::FemurSpec { spacing_m, ..Default::default() }),
         PhantomKind::Block => {
@@ -141,10 +176,15 @@ pub fn write_phantom(arguments: &PhantomArguments) -> Result<(), Failure> {
         PhantomKind::Sphere => {
             phantom::sphere(&phantom::SphereSpec { spacing_m: [spacing_m; 3], ..Default::default() })
         }
+        PhantomKind::Pelvis => phantom::pelvis(&phantom::PelvisSpec { spacing_m, ..Default::default() }),
     };
     let volume = volume.map_err(Failure::bad_input)?;
-    write_nrrd(&arguments.file, &volume)?;
+    write_nrrd(&arguments.output, &volume)?;
     let [i, j, k] = volume.dims;
-    say!("{}: synthetic, {i} x {j} x {k} voxels of {} mm", arguments.file.display(), arguments.spacing_mm);
+    let output = arguments.output.display();
+    arguments.figures.say(
+        || format!("{output}: synthetic, {i} x {j} x {k} voxels of {spacing_mm} mm"),
+        || serde_json::json!({"output": arguments.output, "dimensions": volume.dims, "spacing_m": volume.spacing_m}),
+    );
     Ok(())
 }

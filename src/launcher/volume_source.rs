@@ -3,6 +3,8 @@
 use std::path::Path;
 
 use super::suspicions;
+use crate::failure::Failure;
+use foreign_text::foreign_path;
 use ipc_types::layout::Message;
 use ipc_types::messages::Volume as VolumeMessage;
 use ipc_types::scene::{Label as SceneLabel, Phantom, Resample, Scene, Volume as SceneVolume};
@@ -63,6 +65,21 @@ fn options(source: &SceneVolume, files: VolumeFiles) -> ReadOptions {
             SceneLabel::Name(name) => Label::Name(name.clone()),
         }),
     }
+}
+
+/// Refuses a scene whose volume is not there, and says where one is to be had; `scene` names the scene's file.
+///
+/// # Errors
+/// Bad input (2).
+pub fn refuse_missing(scene: &str, path: &Path) -> Result<(), Failure> {
+    if path.exists() {
+        return Ok(());
+    }
+    Err(Failure::bad_input(format!(
+        "{scene}: `volume.path` is {}, which does not exist. A synthetic pelvis in its place: `trabecula phantom pelvis -o pelvis.nrrd`, then \
+         `trabecula run … --set 'volume.path=\"'$PWD/pelvis.nrrd'\"'`; free CTs of patients: docs/volumes.md, \"Where to get a CT\"",
+        foreign_path(path)
+    )))
 }
 
 /// The volume of a scene with its hash; `None` if the scene has none.

@@ -170,7 +170,7 @@ impl ReplayCopy<'_> {
 
     /// A log with a gap cannot be reproduced as the same file.
     fn gap(&self, tick: u64) -> String {
-        format!("{}: gap at tick {tick}: --record needs every tick", self.log.path.display())
+        format!("{}: gap at tick {tick}: --output needs every tick", self.log.path.display())
     }
 
     fn keyframe(&mut self) -> Result<(), Failure> {

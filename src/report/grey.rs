@@ -28,9 +28,8 @@ impl GreyImage {
     }
 
     /// Writes the picture.
-    pub fn write_png(&self, path: &Path) -> Result<(), ReportError> {
-        let bytes = encode_png(path, self.columns, self.rows, png::ColorType::Grayscale, &self.pixels)?;
-        Ok(output_file::write(path, bytes)?)
+    pub fn png(&self, path: &Path) -> Result<Vec<u8>, ReportError> {
+        encode_png(path, self.columns, self.rows, png::ColorType::Grayscale, &self.pixels)
     }
 }
 

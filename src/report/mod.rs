@@ -8,6 +8,7 @@
 //! | `tip_path.png`, `.svg` | tip path with the manipulator's shape; tension, bend and burr force over time |
 //! | `timing.png`, `.svg` | step time over the run; distributions of step, lateness and round trip |
 //! | `summary.json` | [`Summary`] |
+//! | `report.html` | all of it on one page, with warnings, scene and the command that replays the run |
 //!
 //! Each file is on the disk before the next is begun. A log that is cut, damaged or not there gives what it holds; what is wrong stands in `LogSummary::notes`.
 
@@ -17,6 +18,7 @@ pub mod distribution;
 mod end_table;
 mod grey;
 mod live;
+mod page;
 pub mod panel;
 mod run_lane;
 pub mod shapes;
@@ -39,11 +41,12 @@ pub use live::{LiveSnapshot, LiveStats, progress_line};
 pub use summary::{MissSummary, NOT_SHARED, Summary};
 pub use table::{History, json_line};
 
+use page::Picture;
 use run_lane::RunLane;
 use timing_lane::TimingLane;
 
 /// The files that a run's report writes into its folder.
-pub const FILES: [&str; 10] = [
+pub const FILES: [&str; 11] = [
     "run.mcap",
     "timing.mcap",
     "summary.json",
@@ -54,6 +57,7 @@ pub const FILES: [&str; 10] = [
     "tip_path.svg",
     "timing.png",
     "timing.svg",
+    "report.html",
 ];
 
 /// Facts about a run that only the launcher knows.
@@ -106,6 +110,14 @@ pub enum ReportError {
         /// The library's reason.
         source: hdrhistogram::CreationError,
     },
+    /// The page could not be written.
+    #[error("{}: cannot be filled in: {source}", path.display())]
+    Page {
+        /// The file.
+        path: PathBuf,
+        /// The template's reason.
+        source: askama::Error,
+    },
     /// The summary could not be encoded.
     #[error("{}: cannot be written as JSON: {source}", path.display())]
     Json {
@@ -141,21 +153,35 @@ pub fn write(folder: &Path, facts: &RunFacts) -> Result<Report, ReportError> {
     let mut missing: Vec<ReportError> = Vec::new();
     // Write the numbers first: they need the least space on a nearly full disk.
     missing.extend(write_json(&folder.join("summary.json"), &summary).err());
+    let (mut pictures, mut drawn) = (Vec::new(), Vec::new());
     for (name, image) in frames {
         let Some(image) = image else { continue };
-        missing.extend(image.write_png(&folder.join(format!("drr_{name}.png"))).err());
+        let path = folder.join(format!("drr_{name}.png"));
+        match image.png(&path) {
+            Ok(bytes) => {
+                pictures.push(Picture::png(name, &bytes));
+                missing.extend(output_file::write(&path, bytes).err().map(ReportError::from));
+            }
+            Err(error) => missing.push(error),
+        }
     }
     for (stem, figure) in
         [("tip_path", tip_figure::draw(&run)), ("timing", timing_figure::draw(&timing, run.end_ns))]
     {
         match figure.and_then(|figure| figure.files(folder, stem)) {
             Ok(files) => {
+                drawn.push(Picture::svg(stem, &files[1].1));
                 let written = files.iter().map(|(path, bytes)| output_file::write(path, bytes));
                 missing.extend(written.filter_map(Result::err).map(ReportError::from));
             }
             Err(error) => missing.push(error),
         }
     }
+    let scene = run.header.as_ref().map_or("", |header| header.scene_toml.as_str());
+    let path = folder.join("report.html");
+    let page = page::page(&summary, scene, &pictures, &drawn);
+    let page = page.map_err(|source| ReportError::Page { path: path.clone(), source });
+    missing.extend(page.and_then(|page| Ok(output_file::write(&path, page)?)).err());
     Ok(Report { summary, missing })
 }
 

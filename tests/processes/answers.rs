@@ -34,16 +34,17 @@ fn call(command: &str) -> Call {
         "plan" => As("plan @scene.toml"),
         "scene check" => As("scene check @scene.toml"),
         "scene schema" => As("scene schema"),
-        "scene init" => As("scene init @scenes#"),
+        "scene init" => As("scene init -o @scenes#"),
         "volume info" => As("volume info @ball.nrrd"),
-        "volume drilled" => As("volume drilled @log @d#.nrrd"),
-        "phantom" => As("phantom sphere @p#.nrrd --spacing-mm 2"),
+        "volume drilled" => As("volume drilled @log -o @d#.nrrd"),
+        "phantom" => As("phantom sphere -o @p#.nrrd --spacing-mm 2"),
         "drr" => As("drr @ball.nrrd -o @x#.png"),
         "docs messages" => As("docs messages"),
         "docs scene" => As("docs scene"),
         "docs schema" => As("docs schema State"),
         "docs completions" => As("docs completions zsh"),
         "docs man" => As("docs man"),
+        "docs install" => As("docs install -o @usr#"),
         "doctor" => As("doctor"),
         // It ends when it is told to. The others take minutes, and a part of a session answers nobody. All speak through
         // `src/say.rs`: a lint refuses every other way to standard output.
@@ -107,7 +108,7 @@ fn an_answer_that_cannot_be_written_ends_with_1_whatever_the_command() {
     let folder = place.complete(&scenes::drill("lockstep", 0.2)).folder;
     fs::rename(folder, place.path("log")).unwrap();
     let (log, ball, two) = (place.path("log"), place.path("ball.nrrd"), place.path("two.mcap"));
-    assert_eq!(trabecula(&[&"phantom", &"sphere", &ball, &"--spacing-mm", &"2"]).code, Some(0));
+    assert_eq!(trabecula(&[&"phantom", &"sphere", &"-o", &ball, &"--spacing-mm", &"2"]).code, Some(0));
     assert_eq!(trabecula(&[&"log", &"cat-files", &log, &log, &"-o", &two]).code, Some(0));
     let here = place.path("");
     let here = here.to_str().unwrap();

@@ -123,11 +123,11 @@ fn a_log_without_any_state_is_damage_to_every_command() {
         &[&"replay", &cut],
         &[&"replay", &cut, &"--verify"],
         &[&"replay", &cut, &"--from", &"3"],
-        &[&"replay", &cut, &"--record", &folder],
+        &[&"replay", &cut, &"--output", &folder],
         &[&"log", &"diff", &cut, &log],
         &[&"log", &"diff", &log, &cut],
         &[&"plan", &"--check", &cut],
-        &[&"volume", &"drilled", &cut, &made],
+        &[&"volume", &"drilled", &cut, &"-o", &made],
     ];
     for words in all {
         let done = trabecula(words);

@@ -113,7 +113,7 @@ fn with_volume(text: impl FnOnce(&Place)) -> Place {
 #[test]
 fn a_missing_volume_is_named() {
     let place = with_volume(|_| {});
-    assert_refused_in(&place, &["ct.nrrd", "No such file"]);
+    assert_refused_in(&place, &["ct.nrrd", "which does not exist", "trabecula phantom pelvis"]);
     let check = trabecula(&[&"scene", &"check", &place.path("scene.toml")]);
     assert_eq!(check.code, Some(2));
     assert!(check.err.contains("`volume.path`") && check.err.contains("ct.nrrd"), "{}", check.err);
@@ -130,7 +130,7 @@ fn a_text_file_named_as_a_volume_is_refused() {
 fn a_truncated_volume_is_refused() {
     let place = with_volume(|place| {
         let whole = place.path("ct.nrrd");
-        assert_eq!(trabecula(&[&"phantom", &"block", &whole, &"--spacing-mm", &"1"]).code, Some(0));
+        assert_eq!(trabecula(&[&"phantom", &"block", &"-o", &whole, &"--spacing-mm", &"1"]).code, Some(0));
         let bytes = fs::read(&whole).unwrap();
         fs::write(&whole, &bytes[..bytes.len() - bytes.len() / 3]).unwrap();
     });

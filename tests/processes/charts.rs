@@ -24,7 +24,7 @@ fn the_short_chart_of_the_physics_has_its_six_panels_and_its_peers() {
         fs::write(peers.join(format!("{name}.py")), script).unwrap();
         fs::write(peers.join(format!("{name}.txt")), "").unwrap();
     }
-    let done = trabecula(&[&"chart", &"physics", &"--quick", &"--out", &out, &"--peers", &peers]);
+    let done = trabecula(&[&"chart", &"physics", &"--quick", &"--output", &out, &"--peers", &peers]);
     assert_eq!(done.code, Some(0), "{}", done.err);
     assert!(done.out.contains("peer lost: not measured (no licence)"), "{}", done.out);
     let csv = fs::read_to_string(out.join("accuracy-physics.csv")).unwrap();

@@ -4,7 +4,7 @@ use std::fs;
 
 use ipc_types::messages::Tick;
 use ipc_types::messages::{
-    ARM_HOLD, BURR_SPEED, Command, EVENT_COMMAND_REFUSED, SOURCE_FRESH, State, TENDON_SERVO_JF,
+    ARM_HOLD, ARM_INSERT, BURR_SPEED, Command, EVENT_COMMAND_REFUSED, SOURCE_FRESH, State, TENDON_SERVO_JF,
 };
 use ipc_types::services;
 use ipc_types::session::SessionError;
@@ -60,6 +60,11 @@ fn bad_commands(sequence: u64, tick: u64) -> Vec<(Command, &'static str)> {
         (
             Command { arm_speed_m_per_s: f64::INFINITY, ..good },
             "`arm_speed_m_per_s` is inf, allowed is 0 to 1",
+        ),
+        // The lower bound was the smallest positive number, printed with all its 300 digits.
+        (
+            Command { arm_mode: ARM_INSERT, arm_axis: [1.0, 0.0, 0.0], arm_speed_m_per_s: 0.0, ..good },
+            "`arm_speed_m_per_s` is 0, allowed is above 0 and at most 1",
         ),
         (Command { arm_mode: 9, ..good }, "`arm_mode` is 9, expected 0 none"),
         (Command { reserved: 1, ..good }, "`reserved` is 1, expected 0"),

@@ -60,7 +60,7 @@ fn removed_until(log: &Whole, tick: u64) -> Vec<u32> {
 fn drilled_voxels_are_gone_in_the_frames() {
     let place = Place::new();
     let file = place.path("block.nrrd");
-    assert_eq!(trabecula(&[&"phantom", &"block", &file, &"--spacing-mm", &"0.5"]).code, Some(0));
+    assert_eq!(trabecula(&[&"phantom", &"block", &"-o", &file, &"--spacing-mm", &"0.5"]).code, Some(0));
     // The block of the file begins at z = -12.25 mm; the burr stands 0.75 mm in front of it.
     let text = scenes::drill_in_file("lockstep", 1.2, "block.nrrd")
         .replace("[0.0, 0.0, -34.0]", "[0.0, 0.0, -16.25]")

@@ -60,7 +60,7 @@ fn a_gap_costs_the_ticks_up_to_the_next_keyframe_and_is_named_by_every_command()
     );
     let differs = trabecula(&[&"log", &"diff", &whole, &log]);
     said(&differs, 1, &["729 identical ticks", "71 ticks are only in", "the second log: gap"]);
-    said(&trabecula(&[&"replay", &log, &"--record", &place.path("again")]), 1, &["gap at tick 230"]);
+    said(&trabecula(&[&"replay", &log, &"--output", &place.path("again")]), 1, &["gap at tick 230"]);
     assert!(!place.path("again").join("run.mcap").exists());
 }
 
@@ -151,7 +151,7 @@ fn a_replay_starts_none_of_a_logs_programs() {
     rewrite_as(&original, &log, |header| header.scene_toml.clone_from(&evil), |_| {}, |_| {});
     said(&verify(&log), 0, &["replayed 200 ticks, all identical"]);
     said(&trabecula(&[&"replay", &log]), 0, &["replayed 200 ticks"]);
-    said(&trabecula(&[&"replay", &log, &"--record", &place.path("again")]), 0, &["the files are identical"]);
+    said(&trabecula(&[&"replay", &log, &"--output", &place.path("again")]), 0, &["the files are identical"]);
     let holder = format!("holder={} proc controller --name holder", env!("CARGO_BIN_EXE_trabecula"));
     let live = trabecula(&[&"replay", &log, &"--controller", &holder]);
     assert_ne!(live.code, Some(0), "a program that the log does not give it cannot hold: {}", live.out);

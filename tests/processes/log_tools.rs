@@ -155,7 +155,7 @@ fn the_drilled_ct_is_written_while_the_run_goes_on() {
     let file = place.path("drilled.nrrd");
     let gone_in = || volume_io::read(&file).unwrap().hu.iter().filter(|hu| **hu == -1000).count();
     let drilled = |more: &[&dyn AsRef<std::ffi::OsStr>], folder: &Path| {
-        let mut words: Vec<&dyn AsRef<std::ffi::OsStr>> = vec![&"volume", &"drilled", &folder, &file];
+        let mut words: Vec<&dyn AsRef<std::ffi::OsStr>> = vec![&"volume", &"drilled", &folder, &"-o", &file];
         words.extend(more);
         trabecula(&words)
     };

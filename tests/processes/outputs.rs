@@ -41,13 +41,17 @@ fn row(place: &Place, words: &str, files: &'static [&'static str]) -> Row {
 fn table(place: &Place) -> Vec<Row> {
     let row = |words: &str, files| row(place, words, files);
     vec![
+        row(
+            "docs install -o @usr",
+            &["usr/share/man/man1/trabecula-log-export.1", "usr/share/bash-completion/completions/trabecula"],
+        ),
         row("drr @ball.nrrd -o @x.png", &["x.png"]),
         row("drr @ball.nrrd -o @x.nrrd", &["x.nrrd"]),
         row("drr @ball.nrrd -o @x.dcm", &["x.dcm"]),
         row("drr @ball.nrrd -o @x.png --sweep 90 --frames 3", &["x_0000.png", "x_0002.png"]),
         row("drr @ball.nrrd -o @x.png --sweep 90 --frames 3 --animate", &["x.png"]),
-        row("phantom sphere @p.nrrd --spacing-mm 2", &["p.nrrd"]),
-        row("volume drilled @log @d.nrrd", &["d.nrrd"]),
+        row("phantom sphere -o @p.nrrd --spacing-mm 2", &["p.nrrd"]),
+        row("volume drilled @log -o @d.nrrd", &["d.nrrd"]),
         row("log repair @log -o @r.mcap", &["r.mcap"]),
         row("log compress @log -o @c.mcap", &["c.mcap"]),
         row("log export @log -o @t.csv", &["t.csv"]),
@@ -55,33 +59,33 @@ fn table(place: &Place) -> Vec<Row> {
         row("log cat-files @log @log -o @both.mcap", &["both.mcap"]),
         row("log split @two.mcap -o @runs", &["runs/run1.mcap", "runs/run2.mcap"]),
         row("plot @log t_world_tip.position_m --output @f", &["f.png", "f.svg"]),
-        row("replay @log --record @again", &["again/run.mcap"]),
+        row("replay @log --output @again", &["again/run.mcap"]),
         row(
             "calibrate @sweep.toml -o @cal",
             &["cal/calibration.csv", "cal/calibration.png", "cal/calibration.svg"],
         ),
         row(
-            "chart drr --quick --rounds 1 --out @charts",
+            "chart drr --quick --rounds 1 --output @charts",
             &["charts/drr.csv", "charts/drr.md", "charts/drr.svg"],
         ),
         row("chart drr --rungs @rungs.csv", &["rungs.csv"]),
         row(
-            "chart physics --quick --out @charts",
+            "chart physics --quick --output @charts",
             &["charts/physics-plan.csv", "charts/accuracy-physics.png"],
         ),
-        row("chart stability --quick --out @charts", &["charts/stability.csv", "charts/stability.svg"]),
+        row("chart stability --quick --output @charts", &["charts/stability.csv", "charts/stability.svg"]),
         row(
-            "reproduce --quick --only 1 --out @rep",
+            "reproduce --quick --only 1 --output @rep",
             &["rep/reproduce-1-tunnel.csv", "rep/reproduce-1-tunnel.svg"],
         ),
         row(
-            "reproduce --quick --only 2 --out @rep",
+            "reproduce --quick --only 2 --output @rep",
             &["rep/reproduce-2-rules.csv", "rep/reproduce-2-planar-burr.png"],
         ),
-        row("reproduce --quick --only 3 --out @rep", &["rep/reproduce-3-deviation.csv"]),
-        row("reproduce --quick --only 4 --out @rep", &["rep/reproduce-4-tension.png"]),
-        row("reproduce --quick --out @rep", &["rep/reproduce-5-thrust.csv"]),
-        row("scene init @scenes", &["scenes/femur_curved_drilling.toml"]),
+        row("reproduce --quick --only 3 --output @rep", &["rep/reproduce-3-deviation.csv"]),
+        row("reproduce --quick --only 4 --output @rep", &["rep/reproduce-4-tension.png"]),
+        row("reproduce --quick --output @rep", &["rep/reproduce-5-thrust.csv"]),
+        row("scene init -o @scenes", &["scenes/femur_curved_drilling.toml"]),
         row("bench soak @scene.toml --minutes 0.1 --output @soak", &["soak/run.mcap", "soak/summary.json"]),
     ]
 }
@@ -104,7 +108,7 @@ fn no_command_writes_over_a_file_that_is_there() {
     let folder = place.complete(&scenes::drill("lockstep", 0.1)).folder;
     fs::rename(folder, place.path("log")).unwrap();
     fs::remove_dir(place.path("out")).unwrap();
-    for words in ["phantom sphere @ball.nrrd --spacing-mm 2", "log cat-files @log @log -o @two.mcap"] {
+    for words in ["phantom sphere -o @ball.nrrd --spacing-mm 2", "log cat-files @log @log -o @two.mcap"] {
         let done = run(&row(&place, words, &[]).words);
         assert_eq!(done.code, Some(0), "{}", done.err);
     }
@@ -140,7 +144,7 @@ fn no_command_writes_over_a_file_that_is_there() {
 fn no_command_writes_over_its_own_input() {
     let place = Place::new();
     let ball = place.path("ball.nrrd");
-    assert_eq!(trabecula(&[&"phantom", &"sphere", &ball, &"--spacing-mm", &"2"]).code, Some(0));
+    assert_eq!(trabecula(&[&"phantom", &"sphere", &"-o", &ball, &"--spacing-mm", &"2"]).code, Some(0));
     let before = fs::read(&ball).unwrap();
     let done = trabecula(&[&"drr", &ball, &"-o", &ball]);
     assert!(done.code == Some(2) && done.err.contains("already exists"), "{}", done.err);

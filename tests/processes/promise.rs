@@ -33,7 +33,7 @@ fn promise_2_file_identity_recording_a_replay_gives_the_same_file() {
         let scene = scenes::drill(mode, 0.7) + &scenes::keyframes(0.3);
         let folder = place.complete(&scene).folder;
         let again = place.path(&format!("{mode}-{frames}"));
-        let mut words: Vec<&dyn AsRef<std::ffi::OsStr>> = vec![&"replay", &folder, &"--record", &again];
+        let mut words: Vec<&dyn AsRef<std::ffi::OsStr>> = vec![&"replay", &folder, &"--output", &again];
         if frames {
             words.push(&"--frames");
         }
@@ -180,7 +180,7 @@ fn promise_8_refusal_of_another_build_layout_volume_or_scene() {
     let place = Place::new();
     let volume = place.path("block.nrrd");
     let make = |to: &PathBuf, spacing: &str| {
-        assert_eq!(trabecula(&[&"phantom", &"block", to, &"--spacing-mm", &spacing]).code, Some(0));
+        assert_eq!(trabecula(&[&"phantom", &"block", &"-o", to, &"--spacing-mm", &spacing]).code, Some(0));
     };
     make(&volume, "1");
     let text = scenes::drill_in_file("lockstep", 0.2, "block.nrrd");

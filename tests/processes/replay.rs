@@ -143,11 +143,11 @@ fn a_recorded_replay_that_differs_leaves_no_file() {
     let changed = place.path("changed.mcap");
     rewrite(&original, &changed, |_| {}, |state| state.hash[0] ^= u64::from(state.tick == 70));
     let again = place.path("again");
-    let done = trabecula(&[&"replay", &changed, &"--record", &again]);
+    let done = trabecula(&[&"replay", &changed, &"--output", &again]);
     assert!(done.code == Some(1) && done.err.contains("tick 70"), "{}", done.err);
     assert!(!again.join("run.mcap").exists());
     // So that it can be said again, of a log that is right.
-    let done = trabecula(&[&"replay", &original, &"--record", &again]);
+    let done = trabecula(&[&"replay", &original, &"--output", &again]);
     assert_eq!(done.code, Some(0), "{}", done.err);
 }
 

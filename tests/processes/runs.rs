@@ -125,7 +125,7 @@ fn two_hubs_at_once_do_not_meet() {
 #[test]
 fn a_scene_with_its_volume_beside_it_replays_from_anywhere() {
     let place = Place::new();
-    let made = trabecula(&[&"phantom", &"block", &place.path("block.nrrd"), &"--spacing-mm", &"1"]);
+    let made = trabecula(&[&"phantom", &"block", &"-o", &place.path("block.nrrd"), &"--spacing-mm", &"1"]);
     assert_eq!(made.code, Some(0), "{}", made.err);
     let scene = scenes::drill_in_file("lockstep", 0.3, "block.nrrd");
     place.scene(&scene);

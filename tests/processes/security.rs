@@ -215,9 +215,9 @@ fn a_log_whose_names_are_paths_writes_only_where_it_is_told_to() {
             (0, vec![&"log", &"cat-files", &log, &good, &"-o", &joined]),
             (0, vec![&"log", &"split", &joined, &"-o", &"runs"]),
             (0, vec![&"plot", &log, &"t_world_tip.position_m", &"--output", &figure]),
-            (2, vec![&"volume", &"drilled", &log, &"drilled.nrrd"]),
+            (2, vec![&"volume", &"drilled", &log, &"-o", &"drilled.nrrd"]),
             (2, vec![&"replay", &log, &"--verify", &"--frames"]),
-            (2, vec![&"replay", &log, &"--record", &"again"]),
+            (2, vec![&"replay", &log, &"--output", &"again"]),
         ];
         for (code, words) in all {
             let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));

@@ -104,7 +104,7 @@ fn texts_of_an_untrusted_log_reach_the_terminal_escaped() {
         (&[&"plot", &log, &"t_world_tip.position_m", &"--output", &f], false),
         (&[&"replay", &log, &"--verify"], true),
         (&[&"replay", &log, &"--allow-mismatch"], true),
-        (&[&"volume", &"drilled", &log, &d], true),
+        (&[&"volume", &"drilled", &log, &"-o", &d], true),
         (&[&"plan", &"--check", &log], true),
         (&[&"view", &cut, &"--port", &"0", &"--no-open"], false),
     ];
@@ -225,7 +225,7 @@ fn a_volume_names_no_file_elsewhere_unless_the_user_allows_it() {
         fs::create_dir(place.path(folder)).unwrap();
     }
     let block = place.path("private/block.nrrd");
-    assert_eq!(limited(&[&"phantom", &"block", &block, &"--spacing-mm", &"1"]).code, Some(0));
+    assert_eq!(limited(&[&"phantom", &"block", &"-o", &block, &"--spacing-mm", &"1"]).code, Some(0));
     // The same volume by a header elsewhere, whose voxels lie behind the lines of that file.
     let bytes = fs::read(&block).unwrap();
     let end = bytes.windows(2).position(|pair| pair == b"\n\n").unwrap() + 2;
@@ -253,7 +253,7 @@ fn a_volume_names_no_file_elsewhere_unless_the_user_allows_it() {
     // The scene in the log names the same header, and is as little trusted.
     let log = fs::read_dir(&out).unwrap().flatten().next().unwrap().path();
     both(&[&"replay", &log, &"--verify"]);
-    both(&[&"volume", &"drilled", &log, &place.path("d.nrrd")]);
+    both(&[&"volume", &"drilled", &log, &"-o", &place.path("d.nrrd")]);
 }
 
 /// `/dev/zero` filled the memory, a pipe was waited for without end.
@@ -261,7 +261,7 @@ fn a_volume_names_no_file_elsewhere_unless_the_user_allows_it() {
 fn only_text_files_are_accepted_as_scene_pose_or_calibration() {
     let place = Place::new();
     let ball = place.path("ball.nrrd");
-    assert_eq!(limited(&[&"phantom", &"sphere", &ball, &"--spacing-mm", &"2"]).code, Some(0));
+    assert_eq!(limited(&[&"phantom", &"sphere", &"-o", &ball, &"--spacing-mm", &"2"]).code, Some(0));
     let pipe = |name: &str| {
         let path = place.path(name);
         let mode = rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR;

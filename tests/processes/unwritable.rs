@@ -28,7 +28,7 @@ impl Inputs {
         let folder = place.complete(&scenes::drill("lockstep", duration_s)).folder;
         fs::rename(folder, place.path("log")).unwrap();
         let (log, ball, two) = (place.path("log"), place.path("ball.nrrd"), place.path("two.mcap"));
-        assert_eq!(trabecula(&[&"phantom", &"sphere", &ball, &"--spacing-mm", &"2"]).code, Some(0));
+        assert_eq!(trabecula(&[&"phantom", &"sphere", &"-o", &ball, &"--spacing-mm", &"2"]).code, Some(0));
         assert_eq!(trabecula(&[&"log", &"cat-files", &log, &log, &"-o", &two]).code, Some(0));
         Inputs(place)
     }
@@ -52,17 +52,17 @@ const COMMANDS: [(&str, &str); 18] = [
     ("log repair @log -o #r.mcap", "r.mcap"),
     ("log cat-files @log @log -o #both.mcap", "both.mcap"),
     ("log split @two.mcap -o #runs", "runs/run1.mcap"),
-    ("replay @log --record #again", "again/run.mcap"),
+    ("replay @log --output #again", "again/run.mcap"),
     ("plot @log t_world_tip.position_m --output #f", "f.png"),
     ("drr @ball.nrrd -o #x.png", "x.png"),
     ("drr @ball.nrrd -o #x.nrrd", "x.nrrd"),
     ("drr @ball.nrrd -o #x.dcm", "x.dcm"),
     ("drr @ball.nrrd -o #x.png --sweep 90 --frames 6 --animate --columns 256 --rows 256", "x.png"),
     ("drr @ball.nrrd -o #s.png --sweep 90 --frames 3", "s_0000.png"),
-    ("phantom sphere #p.nrrd --spacing-mm 2", "p.nrrd"),
-    ("volume drilled @log #d.nrrd", "d.nrrd"),
+    ("phantom sphere -o #p.nrrd --spacing-mm 2", "p.nrrd"),
+    ("volume drilled @log -o #d.nrrd", "d.nrrd"),
     ("calibrate @sweep.toml -o #cal", "calibration.csv"),
-    ("chart drr --quick --rounds 1 --out #chart", "drr.csv"),
+    ("chart drr --quick --rounds 1 --output #chart", "drr.csv"),
 ];
 
 /// Names and contents of all files below a folder.
@@ -92,7 +92,7 @@ fn start(words: &[String]) -> Child {
     command.stderr(Stdio::piped()).spawn().unwrap()
 }
 
-/// `log export`, `log compress`, `replay --record`, `drr --animate` and `plot` left a part of a file under its name, or an empty one.
+/// `log export`, `log compress`, `replay --output`, `drr --animate` and `plot` left a part of a file under its name, or an empty one.
 #[test]
 fn a_killed_command_leaves_no_half_file_under_its_name() {
     const KILLS: u64 = 8;
@@ -200,7 +200,7 @@ fn what_another_program_puts_there_meanwhile_stays() {
     let rows = [
         ("log export @log -o #t.csv", "t.csv"),
         ("log compress @log -o #c.mcap", "c.mcap"),
-        ("replay @log --record #", "run.mcap"),
+        ("replay @log --output #", "run.mcap"),
     ];
     for (words, name) in rows {
         // A command may be over before it is seen; most are not.

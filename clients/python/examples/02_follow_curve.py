@@ -30,5 +30,5 @@ with trabecula.Client() as client:
                 f"hash {high:016x}{low:016x}"
             )
         with client.command() as command:
-            command.tendon_mode = trabecula.TENDON_SERVO_JF
+            command.tendon_mode = trabecula.TendonMode.SERVO_JF
             command.tendon_force_n[0] = tension_n

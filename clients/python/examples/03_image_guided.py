@@ -5,12 +5,18 @@ dark pixels of the last 3 mm. Its place in the picture, brought back to the plan
 the error the tension.
 """
 
+from __future__ import annotations
+
 from contextlib import suppress
+from typing import Any, Optional, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 import trabecula
 
+#: NumPy numbers of any type.
+Numbers = npt.NDArray[Any]
 TICKS_BETWEEN_FRAMES = 100
 #: Below this share of full scale a pixel shows metal.
 DARK = 8000
@@ -20,12 +26,12 @@ GAIN_N_PER_M = 350.0
 END_LENGTH_M = 0.003
 
 
-def dot(a, b):
+def dot(a: Sequence[float] | Numbers, b: Sequence[float] | Numbers) -> float:
     """In the order of the other languages: NumPy's own may sum in another."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
-def find_tip(image):
+def find_tip(image: trabecula.Image) -> Optional[tuple[float, float]]:
     """Column and row of the tool's end; None if there is no metal in the picture."""
     geometry = image.frame.geometry
     # +z of the burr in the picture: the last column of the rotation matrix, seen along rows and columns.
@@ -37,14 +43,14 @@ def find_tip(image):
         return None
     along = columns * right + rows * down
     at_end = along >= along.max() - END_LENGTH_M / geometry.pixel_pitch_m[0]
-    return columns[at_end].mean(), rows[at_end].mean()
+    return float(columns[at_end].mean()), float(rows[at_end].mean())
 
 
-def sideways_m(geometry, column):
+def sideways_m(geometry: trabecula.CArmGeometry, column: float) -> float:
     """World x of a column, in the plane of the isocentre: the picture is magnified by source-detector over
     source-isocentre distance, 1000 to 700 mm.
     """
-    return (column - 0.5 * (geometry.columns - 1.0)) * geometry.pixel_pitch_m[0] * 0.7
+    return float((column - 0.5 * (geometry.columns - 1.0)) * geometry.pixel_pitch_m[0] * 0.7)
 
 
 tension_n = 0.0
@@ -64,5 +70,5 @@ with trabecula.Client() as client, suppress(trabecula.Ended):
                     f"error {error_m * 1e3:6.3f} mm  tension {tension_n:6.3f} N"
                 )
         with client.command() as command:
-            command.tendon_mode = trabecula.TENDON_SERVO_JF
+            command.tendon_mode = trabecula.TendonMode.SERVO_JF
             command.tendon_force_n[0] = tension_n

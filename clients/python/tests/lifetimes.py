@@ -187,7 +187,7 @@ def a_signal_during_a_wait():
         for _ in range(400):
             try:
                 state = client.wait_state(0.002)
-                assert len(state.joint_position_rad) == t.MAX_JOINTS and abs(state.bend_rad) < 10.0, state
+                assert len(state.joint_position_rad) == state.joint_count and abs(state.bend_rad) < 10.0, state
             except TimeoutError:
                 pass
             try:

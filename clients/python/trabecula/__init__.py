@@ -2,31 +2,43 @@
 
     import trabecula
 
-    with trabecula.Client() as client:
+    with trabecula.run("scene.toml", overrides={"run.duration_s": 2.0}) as client:
         for state in client.states():
             with client.command() as command:
-                command.tendon_mode = trabecula.TENDON_SERVO_JF
+                command.tendon_mode = trabecula.TendonMode.SERVO_JF
                 command.tendon_force_n[0] = 5.0
 
-States, frames and the CT volume are views of shared memory: nothing is copied, and they stay readable for as long as they are
-referenced. Units are SI; each name ends in its unit.
+`Client()` joins a run that somebody else has started. States, frames and the CT volume are views of shared memory: nothing is
+copied, and they stay readable for as long as they are referenced. Units are SI; each name ends in its unit.
 """
 
 from . import _generated
-from ._client import Client, Ct, Ended, Error, Image, Info, Removal, SessionEvent
+from ._client import Client
+from ._errors import ArgumentError, Ended, Error, ReadOnlyError
 from ._generated import *  # noqa: F403  messages and constants
 from ._generated import VERSION as __version__
-from ._view import View
+from ._geometry import pixel_to_world, pose_matrix, rotation_matrix, world_to_pixel
+from ._results import Ct, Image, Info, Removal, SessionEvent
+from ._run import run
+from ._view import Elements, View
 
 __all__ = [
+    "ArgumentError",
     "Client",
     "Ct",
+    "Elements",
     "Ended",
     "Error",
     "Image",
     "Info",
+    "ReadOnlyError",
     "Removal",
     "SessionEvent",
     "View",
-    *_generated.__all__,
+    "pixel_to_world",
+    "pose_matrix",
+    "rotation_matrix",
+    "run",
+    "world_to_pixel",
 ]
+__all__ += _generated.__all__

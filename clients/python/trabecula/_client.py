@@ -5,160 +5,26 @@ from __future__ import annotations
 import ctypes
 import math
 import threading
-import time
+from collections import deque
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Iterator, NamedTuple, Optional, Sequence, Type, TypeVar
+from typing import Any, Callable, Iterator, Optional, Sequence, Type, TypeVar, Union
 
 import numpy as np
+import numpy.typing as npt
 
 from . import _generated as g
-from ._library import load
-from ._view import View
+from ._calls import Memory, check, connected, slices, text_of, whole
+from ._calls import library as _library
+from ._errors import ArgumentError, Ended, Error
+from ._geometry import numbers
+from ._results import Ct, Image, Info, Removal, SessionEvent, as_array
+from ._view import Values, View
 
-_library = load()
 _byref = ctypes.byref
-#: Longest uninterrupted wait inside the library, so that Ctrl-C gets through.
-_SLICE_S = 0.1
+#: Most events that are kept for `events`, as many as the library's queue holds.
+_MOST_UNREAD = 256
 
 _V = TypeVar("_V", bound=View)
-
-
-class Error(RuntimeError):
-    """A failed call. The text says what was given, what was expected and what to do."""
-
-    def __init__(self, status: int, text: str) -> None:
-        super().__init__(text)
-        #: One of the `ERROR_` constants.
-        self.status = status
-
-
-class Ended(Exception):
-    """The run is over."""
-
-
-def _check(status: int) -> None:
-    if status == g.OK:
-        return
-    if status == g.TIMEOUT:
-        raise TimeoutError("nothing came in time")
-    if status == g.ENDED:
-        raise Ended("the run has ended")
-    raise Error(status, _library.trb_last_error().decode())
-
-
-def _slices(timeout_s: float) -> Iterator[tuple[float, bool]]:
-    """Splits a wait into short waits inside the library: their lengths, and whether each is the last."""
-    if not timeout_s >= 0.0:
-        raise Error(g.ERROR_ARGUMENT, f"`timeout_s` is {timeout_s}, expected 0 or more seconds")
-    deadline = time.monotonic() + timeout_s
-    last = False
-    while not last:
-        left_s = deadline - time.monotonic()
-        last = left_s <= _SLICE_S
-        yield max(0.0, min(_SLICE_S, left_s)), last
-
-
-def _text(text: Optional[str]) -> Optional[bytes]:
-    return None if text is None else text.encode()
-
-
-def _connected(session: Optional[str], controller: Optional[str], timeout_s: float) -> int:
-    """Connects a client and returns its handle."""
-    handle = ctypes.c_uint64()
-    layouts = g.LAYOUTS.encode()
-    for slice_s, last in _slices(timeout_s):
-        given = (layouts, _text(session), _text(controller), slice_s)
-        status = _library.trb_connect(*given, _byref(handle))
-        if status != g.ERROR_NO_SESSION or last:
-            break
-    _check(status)
-    return handle.value
-
-
-class _Memory:
-    """Keeps the client's shared memory mapped while this object lives, in any thread and past the client's end."""
-
-    def __init__(self, handle: int) -> None:
-        self._handle = 0
-        _check(_library.trb_hold_memory(handle))
-        self._handle = handle
-
-    def __del__(self, release=_library.trb_release_memory) -> None:
-        if self._handle:
-            release(self._handle)
-
-
-@dataclass(frozen=True)
-class Info:
-    """Facts that stay constant during a session."""
-
-    #: Folder of the session.
-    folder: str
-    #: Name of this client's controller; empty for an observer.
-    controller: str
-    #: The whole scene as TOML.
-    scene_toml: str
-    #: Simulated time of a tick.
-    dt_s: float
-    #: Ticks of the whole run.
-    tick_count: int
-    #: Ticks between two scheduled frames; 0 if there are none.
-    frame_period_ticks: int
-    #: Index of the controller in the scene; -1 for an observer.
-    controller_index: int
-    #: Number of controllers in the scene.
-    controller_count: int
-    #: Whether a tick waits for every controller.
-    lockstep: bool
-    #: Pixel columns of a frame; 0 without X-ray.
-    frame_columns: int
-    #: Pixel rows of a frame; 0 without X-ray.
-    frame_rows: int
-    #: Whether there is a CT volume.
-    has_volume: bool
-
-
-class Image(NamedTuple):
-    """An X-ray frame in shared memory."""
-
-    #: Tick, C-arm and size.
-    frame: g.Frame
-    #: Intensities as uint16, shape (rows, columns), row 0 at the top; 0 is black.
-    pixels: np.ndarray
-
-
-class Ct(NamedTuple):
-    """The CT volume in shared memory."""
-
-    #: Geometry.
-    volume: g.Volume
-    #: Hounsfield units as int16, shape (z, y, x).
-    hu: np.ndarray
-
-
-class Removal(NamedTuple):
-    """Voxels removed at a tick, in shared memory."""
-
-    #: The message.
-    removed: g.Removed
-    #: Flat indices as uint32, x fastest: `ct.hu.reshape(-1)[voxel_index]`.
-    voxel_index: np.ndarray
-
-
-class SessionEvent(NamedTuple):
-    """An event of the session."""
-
-    #: Tick at which the sender noticed it.
-    tick: int
-    #: 0 information, 1 warning, 2 error.
-    severity: int
-    #: Kind of event: one of the `EVENT_` constants.
-    code: int
-    #: Sender: one of the `SENDER_` constants.
-    sender: int
-    #: What happened.
-    text: str
 
 
 class Client:
@@ -184,13 +50,19 @@ class Client:
     def __init__(
         self, session: Optional[str] = None, controller: Optional[str] = None, timeout_s: float = 10.0
     ) -> None:
-        self._handle = _connected(session, controller, timeout_s)
+        self._number = connected(session, controller, timeout_s)
         self._thread = threading.current_thread()
-        self._memory: Optional[_Memory] = _Memory(self._handle)
+        self._memory: Optional[Memory] = Memory(self._number)
         # One per kind of message: a signal handler may call the library between a call and the use of its result.
         self._state, self._begun = ctypes.c_void_p(), ctypes.c_void_p()
         self._state_reference, self._begun_reference = _byref(self._state), _byref(self._begun)
-        self._views: dict = {}
+        self._views: dict[tuple[Type[View], Optional[int]], Any] = {}
+        #: Events that were read while looking for resets; and how many resets there have been.
+        self._unread: deque[SessionEvent] = deque(maxlen=_MOST_UNREAD)
+        self._resets = 0
+        #: Tick of the newest state taken.
+        self._tick: Optional[int] = None
+        self._answered = False
         #: The library's command buffer, and the command that the caller fills in.
         self._sending: Optional[memoryview] = None
         self._command: Optional[g.Command] = None
@@ -207,21 +79,33 @@ class Client:
         Raises:
             Error: Another thread made the client and is still running.
         """
-        if self._handle:
-            status = _library.trb_disconnect(self._handle)
+        if self._number:
+            status = _library.trb_disconnect(self._number)
             # A thread's clients end with it; a parent's client stays connected.
             if status != g.ERROR_FORKED and self._is_of_a_running_thread():
-                _check(status)
-        self._handle, self._memory, self._views, self._sending = 0, None, {}, None
+                check(status)
+        self._number, self._memory, self._views, self._sending = 0, None, {}, None
         self._end_command("its client has been closed")
 
-    def __del__(self, disconnect=_library.trb_disconnect) -> None:
-        if self._handle:
+    def __del__(self, disconnect: Callable[[int], int] = _library.trb_disconnect) -> None:
+        if self._number:
             # Fails in a thread other than the client's own, which disconnects it when it ends.
-            disconnect(self._handle)
+            disconnect(self._number)
 
-    #: 0 until connected.
-    _handle = 0
+    #: The library's number of this client; 0 until connected, and once closed.
+    _number = 0
+
+    @property
+    def _handle(self) -> int:
+        if self._number == 0:
+            raise Error(g.ERROR_HANDLE, "this client is closed and has left the session; make another one")
+        return self._number
+
+    def __repr__(self) -> str:
+        if self._number == 0:
+            return "Client(closed)"
+        info = self.info
+        return f"Client({info.controller or 'observer'!r}, {info.folder!r})"
 
     def _is_of_a_running_thread(self) -> bool:
         return self._thread.is_alive()
@@ -238,30 +122,35 @@ class Client:
 
     def _view(self, message: Type[_V], address: Optional[int]) -> _V:
         # A queue reuses the addresses of its samples.
-        view = self._views.get((message, address))
+        view: Optional[_V] = self._views.get((message, address))
         if view is None:
             view = message(self._bytes(address, message.dtype.itemsize).toreadonly())
             self._views[(message, address)] = view
         return view
 
-    def _array(self, address: Optional[int], dtype: str, count: int) -> np.ndarray:
-        size = count * np.dtype(dtype).itemsize
-        return np.frombuffer(self._bytes(address, size).toreadonly(), dtype) if count else np.empty(0, dtype)
+    def _state_taken(self) -> g.State:
+        state = self._view(g.State, self._state.value)
+        self._tick, self._answered = state.tick, False
+        return state
 
-    def _await(self, function, timeout_s: float, *arguments: object) -> None:
+    def _array(self, address: Optional[int], dtype: str, count: int) -> npt.NDArray[Any]:
+        size = count * np.dtype(dtype).itemsize
+        return as_array(self._bytes(address, size).toreadonly(), dtype, count).view(Values) if count else np.empty(0, dtype)
+
+    def _await(self, function: Callable[..., int], timeout_s: float, *arguments: object) -> None:
         """Calls a blocking function of the library in slices."""
-        for slice_s, last in _slices(timeout_s):
+        for slice_s, last in slices(timeout_s):
             status = function(*arguments[:-1], slice_s, arguments[-1])
             if status == g.OK:
                 return
             if status != g.TIMEOUT or last:
-                _check(status)
+                check(status)
 
     @property
     def info(self) -> Info:
         """Facts that stay constant during the session."""
         info = g.trb_session_info()
-        _check(_library.trb_get_info(self._handle, _byref(info)))
+        check(_library.trb_get_info(self._handle, _byref(info)))
         values = {name: getattr(info, name) for name, *_ in info._fields_}
         for name in ("folder", "controller", "scene_toml"):
             values[name] = values[name].decode()
@@ -277,12 +166,12 @@ class Client:
             Ended: The run is over.
         """
         self._await(_library.trb_wait_state, timeout_s, self._handle, self._state_reference)
-        return self._view(g.State, self._state.value)
+        return self._state_taken()
 
     def next_state(self, timeout_s: float = 30.0) -> g.State:
         """Waits for the oldest state not yet taken, for programs that need every state; the queue holds 512."""
         self._await(_library.trb_next_state, timeout_s, self._handle, self._state_reference)
-        return self._view(g.State, self._state.value)
+        return self._state_taken()
 
     def poll_state(self) -> Optional[g.State]:
         """The newest state if one has arrived since the last call; does not wait.
@@ -293,8 +182,8 @@ class Client:
         status = _library.trb_poll_state(self._handle, self._state_reference)
         if status == g.TIMEOUT:
             return None
-        _check(status)
-        return self._view(g.State, self._state.value)
+        check(status)
+        return self._state_taken()
 
     def states(self, timeout_s: float = math.inf) -> Iterator[g.State]:
         """Yields the newest state repeatedly until the run is over. While the run is paused, no states come and this waits.
@@ -309,11 +198,60 @@ class Client:
                 return
             yield state
 
+    def step(self, ticks: int = 1, timeout_s: float = 30.0) -> g.State:
+        """Takes part in the next `ticks` ticks and returns the state after them.
+
+        A controller answers the newest state, if it has not done so yet, with the loaned command, or else with one that changes
+        nothing; so it answers every state on the way: what it has asked for goes on. An observer only waits. A paused run makes these ticks and
+        is paused again.
+
+        Raises:
+            TimeoutError: A tick did not come in time, as when another controller does not answer.
+            Ended: The run is over.
+        """
+        if whole("ticks", ticks) == 0:
+            raise ArgumentError("`ticks` is 0, expected 1 or more")
+        if self._tick is None:
+            self.wait_state(timeout_s)
+        end = (self._tick or 0) + ticks
+        is_controller = self.info.controller_index >= 0
+        asked = self._step_if_paused(ticks, timeout_s)
+        while True:
+            # Another command in answer to the same state would replace the first one.
+            if is_controller and not self._answered:
+                self.loan_command()
+                self.send_command()
+            for slice_s, last in slices(timeout_s):
+                try:
+                    state = self.next_state(slice_s)
+                except TimeoutError:
+                    if last:
+                        raise
+                    # The status that says so may come after the reply to the request to pause.
+                    asked = asked or self._step_if_paused(end - (self._tick or 0), timeout_s)
+                    continue
+                if state.tick >= end:
+                    return state
+                break
+
+    def _step_if_paused(self, ticks: int, timeout_s: float) -> bool:
+        """Asks a paused run for ticks; returns whether it has been asked."""
+        status = self.status
+        if status is None or status.phase != g.Phase.PAUSED:
+            return False
+        try:
+            self.run_control(g.ControlAction.STEP, ticks, timeout_s)
+        except Error as error:
+            # It was resumed meanwhile.
+            if error.status != g.ERROR_REFUSED:
+                raise
+        return True
+
     @property
     def states_missed(self) -> int:
         """States that were skipped or overwritten before this client took them."""
         count = ctypes.c_uint64()
-        _check(_library.trb_states_missed(self._handle, _byref(count)))
+        check(_library.trb_states_missed(self._handle, _byref(count)))
         return count.value
 
     def loan_command(self) -> g.Command:
@@ -322,7 +260,7 @@ class Client:
         """
         status = _library.trb_loan_command(self._handle, self._begun_reference)
         if status:
-            _check(status)
+            check(status)
         command = self._command
         if command is None:
             if self._sending is None:
@@ -331,14 +269,16 @@ class Client:
         return command
 
     def send_command(self) -> None:
-        """Sends the loaned command as it is now; writing to it afterwards raises a ValueError. The physics checks it: a
+        """Sends the loaned command as it is now; writing to it afterwards raises a ReadOnlyError. The physics checks it: a
         refused command changes nothing. In an accepted command, a part that the tool cannot follow (a goal out of reach)
         changes nothing, and the other parts take effect. Both cases are counted and reported in an event.
         """
         # Cleared first: a signal handler may begin a command of its own.
         command, self._command = self._command, None
         if command is None:
-            return _check(_library.trb_send_command(self._handle))
+            check(_library.trb_send_command(self._handle))
+            self._answered = True
+            return
         content = bytes(command._buffer)
         self._sending[:] = content  # type: ignore[index]  # the loan has set it
         status = _library.trb_send_command(self._handle)
@@ -347,12 +287,13 @@ class Client:
                 command._seal(content, "a signal's handler has sent or discarded it")
             else:
                 self._command = command
-            _check(status)
+            check(status)
+        self._answered = True
         command._seal(content, "it has been sent")
 
     def discard_command(self) -> None:
         """Discards the loaned command without sending it."""
-        _check(_library.trb_discard_command(self._handle))
+        check(_library.trb_discard_command(self._handle))
         self._end_command("it has been discarded")
 
     @contextmanager
@@ -384,9 +325,10 @@ class Client:
         pose = None
         if position_m is not None:
             pose = g.Pose()
-            pose.position_m[:], pose.orientation_xyzw[:] = position_m, orientation_xyzw
+            pose.position_m = numbers("position_m", position_m, 3)
+            pose.orientation_xyzw = numbers("orientation_xyzw", orientation_xyzw, 4)
         address = None if pose is None else pose.array.ctypes.data
-        _check(_library.trb_request_frame(self._handle, address, tick, _byref(number)))
+        check(_library.trb_request_frame(self._handle, address, whole("tick", tick), _byref(number)))
         return number.value
 
     def wait_frame(self, request_id: int = 0, timeout_s: float = 30.0) -> Image:
@@ -399,7 +341,7 @@ class Client:
             Error: The request was refused, or the scene has no X-ray.
         """
         view = g.trb_frame_view()
-        self._await(_library.trb_wait_frame, timeout_s, self._handle, request_id, _byref(view))
+        self._await(_library.trb_wait_frame, timeout_s, self._handle, whole("request_id", request_id), _byref(view))
         frame = self._view(g.Frame, view.frame)
         geometry = frame.geometry
         pixels = self._array(view.pixels, "<u2", view.pixel_count)
@@ -413,26 +355,32 @@ class Client:
         hu = self._array(view.hu, "<i2", view.voxel_count)
         return Ct(volume, hu.reshape(volume.dimensions[::-1]))
 
-    def run_control(self, action: int, ticks: int = 0, timeout_s: float = 10.0) -> int:
-        """Sends a run-control request (`CONTROL_PAUSE` …; `ticks` is for `CONTROL_STEP`) and returns the tick at which it
-        took effect.
+    def run_control(
+        self, action: Union[g.ControlAction, int], ticks: int = 0, timeout_s: float = 10.0
+    ) -> int:
+        """Sends a run-control request (`ControlAction.PAUSE` …; `ticks` is for `ControlAction.STEP`) and returns the tick at
+        which it took effect.
 
         Raises:
             TimeoutError: No reply arrived in time.
             Ended: The run is over.
             Error: The action was refused.
         """
+        if isinstance(action, bool) or not isinstance(action, int) or not 0 <= action < 2**32:
+            known = ", ".join(f"{known.value} {known.name}" for known in g.ControlAction)
+            raise ArgumentError(f"`action` is {action!r}, expected a ControlAction: {known}")
         if action == 0:
             raise Error(g.ERROR_REFUSED, "run control knows no action 0; actions are 1 to 5")
+        ticks = whole("ticks", ticks)
         reply = g.RunControlReply()
-        address = reply.array.ctypes.data
-        for slice_s, last in _slices(timeout_s):
+        address, status = reply.array.ctypes.data, g.TIMEOUT
+        for slice_s, last in slices(timeout_s):
             status = _library.trb_control_run(self._handle, action, ticks, slice_s, address)
             # The request has been sent; from here on only wait for its reply.
             action = 0
             if status != g.TIMEOUT or last:
                 break
-        _check(status)
+        check(status)
         return reply.tick
 
     @property
@@ -442,25 +390,41 @@ class Client:
         code = _library.trb_get_status(self._handle, status.array.ctypes.data)
         if code == g.TIMEOUT:
             return None
-        _check(code)
+        check(code)
         return status
 
     def events(self) -> list[SessionEvent]:
-        """Copies of all events since the last call; queued from the first call on, at most 256."""
-        events: list[SessionEvent] = []
+        """Copies of all events since the last call; queued from the first call of this or `reset_count` on, at most 256."""
+        self._read_events()
+        events = list(self._unread)
+        self._unread.clear()
+        return events
+
+    @property
+    def reset_count(self) -> int:
+        """How often the run was reset since this client first looked at this or at `events`. Ticks and simulated time go on after
+        a reset; tool, bone and energies are those of the start.
+        """
+        self._read_events()
+        return self._resets
+
+    def _read_events(self) -> None:
         view = g.trb_event_view()
         while True:
             status = _library.trb_next_event(self._handle, _byref(view))
             if status == g.TIMEOUT:
-                return events
-            _check(status)
+                return
+            check(status)
             event = self._view(g.Event, view.event)
-            text = view.text.decode()
-            events.append(SessionEvent(event.tick, event.severity, event.code, event.sender, text))
+            heard = SessionEvent(event.tick, event.severity, event.code, event.sender, view.text.decode())
+            self._resets += heard.is_reset()
+            self._unread.append(heard)
 
-    def remark(self, text: str, severity: int = g.SEVERITY_INFO) -> None:
+    def remark(self, text: str, severity: Union[g.Severity, int] = g.Severity.INFO) -> None:
         """Adds a line to the session's events, which the log records."""
-        _check(_library.trb_remark(self._handle, severity, text.encode()))
+        if not isinstance(text, str):
+            raise ArgumentError(f"`text` is {text!r}, expected a text")
+        check(_library.trb_remark(self._handle, severity, text.encode()))
 
     def next_removed(self) -> Optional[Removal]:
         """The oldest message about removed voxels not yet taken, if any; queued from the first call on, at most 512. Its
@@ -470,6 +434,6 @@ class Client:
         status = _library.trb_next_removed(self._handle, _byref(view))
         if status == g.TIMEOUT:
             return None
-        _check(status)
+        check(status)
         removed = self._view(g.Removed, view.removed)
         return Removal(removed, self._array(view.voxel_index, "<u4", removed.voxel_index_length))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import ctypes
-from typing import TYPE_CHECKING
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ._view import View, field, nested
+from ._view import ArrayField, ElementsField, View, field, nested
 
 VERSION = "0.1.0"
 
@@ -57,58 +58,6 @@ ERROR_DEFECT = -12
 ERROR_FORKED = -13
 ERROR_BUSY = -14
 
-TENDON_NONE = 0
-TENDON_SERVO_JF = 1
-TENDON_SERVO_JP = 2
-TENDON_MOVE_JP = 3
-ARM_NONE = 0
-ARM_SERVO_JP = 1
-ARM_MOVE_JP = 2
-ARM_SERVO_CP = 3
-ARM_MOVE_CP = 4
-ARM_HOLD = 5
-ARM_SERVO_JV = 6
-ARM_INSERT = 7
-ARM_RCM = 8
-ARM_MOVING = 0
-ARM_DONE = 1
-ARM_FAULT = 2
-BURR_NONE = 0
-BURR_SPEED = 1
-SOURCE_NONE = 0
-SOURCE_FRESH = 1
-SOURCE_HELD = 2
-SOURCE_SAFE = 3
-PART_SHAFT = 0
-PART_SEGMENT = 1
-PART_BURR = 2
-CONTROL_PAUSE = 1
-CONTROL_RESUME = 2
-CONTROL_STEP = 3
-CONTROL_RESET = 4
-CONTROL_STOP = 5
-CONTROL_DONE = 0
-CONTROL_REFUSED = 1
-GEOMETRY_SCENE = 0
-GEOMETRY_REQUEST = 1
-DRR_ACCEPTED = 0
-DRR_REFUSED = 1
-DRR_BUSY = 2
-PHASE_CONNECTING = 0
-PHASE_RUNNING = 1
-PHASE_PAUSED = 2
-PHASE_ENDED = 3
-SEVERITY_INFO = 0
-SEVERITY_WARNING = 1
-SEVERITY_ERROR = 2
-EVENT_COMMAND_REFUSED = 1
-EVENT_COMMAND_HELD = 2
-EVENT_SAFE_COMMAND = 3
-EVENT_MESSAGES_LOST = 4
-EVENT_RUN = 5
-EVENT_CONTROLLER = 6
-EVENT_REQUEST_REFUSED = 7
-EVENT_CAPACITY_REACHED = 8
 SENDER_LAUNCHER = 0
 SENDER_PHYSICS = 1
 SENDER_DRR = 2
@@ -129,6 +78,203 @@ MAX_SPEED_M_PER_S = 1.0
 MAX_DEPTH_M = 0.5
 
 
+class TendonMode(IntEnum):
+    """What `Command::tendon_mode` asks of the tendons; CRTK verbs."""
+
+    NONE = 0
+    SERVO_JF = 1
+    SERVO_JP = 2
+    MOVE_JP = 3
+
+
+TENDON_NONE = TendonMode.NONE
+TENDON_SERVO_JF = TendonMode.SERVO_JF
+TENDON_SERVO_JP = TendonMode.SERVO_JP
+TENDON_MOVE_JP = TendonMode.MOVE_JP
+
+
+class ArmMode(IntEnum):
+    """What `Command::arm_mode` asks of the arm, and what `State::arm_mode` says it follows; CRTK
+    verbs and some more.
+    """
+
+    NONE = 0
+    SERVO_JP = 1
+    MOVE_JP = 2
+    SERVO_CP = 3
+    MOVE_CP = 4
+    HOLD = 5
+    SERVO_JV = 6
+    INSERT = 7
+    RCM = 8
+
+
+ARM_NONE = ArmMode.NONE
+ARM_SERVO_JP = ArmMode.SERVO_JP
+ARM_MOVE_JP = ArmMode.MOVE_JP
+ARM_SERVO_CP = ArmMode.SERVO_CP
+ARM_MOVE_CP = ArmMode.MOVE_CP
+ARM_HOLD = ArmMode.HOLD
+ARM_SERVO_JV = ArmMode.SERVO_JV
+ARM_INSERT = ArmMode.INSERT
+ARM_RCM = ArmMode.RCM
+
+
+class ArmStatus(IntEnum):
+    """`State::arm_status`: how far the arm's motion has come."""
+
+    MOVING = 0
+    DONE = 1
+    FAULT = 2
+
+
+ARM_MOVING = ArmStatus.MOVING
+ARM_DONE = ArmStatus.DONE
+ARM_FAULT = ArmStatus.FAULT
+
+
+class BurrMode(IntEnum):
+    """What `Command::burr_mode` asks of the burr."""
+
+    NONE = 0
+    SPEED = 1
+
+
+BURR_NONE = BurrMode.NONE
+BURR_SPEED = BurrMode.SPEED
+
+
+class CommandSource(IntEnum):
+    """`LatchedCommand::source`, `AppliedCommand::source`: where the command in force comes from."""
+
+    NONE = 0
+    FRESH = 1
+    HELD = 2
+    SAFE = 3
+
+
+SOURCE_NONE = CommandSource.NONE
+SOURCE_FRESH = CommandSource.FRESH
+SOURCE_HELD = CommandSource.HELD
+SOURCE_SAFE = CommandSource.SAFE
+
+
+class ContactPart(IntEnum):
+    """`Contact::part`: the part of the tool that touches."""
+
+    SHAFT = 0
+    SEGMENT = 1
+    BURR = 2
+
+
+PART_SHAFT = ContactPart.SHAFT
+PART_SEGMENT = ContactPart.SEGMENT
+PART_BURR = ContactPart.BURR
+
+
+class ControlAction(IntEnum):
+    """`RunControl::action`: what is asked of the run."""
+
+    PAUSE = 1
+    RESUME = 2
+    STEP = 3
+    RESET = 4
+    STOP = 5
+
+
+CONTROL_PAUSE = ControlAction.PAUSE
+CONTROL_RESUME = ControlAction.RESUME
+CONTROL_STEP = ControlAction.STEP
+CONTROL_RESET = ControlAction.RESET
+CONTROL_STOP = ControlAction.STOP
+
+
+class ControlStatus(IntEnum):
+    """`RunControlReply::status`: what came of it."""
+
+    DONE = 0
+    REFUSED = 1
+
+
+CONTROL_DONE = ControlStatus.DONE
+CONTROL_REFUSED = ControlStatus.REFUSED
+
+
+class GeometryChoice(IntEnum):
+    """`DrrRequest::use_geometry`: whose C-arm the frame shows."""
+
+    SCENE = 0
+    REQUEST = 1
+
+
+GEOMETRY_SCENE = GeometryChoice.SCENE
+GEOMETRY_REQUEST = GeometryChoice.REQUEST
+
+
+class DrrStatus(IntEnum):
+    """`DrrReply::status`: what came of a request for a frame."""
+
+    ACCEPTED = 0
+    REFUSED = 1
+    BUSY = 2
+
+
+DRR_ACCEPTED = DrrStatus.ACCEPTED
+DRR_REFUSED = DrrStatus.REFUSED
+DRR_BUSY = DrrStatus.BUSY
+
+
+class Phase(IntEnum):
+    """`RunStatus::phase`: where the run stands. Phases only rise, but for pauses."""
+
+    CONNECTING = 0
+    RUNNING = 1
+    PAUSED = 2
+    ENDED = 3
+
+
+PHASE_CONNECTING = Phase.CONNECTING
+PHASE_RUNNING = Phase.RUNNING
+PHASE_PAUSED = Phase.PAUSED
+PHASE_ENDED = Phase.ENDED
+
+
+class Severity(IntEnum):
+    """`Event::severity`."""
+
+    INFO = 0
+    WARNING = 1
+    ERROR = 2
+
+
+SEVERITY_INFO = Severity.INFO
+SEVERITY_WARNING = Severity.WARNING
+SEVERITY_ERROR = Severity.ERROR
+
+
+class EventCode(IntEnum):
+    """`Event::code`: what kind of event."""
+
+    COMMAND_REFUSED = 1
+    COMMAND_HELD = 2
+    SAFE_COMMAND = 3
+    MESSAGES_LOST = 4
+    RUN = 5
+    CONTROLLER = 6
+    REQUEST_REFUSED = 7
+    CAPACITY_REACHED = 8
+
+
+EVENT_COMMAND_REFUSED = EventCode.COMMAND_REFUSED
+EVENT_COMMAND_HELD = EventCode.COMMAND_HELD
+EVENT_SAFE_COMMAND = EventCode.SAFE_COMMAND
+EVENT_MESSAGES_LOST = EventCode.MESSAGES_LOST
+EVENT_RUN = EventCode.RUN
+EVENT_CONTROLLER = EventCode.CONTROLLER
+EVENT_REQUEST_REFUSED = EventCode.REQUEST_REFUSED
+EVENT_CAPACITY_REACHED = EventCode.CAPACITY_REACHED
+
+
 class Pose(View):
     """A rigid pose `T_parent_child`: rotation as a unit quaternion (x y z w) and translation.
     Field names and order are those of geometry_msgs/msg/Pose, flattened.
@@ -145,8 +291,8 @@ class Pose(View):
             "itemsize": 56,
         }
     )
-    position_m: np.ndarray = field(None, 0, "Origin of the child frame in the parent frame: x, y, z.")
-    orientation_xyzw: np.ndarray = field(None, 24, "Unit quaternion from child to parent axes: x, y, z, w.")
+    position_m = ArrayField(np.float64, "Origin of the child frame in the parent frame: x, y, z.")
+    orientation_xyzw = ArrayField(np.float64, "Unit quaternion from child to parent axes: x, y, z, w.")
 
 
 class Wrench(View):
@@ -163,8 +309,8 @@ class Wrench(View):
             "itemsize": 48,
         }
     )
-    force_n: np.ndarray = field(None, 0, "Force x, y, z.")
-    torque_nm: np.ndarray = field(None, 24, "Torque about the stated point x, y, z.")
+    force_n = ArrayField(np.float64, "Force x, y, z.")
+    torque_nm = ArrayField(np.float64, "Torque about the stated point x, y, z.")
 
 
 class Contact(View):
@@ -182,12 +328,12 @@ class Contact(View):
         }
     )
     sphere_index: int = field("<I", 0, "Index of the proxy sphere; the shaft's come first, the burr is last.")
-    part: int = field("<I", 4, "Part of the tool: 0 shaft, 1 segment, 2 burr.")
-    point_m: np.ndarray = field(None, 8, "Contact point on the obstacle's surface, world frame.")
-    normal: np.ndarray = field(None, 32, "Unit normal from the obstacle to the sphere, world frame.")
+    part: ContactPart = field("<I", 4, "Part of the tool: 0 shaft, 1 segment, 2 burr.", ContactPart)
+    point_m = ArrayField(np.float64, "Contact point on the obstacle's surface, world frame.")
+    normal = ArrayField(np.float64, "Unit normal from the obstacle to the sphere, world frame.")
     gap_m: float = field("<d", 56, "Signed distance between sphere and surface; negative means overlap.")
     normal_force_n: float = field("<d", 64, "Normal force on the tool, never negative.")
-    friction_force_n: np.ndarray = field(None, 72, "Friction force on the tool, world frame.")
+    friction_force_n = ArrayField(np.float64, "Friction force on the tool, world frame.")
 
 
 class AppliedCommand(View):
@@ -206,7 +352,7 @@ class AppliedCommand(View):
     )
     sequence: int = field("<Q", 0, "Sequence number of the command; 0 if none.")
     age_ticks: int = field("<Q", 8, "Ticks between the state that the command answers and the state it acted on.")
-    source: int = field("<I", 16, "0 none, 1 fresh, 2 held, 3 safe command.")
+    source: CommandSource = field("<I", 16, "0 none, 1 fresh, 2 held, 3 safe command.", CommandSource)
     controller_index: int = field("<I", 20, "Index of the controller in the scene.")
 
 
@@ -228,7 +374,7 @@ class State(View):
     )
     tick: int = field("<Q", 0, "Number of ticks since the start of the run; a reset does not change it.")
     sim_time_s: float = field("<d", 8, "Simulated time.")
-    hash: np.ndarray = field(None, 16, "Chained hash h_k of every latched command, state and removal so far (XXH3-128, low word first).")
+    hash = ArrayField(np.uint64, "Chained hash h_k of every latched command, state and removal so far (XXH3-128, low word first).")
     removed_total: int = field("<Q", 32, "Voxels drilled since the start or the last reset.")
     removed_in_tick: int = field("<I", 40, "Voxels removed in this tick.")
     joint_count: int = field("<I", 44, "Number of flexures; the arrays below use as many entries.")
@@ -238,29 +384,29 @@ class State(View):
     controller_count: int = field("<I", 60, "Number of used entries of `applied`.")
     body_count: int = field("<I", 64, "Number of used entries of `t_world_body`.")
     reserved_bodies: int = field("<I", 68, "Always 0.")
-    arm_mode: int = field("<I", 72, "The arm's current mode, coded as the command's `arm_mode`; 5 while it stops or is at rest.")
-    arm_status: int = field("<I", 76, "0 moving, 1 at its goal and at rest, 2 motion aborted or a joint stopped at the end of its range.")
-    joint_position_rad: np.ndarray = field(None, 80, "Flexure angles from base to tip, positive toward tendon 0.")
-    joint_velocity_rad_per_s: np.ndarray = field(None, 336, "Flexure angle rates.")
+    arm_mode: ArmMode = field("<I", 72, "The arm's current mode, coded as the command's `arm_mode`; 5 while it stops or is at rest.", ArmMode)
+    arm_status: ArmStatus = field("<I", 76, "0 moving, 1 at its goal and at rest, 2 motion aborted or a joint stopped at the end of its range.", ArmStatus)
+    joint_position_rad = ArrayField(np.float64, "Flexure angles from base to tip, positive toward tendon 0.", "joint_count")
+    joint_velocity_rad_per_s = ArrayField(np.float64, "Flexure angle rates.", "joint_count")
     bend_rad: float = field("<d", 592, "Sum of the flexure angles: the bend of the tip relative to the base.")
     burr_speed_rad_per_s: float = field("<d", 600, "Angular speed of the burr.")
     burr_force_n: float = field("<d", 608, "Normal force between burr and bone.")
     cutting_energy_j: float = field("<d", 616, "Energy spent on cutting since the start.")
-    tendon_tension_n: np.ndarray = field(None, 624, "Tension at the proximal end of each tendon.")
-    tendon_displacement_m: np.ndarray = field(None, 656, "Displacement of each tendon from its straight, unloaded length; positive when pulled.")
+    tendon_tension_n = ArrayField(np.float64, "Tension at the proximal end of each tendon.", "tendon_count")
+    tendon_displacement_m = ArrayField(np.float64, "Displacement of each tendon from its straight, unloaded length; positive when pulled.", "tendon_count")
     t_world_base: Pose = nested(Pose, 688, "Pose of the tool base (start of the rigid shaft), including the mount's deflection; +z along the straight tool, +x toward tendon 0.")
     t_world_tip: Pose = nested(Pose, 744, "Pose of the tip, the front of the burr: its centre plus its radius along the last link's +z.")
     t_world_burr: Pose = nested(Pose, 800, "Pose of the burr: its centre, axes of the last link.")
-    t_world_link: np.ndarray = field(None, 856, "Pose of each link just after its flexure, base to tip.")
-    arm_joint_position_rad: np.ndarray = field(None, 2648, "Arm joint angles, base to wrist.")
-    arm_joint_velocity_rad_per_s: np.ndarray = field(None, 2696, "Arm joint velocities.")
-    arm_joint_deflection_rad: np.ndarray = field(None, 2744, "Elastic deflection of the arm's joints, included in `arm_joint_position_rad`; 0 without joint compliance.")
+    t_world_link = ElementsField(Pose, "Pose of each link just after its flexure, base to tip.", "joint_count")
+    arm_joint_position_rad = ArrayField(np.float64, "Arm joint angles, base to wrist.")
+    arm_joint_velocity_rad_per_s = ArrayField(np.float64, "Arm joint velocities.")
+    arm_joint_deflection_rad = ArrayField(np.float64, "Elastic deflection of the arm's joints, included in `arm_joint_position_rad`; 0 without joint compliance.")
     arm_manipulability_m3: float = field("<d", 2792, "Distance from singularity: Yoshikawa's manipulability |det J| in m³; for the UR5 mostly 0.05 to 0.1.")
     t_world_flange: Pose = nested(Pose, 2800, "Pose of the arm's flange.")
     flange_wrench: Wrench = nested(Wrench, 2856, "Wrench that the tool exerts on the flange, about the tool base, world axes.")
-    t_world_body: np.ndarray = field(None, 2904, "Pose of each rigid body, in the scene's order.")
-    contacts: np.ndarray = field(None, 3128, "Contacts that carry force, in the order of their spheres.")
-    applied: np.ndarray = field(None, 6968, "The command of each controller that this tick applied.")
+    t_world_body = ElementsField(Pose, "Pose of each rigid body, in the scene's order.", "body_count")
+    contacts = ElementsField(Contact, "Contacts that carry force, in the order of their spheres.", "contact_count")
+    applied = ElementsField(AppliedCommand, "The command of each controller that this tick applied.", "controller_count")
 
 
 class Command(View):
@@ -281,19 +427,19 @@ class Command(View):
     )
     sequence: int = field("<Q", 0, "Sequence number of this controller's commands: 1, 2, 3 and so on.")
     state_tick: int = field("<Q", 8, "`tick` of the state that this command answers.")
-    tendon_mode: int = field("<I", 16, "0 none, 1 servo_jf, 2 servo_jp, 3 move_jp.")
-    arm_mode: int = field("<I", 20, "0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp, 5 hold, 6 servo_jv, 7 insert, 8 rcm.")
-    burr_mode: int = field("<I", 24, "0 none, 1 speed.")
+    tendon_mode: TendonMode = field("<I", 16, "0 none, 1 servo_jf, 2 servo_jp, 3 move_jp.", TendonMode)
+    arm_mode: ArmMode = field("<I", 20, "0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp, 5 hold, 6 servo_jv, 7 insert, 8 rcm.", ArmMode)
+    burr_mode: BurrMode = field("<I", 24, "0 none, 1 speed.", BurrMode)
     reserved: int = field("<I", 28, "Always 0.")
-    tendon_force_n: np.ndarray = field(None, 32, "Tensions for servo_jf, 0 or more.")
-    tendon_displacement_m: np.ndarray = field(None, 64, "Displacements for servo_jp and move_jp; positive pulls.")
-    arm_joint_position_rad: np.ndarray = field(None, 96, "Joint angles for the arm's servo_jp and move_jp.")
-    arm_joint_velocity_rad_per_s: np.ndarray = field(None, 144, "Joint velocities for the arm's servo_jv.")
+    tendon_force_n = ArrayField(np.float64, "Tensions for servo_jf, 0 or more.")
+    tendon_displacement_m = ArrayField(np.float64, "Displacements for servo_jp and move_jp; positive pulls.")
+    arm_joint_position_rad = ArrayField(np.float64, "Joint angles for the arm's servo_jp and move_jp.")
+    arm_joint_velocity_rad_per_s = ArrayField(np.float64, "Joint velocities for the arm's servo_jv.")
     t_world_base: Pose = nested(Pose, 192, "Goal of the arm's servo_cp, move_cp and rcm: pose of the tool base, not counting the mount's deflection.")
     arm_speed_m_per_s: float = field("<d", 248, "Speed limit of move_cp and rcm; 0 selects the scene's limit. Feed rate of insert, above 0.")
-    arm_axis: np.ndarray = field(None, 256, "Axis of insert: unit vector in the patient frame.")
+    arm_axis = ArrayField(np.float64, "Axis of insert: unit vector in the patient frame.")
     arm_depth_m: float = field("<d", 280, "Depth of insert, from the tool base position at which the insertion along this axis began.")
-    arm_pivot_m: np.ndarray = field(None, 288, "Remote centre of motion of rcm, patient frame.")
+    arm_pivot_m = ArrayField(np.float64, "Remote centre of motion of rcm, patient frame.")
     burr_speed_rad_per_s: float = field("<d", 312, "Angular speed of the burr.")
 
 
@@ -311,7 +457,7 @@ class LatchedCommand(View):
             "itemsize": 336,
         }
     )
-    source: int = field("<I", 0, "0 none, 1 fresh, 2 held, 3 safe command.")
+    source: CommandSource = field("<I", 0, "0 none, 1 fresh, 2 held, 3 safe command.", CommandSource)
     controller_index: int = field("<I", 4, "Index of the controller in the scene.")
     age_ticks: int = field("<Q", 8, "Ticks between the state that the command answers and the state it acts on.")
     command: Command = nested(Command, 16, "The command itself; with source 3, the safe command written out.")
@@ -336,7 +482,7 @@ class Latched(View):
     tick: int = field("<Q", 0, "k: the tick that advances `State.tick` from k to k+1.")
     controller_count: int = field("<I", 8, "Number of used entries of `commands`, in the scene's order of controllers.")
     reset: int = field("<I", 12, "1 if the simulation is reset to its initial state before this tick.")
-    commands: np.ndarray = field(None, 16, "The commands in effect.")
+    commands = ElementsField(LatchedCommand, "The commands in effect.", "controller_count")
 
 
 class Removed(View):
@@ -383,7 +529,7 @@ class Keyframe(View):
         }
     )
     tick: int = field("<Q", 0, "`State.tick` of the saved state.")
-    hash: np.ndarray = field(None, 8, "`State.hash` of the saved state, low word first.")
+    hash = ArrayField(np.uint64, "`State.hash` of the saved state, low word first.")
     sequence: int = field("<Q", 24, "Sequence number of the parts, over all keyframes: 1, 2, 3 and so on.")
     total_bytes: int = field("<I", 32, "Length of the whole keyframe in bytes.")
     offset_bytes: int = field("<I", 36, "Offset of this part in the keyframe.")
@@ -407,11 +553,11 @@ class Volume(View):
             "itemsize": 168,
         }
     )
-    sha256: np.ndarray = field(None, 0, "SHA-256 of geometry and voxels.")
-    origin_m: np.ndarray = field(None, 32, "Position of the centre of voxel (0, 0, 0), world frame.")
-    spacing_m: np.ndarray = field(None, 56, "Distance between voxel centres along i, j, k.")
-    direction: np.ndarray = field(None, 80, "Unit vectors along i, j, k in the world frame, one after the other.")
-    dimensions: np.ndarray = field(None, 152, "Number of voxels along i, j, k.")
+    sha256 = ArrayField(np.uint8, "SHA-256 of geometry and voxels.")
+    origin_m = ArrayField(np.float64, "Position of the centre of voxel (0, 0, 0), world frame.")
+    spacing_m = ArrayField(np.float64, "Distance between voxel centres along i, j, k.")
+    direction = ArrayField(np.float64, "Unit vectors along i, j, k in the world frame, one after the other.")
+    dimensions = ArrayField(np.uint32, "Number of voxels along i, j, k.")
     hu_length: int = field("<I", 164, "Number of voxels.")
 
 
@@ -431,11 +577,11 @@ class CArmGeometry(View):
             "itemsize": 120,
         }
     )
-    source_m: np.ndarray = field(None, 0, "Focal spot, world frame.")
-    detector_centre_m: np.ndarray = field(None, 24, "Centre of the detector, world frame.")
-    row_axis: np.ndarray = field(None, 48, "Unit vector along a row, towards increasing column numbers, world frame.")
-    column_axis: np.ndarray = field(None, 72, "Unit vector along a column, towards increasing row numbers (down in the image), world frame.")
-    pixel_pitch_m: np.ndarray = field(None, 96, "Distance between pixel centres along a row and along a column.")
+    source_m = ArrayField(np.float64, "Focal spot, world frame.")
+    detector_centre_m = ArrayField(np.float64, "Centre of the detector, world frame.")
+    row_axis = ArrayField(np.float64, "Unit vector along a row, towards increasing column numbers, world frame.")
+    column_axis = ArrayField(np.float64, "Unit vector along a column, towards increasing row numbers (down in the image), world frame.")
+    pixel_pitch_m = ArrayField(np.float64, "Distance between pixel centres along a row and along a column.")
     columns: int = field("<I", 112, "Number of pixel columns.")
     rows: int = field("<I", 116, "Number of pixel rows.")
 
@@ -457,9 +603,9 @@ class CArmProjection(View):
             "itemsize": 200,
         }
     )
-    intrinsics: np.ndarray = field(None, 0, "K in pixels, row-major.")
-    rotation: np.ndarray = field(None, 72, "R, row-major: the rows are the camera's axes in the world frame.")
-    translation_m: np.ndarray = field(None, 144, "t: the world origin in the camera frame.")
+    intrinsics = ArrayField(np.float64, "K in pixels, row-major.")
+    rotation = ArrayField(np.float64, "R, row-major: the rows are the camera's axes in the world frame.")
+    translation_m = ArrayField(np.float64, "t: the world origin in the camera frame.")
     primary_angle_rad: float = field("<d", 168, "DICOM (0018,1510): at 0 the detector is in front of the chest; positive towards the patient's left.")
     secondary_angle_rad: float = field("<d", 176, "DICOM (0018,1511): positive is cranial.")
     source_detector_m: float = field("<d", 184, "DICOM (0018,1110): distance from source to detector, along the detector's normal.")
@@ -485,7 +631,7 @@ class Frame(View):
     tick: int = field("<Q", 16, "Tick whose state the frame shows.")
     removed_total: int = field("<Q", 24, "Number of drilled voxels missing in the frame.")
     sim_time_s: float = field("<d", 32, "Simulated time of that tick.")
-    pixel_hash: np.ndarray = field(None, 40, "XXH3-128 of the pixel bytes, low word first.")
+    pixel_hash = ArrayField(np.uint64, "XXH3-128 of the pixel bytes, low word first.")
     noise_seed: int = field("<Q", 56, "Seed of the quantum noise.")
     t_world_burr: Pose = nested(Pose, 64, "Pose of the burr in this state: burr centre, axes of the last link.")
     geometry: CArmGeometry = nested(CArmGeometry, 120, "C-arm of the frame.")
@@ -509,7 +655,7 @@ class DrrRequest(View):
     request_id: int = field("<Q", 0, "Chosen by the sender, from 1, and returned in the reply and the frame.")
     tick: int = field("<Q", 8, "Earliest tick that the frame may show; 0 selects the newest.")
     requester: int = field("<I", 16, "Index of the requesting controller in the scene.")
-    use_geometry: int = field("<I", 20, "0 the scene's C-arm, 1 `geometry`.")
+    use_geometry: GeometryChoice = field("<I", 20, "0 the scene's C-arm, 1 `geometry`.", GeometryChoice)
     geometry: CArmGeometry = nested(CArmGeometry, 24, "C-arm of this frame.")
 
 
@@ -532,7 +678,7 @@ class DrrReply(View):
     request_id: int = field("<Q", 0, "The request's id; 0 for a scheduled frame.")
     frame_sequence: int = field("<Q", 8, "`Frame.sequence` of the frame that follows.")
     tick: int = field("<Q", 16, "Tick that the frame shows.")
-    status: int = field("<I", 24, "0 accepted, 1 refused, 2 busy.")
+    status: DrrStatus = field("<I", 24, "0 accepted, 1 refused, 2 busy.", DrrStatus)
     requester: int = field("<I", 28, "Index of the requesting controller.")
     geometry: CArmGeometry = nested(CArmGeometry, 32, "C-arm of the frame.")
 
@@ -553,7 +699,7 @@ class RunControl(View):
     )
     request_id: int = field("<Q", 0, "Chosen by the sender and returned in the reply.")
     ticks: int = field("<Q", 8, "Number of ticks of a step.")
-    action: int = field("<I", 16, "1 pause, 2 resume, 3 step, 4 reset, 5 stop.")
+    action: ControlAction = field("<I", 16, "1 pause, 2 resume, 3 step, 4 reset, 5 stop.", ControlAction)
     reserved: int = field("<I", 20, "Always 0.")
 
 
@@ -573,8 +719,8 @@ class RunControlReply(View):
     )
     request_id: int = field("<Q", 0, "The request's id.")
     tick: int = field("<Q", 8, "Tick at which the action took effect.")
-    action: int = field("<I", 16, "The request's action.")
-    status: int = field("<I", 20, "0 done, 1 refused.")
+    action: ControlAction = field("<I", 16, "The request's action.", ControlAction)
+    status: ControlStatus = field("<I", 20, "0 done, 1 refused.", ControlStatus)
 
 
 class RunStatus(View):
@@ -598,7 +744,7 @@ class RunStatus(View):
     missed_ticks: int = field("<Q", 16, "Ticks that began more than one period after their deadline (real time only).")
     refused_commands: int = field("<Q", 24, "Commands that were refused.")
     removed_messages: int = field("<Q", 32, "`Removed` messages sent so far.")
-    phase: int = field("<I", 40, "0 connecting, 1 running, 2 paused, 3 ended.")
+    phase: Phase = field("<I", 40, "0 connecting, 1 running, 2 paused, 3 ended.", Phase)
     mode: int = field("<I", 44, "0 lockstep, 1 real time.")
 
 
@@ -618,8 +764,8 @@ class Event(View):
     )
     tick: int = field("<Q", 0, "Tick at which it was noticed.")
     sequence: int = field("<Q", 8, "Sequence number of the sender's events, from 1.")
-    severity: int = field("<I", 16, "0 information, 1 warning, 2 error.")
-    code: int = field("<I", 20, "Kind of event; see the constants.")
+    severity: Severity = field("<I", 16, "0 information, 1 warning, 2 error.", Severity)
+    code: EventCode = field("<I", 20, "Kind of event; see the constants.", EventCode)
     sender: int = field("<I", 24, "Sender: 0 launcher, 1 physics, 2 DRR, 3 recorder, 16 + i the scene's controller i.")
     text_length: int = field("<I", 28, "Length of `text` with its final NUL.")
 
@@ -677,7 +823,7 @@ class TickTiming(View):
     throttled_ns: int = field("<Q", 96, "Time that this process's control group was throttled because its CPU quota was used up (`cpu.stat`), since the last reading. Read only in ticks that begin more than 5 ms late; 0 otherwise.")
     stopped_ns: int = field("<Q", 104, "Time that this process was stopped: frozen with its control group (`cgroup.stat.local`), since the last reading, read only in ticks that begin more than 5 ms late; or the whole lateness, if a SIGCONT ended a stop; 0 otherwise.")
     recorder_wait_ns: int = field("<Q", 112, "Time past its deadline that this tick waited for the recorder (`recording.on_full = 'wait'`, real time).")
-    round_trip_ns: np.ndarray = field(None, 120, "Time from publishing the state to receiving the command that answers it, per controller; 0 if none came. In real time, commands are received when the next tick begins, so most of it is waiting for that.")
+    round_trip_ns = ArrayField(np.uint64, "Time from publishing the state to receiving the command that answers it, per controller; 0 if none came. In real time, commands are received when the next tick begins, so most of it is waiting for that.")
     page_faults: int = field("<I", 152, "Page faults of this thread from the start of the last tick to the start of this one.")
     major_page_faults: int = field("<I", 156, "How many of them waited for a disk.")
     voluntary_switches: int = field("<I", 160, "Voluntary context switches of the thread in that time; in real time it sleeps once per tick.")
@@ -730,11 +876,11 @@ class ImagePrefix(View):
     stamp_sec: int = field("<i", 0, "Simulated time, seconds part.")
     stamp_nanosec: int = field("<I", 4, "Simulated time, nanoseconds part.")
     frame_id_length: int = field("<I", 8, "8: length of the frame name including its NUL.")
-    frame_id: np.ndarray = field(None, 12, "`c_arm_0` and a NUL.")
+    frame_id = ArrayField(np.uint8, "`c_arm_0` and a NUL.")
     height: int = field("<I", 20, "Pixel rows.")
     width: int = field("<I", 24, "Pixel columns.")
     encoding_length: int = field("<I", 28, "7: length of the encoding including its NUL.")
-    encoding: np.ndarray = field(None, 32, "`mono16` and a NUL.")
+    encoding = ArrayField(np.uint8, "`mono16` and a NUL.")
     is_bigendian: int = field("<B", 39, "0: little-endian.")
     step: int = field("<I", 40, "Bytes per row.")
     data_length: int = field("<I", 44, "Total bytes of pixels.")
@@ -788,7 +934,7 @@ class trb_removed_view(ctypes.Structure):
 
 
 # Name, result, arguments.
-FUNCTIONS = [
+FUNCTIONS: list[tuple[str, Any, list[Any]]] = [
     ("trb_version", ctypes.c_char_p, []),
     ("trb_layouts", ctypes.c_char_p, []),
     ("trb_last_error", ctypes.c_char_p, []),
@@ -815,6 +961,19 @@ FUNCTIONS = [
 ]
 
 __all__ = [
+    "TendonMode",
+    "ArmMode",
+    "ArmStatus",
+    "BurrMode",
+    "CommandSource",
+    "ContactPart",
+    "ControlAction",
+    "ControlStatus",
+    "GeometryChoice",
+    "DrrStatus",
+    "Phase",
+    "Severity",
+    "EventCode",
     "Pose",
     "Wrench",
     "Contact",

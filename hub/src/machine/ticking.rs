@@ -39,6 +39,9 @@ impl<P: Plant> Hub<P> {
             *slot = std::mem::take(&mut controller.round_trip_ns);
         }
         env.send_timing(&timing)?;
+        if reset == Reset::Yes {
+            self.inform(env, &format!("reset: tick {made} began from the initial state"))?;
+        }
         self.report_sources(env, made)?;
         self.report_refusals(env)?;
         self.report_shortfall(env, made)?;

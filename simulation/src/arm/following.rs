@@ -102,8 +102,7 @@ impl Arm {
                 || (on_path.first[i] * parameter.velocity[0]).abs() > most
         });
         if swings {
-            let manipulability_m3 = self.parameters.geometry.manipulability_m3(&on_path.q_rad);
-            return Err(ArmError::PathSingular { fraction, manipulability_m3 });
+            return Err(ArmError::PathJumps { fraction });
         }
         Ok(on_path)
     }

@@ -269,7 +269,14 @@ mod tests {
         assert!(arm.state.done && arm.state.qd_rad_s == [0.0; 6] && arm.state.mode == ArmMode::Hold);
         let fault = arm.state.fault;
         assert!(
-            matches!(fault, Some(ArmError::PathUnreachable { .. } | ArmError::PathSingular { .. })),
+            matches!(
+                fault,
+                Some(
+                    ArmError::PathUnreachable { .. }
+                        | ArmError::PathSingular { .. }
+                        | ArmError::PathJumps { .. }
+                )
+            ),
             "{fault:?}"
         );
         arm.command(ArmCommand::MoveJp { q_rad: COMFORTABLE_Q_RAD, speed_fraction: 1.0 }).unwrap();

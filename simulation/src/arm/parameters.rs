@@ -2,6 +2,7 @@
 
 use super::inverse::{KinematicsError, check_pose};
 use super::kinematics::{Joints, UrGeometry};
+use super::path::LEAST_MANIPULABILITY_M3;
 use super::trajectory::TrajectoryError;
 use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -315,16 +316,25 @@ pub enum ArmError {
         /// Why.
         reason: KinematicsError,
     },
-    /// The path passes through a singularity, or so close to one that the joints would jump.
+    /// The path passes through a singularity.
     #[error(
-        "at {fraction} of the path the arm passes a singularity (manipulability {manipulability_m3} m³); \
-         choose another path, go there by joints, or place the base elsewhere"
+        "at {fraction:.4} of the path the arm is at a singularity: manipulability {manipulability_m3:.1e} m³, allowed is at least \
+         {LEAST_MANIPULABILITY_M3:e} m³; choose another path, go there by joints, or place the base elsewhere"
     )]
     PathSingular {
         /// Fraction of the path, 0 to 1.
         fraction: f64,
         /// |det J| there.
         manipulability_m3: f64,
+    },
+    /// Beside a singularity: the joints would jump, turn too fast, or go over into another configuration of the arm.
+    #[error(
+        "at {fraction:.4} of the path the joints would have to jump, as beside a singularity: they turn too fast, or elbow, wrist or \
+         shoulder goes over to its other side; choose another path, go there by joints, or place the base elsewhere"
+    )]
+    PathJumps {
+        /// Fraction of the path, 0 to 1.
+        fraction: f64,
     },
     /// The elastic joints' operator is not positive definite because the state is not finite.
     #[error(

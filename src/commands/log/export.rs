@@ -14,9 +14,10 @@ use run_log::csv::Csv;
 use run_log::fields::Scalar;
 use run_log::{FrameRecord, LogError, ReadOptions, Topic, Verdict, frames};
 
-use super::{Out, concluded};
+use super::{Out, concluded, json};
 use crate::failure::Failure;
 use crate::output::refuse_existing;
+use crate::say::Figures;
 
 /// Arguments of `log export`.
 #[derive(Debug, Args)]
@@ -41,6 +42,9 @@ pub struct ExportArguments {
     /// Export one 16-bit PNG per frame, with the recorded pixel values, instead of a table.
     #[arg(long, conflicts_with_all = ["fields"])]
     frames: bool,
+    /// How its figures are printed.
+    #[command(flatten)]
+    figures: Figures,
 }
 
 impl ExportArguments {
@@ -61,7 +65,15 @@ pub fn run(arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Failure
         false => table(&log, arguments)?,
     };
     // Output errors are reported when the command ends.
-    let _ = writeln!(out, "{}: {what}\n{}", arguments.output.display(), verdict.ending.describe());
+    let _ = match arguments.figures.json {
+        true => {
+            let verdict = json::of_verdict(&verdict);
+            let answer =
+                serde_json::json!({"output": arguments.output, "exported": what, "verdict": verdict});
+            writeln!(out, "{answer}")
+        }
+        false => writeln!(out, "{}: {what}\n{}", arguments.output.display(), verdict.ending.describe()),
+    };
     if !verdict.is_intact() {
         tell!("trabecula: {}: {verdict}", log.display());
     }

@@ -9,8 +9,9 @@ use recorder_proc::log_file::log_path;
 use recorder_proc::rewritten::{Sizes, cat_files, compress, repair, split};
 use run_log::Packing;
 
-use super::Out;
+use super::{Out, json};
 use crate::failure::Failure;
+use crate::say::Figures;
 
 /// Arguments of `log repair`.
 #[derive(Debug, Args)]
@@ -20,6 +21,9 @@ pub struct RepairArguments {
     /// The new log.
     #[arg(short, long)]
     output: PathBuf,
+    /// How its figures are printed.
+    #[command(flatten)]
+    figures: Figures,
 }
 
 /// Repairs a log and reports what is lost.
@@ -29,7 +33,11 @@ pub struct RepairArguments {
 /// lists (3).
 pub fn repair_log(arguments: &RepairArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let report = repair(&log_path(&arguments.log), &arguments.output)?;
-    super::answered(report.write(out))?;
+    if arguments.figures.json {
+        let _ = writeln!(out, "{}", json::of_repair(&report));
+    } else {
+        super::answered(report.write(out))?;
+    }
     super::concluded(out, if report.was_whole() { 0 } else { EXIT_GAP })
 }
 
@@ -58,6 +66,9 @@ pub struct CompressArguments {
     /// Compression level: 0 to 12 for lz4, 1 to 22 for zstd.
     #[arg(long)]
     level: Option<u32>,
+    /// How its figures are printed.
+    #[command(flatten)]
+    figures: Figures,
 }
 
 /// Recompresses a log.
@@ -69,7 +80,10 @@ pub fn compress_log(arguments: &CompressArguments, out: &mut Out<'_>) -> Result<
     let Sizes { before, after } = compress(&log_path(&arguments.log), &arguments.output, packing)?;
     let share = 100.0 * after as f64 / before.max(1) as f64;
     // Output errors are reported when the command ends.
-    let _ = writeln!(out, "{before} bytes before, {after} after ({share:.1} %), the same messages");
+    let _ = match arguments.figures.json {
+        true => writeln!(out, "{}", serde_json::json!({"before_bytes": before, "after_bytes": after})),
+        false => writeln!(out, "{before} bytes before, {after} after ({share:.1} %), the same messages"),
+    };
     Ok(())
 }
 

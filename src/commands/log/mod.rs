@@ -2,10 +2,11 @@
 
 mod cat;
 mod export;
+mod json;
 mod make;
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 use recorder_proc::exit_code::exit_code;
@@ -13,7 +14,7 @@ use recorder_proc::log_file::{LogFile, log_path};
 use run_log::{LogError, ReadOptions, diff, info};
 
 use crate::failure::Failure;
-use crate::say::{self, Out};
+use crate::say::{self, Figures, Out};
 
 /// What to do with a log.
 #[derive(Debug, Subcommand)]
@@ -22,6 +23,9 @@ pub enum LogCommand {
     Info {
         /// Log file, or the folder of a run.
         log: PathBuf,
+        /// How its figures are printed.
+        #[command(flatten)]
+        figures: Figures,
     },
     /// Print messages as JSON lines.
     Cat(cat::CatArguments),
@@ -31,6 +35,9 @@ pub enum LogCommand {
         first: PathBuf,
         /// The log to compare it with.
         second: PathBuf,
+        /// How its figures are printed.
+        #[command(flatten)]
+        figures: Figures,
     },
     /// Write a readable log from a cut or damaged one and report what is lost.
     Repair(make::RepairArguments),
@@ -51,36 +58,10 @@ pub enum LogCommand {
 /// done, but the log has a gap, is cut or was not ended (3).
 pub fn run(command: &LogCommand) -> Result<(), Failure> {
     let mut out = say::out();
-    let read = ReadOptions::default();
     match command {
-        LogCommand::Info { log } => {
-            let summary = info(&LogFile::at(log_path(log)), read)?;
-            answered(summary.write(&mut out))?;
-            let mut code = exit_code(&summary.verdict);
-            // Given a run's folder, check both lanes.
-            let timing = log.join("timing.mcap");
-            if log.is_dir() && timing.exists() {
-                let lane = info(&LogFile::at(&timing), read)?;
-                answered(lane.write_misses(&mut out))?;
-                if !lane.verdict.is_intact() {
-                    let _ = writeln!(out, "timing lane {}", lane.verdict);
-                }
-                code = worse(code, exit_code(&lane.verdict));
-            }
-            return concluded(&mut out, code);
-        }
+        LogCommand::Info { log, figures } => return told(log, *figures, &mut out),
         LogCommand::Cat(arguments) => cat::run(arguments, &mut out)?,
-        LogCommand::Diff { first, second } => {
-            let report = diff(&LogFile::at(log_path(first)), &LogFile::at(log_path(second)), read)?;
-            answered(report.write(&mut out))?;
-            if !report.same_run() {
-                // The report has already said where.
-                let _ = out.flush();
-                return Err(Failure::failed("the logs differ"));
-            }
-            let codes = report.verdicts.each_ref().map(exit_code);
-            return concluded(&mut out, worse(codes[0], codes[1]));
-        }
+        LogCommand::Diff { first, second, figures } => return compared([first, second], *figures, &mut out),
         LogCommand::Repair(arguments) => make::repair_log(arguments, &mut out)?,
         LogCommand::Compress(arguments) => make::compress_log(arguments, &mut out)?,
         LogCommand::Export(arguments) => export::run(arguments, &mut out)?,
@@ -90,6 +71,46 @@ pub fn run(command: &LogCommand) -> Result<(), Failure> {
     // Output errors are reported when the command ends.
     let _ = out.flush();
     Ok(())
+}
+
+/// Says what a log holds; given a run's folder, checks both lanes.
+fn told(log: &Path, figures: Figures, out: &mut Out<'_>) -> Result<(), Failure> {
+    let read = ReadOptions::default();
+    let summary = info(&LogFile::at(log_path(log)), read)?;
+    let timing = log.join("timing.mcap");
+    let lane = if log.is_dir() && timing.exists() { Some(info(&LogFile::at(&timing), read)?) } else { None };
+    if figures.json {
+        let timing = lane.as_ref().map(json::of_log);
+        let _ = writeln!(out, "{}", serde_json::json!({"run": json::of_log(&summary), "timing": timing}));
+    } else {
+        answered(summary.write(out))?;
+        if let Some(lane) = &lane {
+            answered(lane.write_misses(out))?;
+            if !lane.verdict.is_intact() {
+                let _ = writeln!(out, "timing lane {}", lane.verdict);
+            }
+        }
+    }
+    let of_lane = lane.map_or(0, |lane| exit_code(&lane.verdict));
+    concluded(out, worse(exit_code(&summary.verdict), of_lane))
+}
+
+/// Says where two logs differ first.
+fn compared(logs: [&PathBuf; 2], figures: Figures, out: &mut Out<'_>) -> Result<(), Failure> {
+    let [first, second] = logs.map(|log| LogFile::at(log_path(log)));
+    let report = diff(&first, &second, ReadOptions::default())?;
+    if figures.json {
+        let _ = writeln!(out, "{}", json::of_diff(&report));
+    } else {
+        answered(report.write(out))?;
+    }
+    if !report.same_run() {
+        // The report has already said where.
+        let _ = out.flush();
+        return Err(Failure::failed("the logs differ"));
+    }
+    let codes = report.verdicts.each_ref().map(exit_code);
+    concluded(out, worse(codes[0], codes[1]))
 }
 
 /// The more serious of two exit codes: a failure outranks a gap.

@@ -247,3 +247,34 @@ fn a_picture_that_cannot_be_written_costs_nothing_else_and_replaces_nothing() {
     }
     assert_eq!(report.summary.ticks, 500);
 }
+
+/// Every text of the page may be a stranger's: a scene's, a controller's.
+#[test]
+fn the_page_holds_all_pictures_and_no_text_of_a_stranger_becomes_a_part_of_it() {
+    let folder = tempfile::tempdir().unwrap();
+    synthetic::write_run(folder.path(), TICKS);
+    let evil = "</pre><script src=\"http://example.org/x.js\"></script>";
+    let facts = RunFacts { outcome: evil.to_owned(), replay_command: evil.to_owned(), ..facts() };
+    write(folder.path(), &facts).unwrap();
+    let page = fs::read_to_string(folder.path().join("report.html")).unwrap();
+    assert!(
+        !page.contains("<script") && page.contains("&#60;script") || page.contains("&lt;script"),
+        "{page:.400}"
+    );
+    // What the browser loads is inside the page.
+    let sources: Vec<&str> =
+        page.split("src=\"").skip(1).map(|rest| rest.split('"').next().unwrap()).collect();
+    assert_eq!(sources.len(), 5);
+    assert!(sources.iter().all(|source| source.starts_with("data:image/")));
+    for (source, file) in
+        sources.iter().zip(["drr_before.png", "drr_half.png", "drr_after.png", "tip_path.svg", "timing.svg"])
+    {
+        let bytes = data_encoding::BASE64.decode(source.split_once(',').unwrap().1.as_bytes()).unwrap();
+        assert!(bytes == fs::read(folder.path().join(file)).unwrap(), "{file}");
+    }
+    let summary = fs::read_to_string(folder.path().join("summary.json")).unwrap();
+    let summary: Summary = serde_json::from_str(&summary).unwrap();
+    let first = summary.to_string().lines().next().unwrap().split(',').next().unwrap().to_owned();
+    assert!(page.contains(&first) && page.contains("duration_s"), "{first}");
+    assert!(!page.contains("href=") && page.contains("default-src 'none'"));
+}

@@ -12,11 +12,8 @@ pub fn outputs_of(command: &clap::Command) -> Vec<String> {
 fn collect(command: &clap::Command, path: &str, found: &mut Vec<String>) {
     for argument in command.get_arguments() {
         let id = argument.get_id().as_str();
-        // What is only read is also called a file.
-        let writes_file = (id == "file" && matches!(path, "phantom " | "volume drilled "))
-            || (id == "folder" && path == "scene init ");
-        if writes_file || ["output", "out", "record", "rungs"].contains(&id) {
-            found.push(format!("{path}{}{id}", if writes_file { "" } else { "--" }));
+        if ["output", "rungs"].contains(&id) {
+            found.push(format!("{path}--{id}"));
         }
     }
     let of_users = |command: &&clap::Command| !command.is_hide_set() && command.get_name() != "proc";

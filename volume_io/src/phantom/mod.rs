@@ -1,4 +1,4 @@
-//! Synthetic volumes with exactly known geometry: a right proximal femur, a two-density block, a sphere.
+//! Synthetic volumes with exactly known geometry: a right proximal femur, a pelvis, a two-density block, a sphere.
 //!
 //! None of them is a patient. They are pure functions of their specification: the same bits on every machine and for every number of
 //! threads, and the same shape at every voxel spacing.
@@ -7,8 +7,10 @@ mod anatomy;
 mod femur;
 mod fill;
 mod noise;
+mod pelvis;
 mod shapes;
 mod solids;
 
 pub use femur::{FemurLandmarks, FemurSpec, femur, femur_landmarks};
+pub use pelvis::{PelvisSpec, pelvis};
 pub use solids::{BlockSpec, SphereSpec, block, sphere};

@@ -4,7 +4,7 @@
 //! the first-order distance k0 (k0 − 1) / k1 (I. Quilez, "distance functions": value over gradient length), which has the exact zero set;
 //! the smooth union is Quilez's quadratic blend.
 
-use crate::volume::{dot, norm};
+use crate::volume::{cross, dot, norm};
 
 /// a − b.
 pub fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
@@ -38,6 +38,18 @@ pub fn tapered_capsule(p: [f64; 3], a: [f64; 3], b: [f64; 3], radius_a: f64, rad
     let axis = sub(b, a);
     let t = (dot(sub(p, a), axis) / dot(axis, axis)).clamp(0.0, 1.0);
     norm(sub(p, add_scaled(a, t, axis))) - (radius_a + (radius_b - radius_a) * t)
+}
+
+/// Distance to a flat triangle: exact (I. Quilez, "distance functions": to its edges, or to its plane above its face).
+pub fn triangle(p: [f64; 3], a: [f64; 3], b: [f64; 3], c: [f64; 3]) -> f64 {
+    let edges = [(a, b), (b, c), (c, a)];
+    let normal = cross(sub(b, a), sub(a, c));
+    let is_over =
+        |(from, to): &([f64; 3], [f64; 3])| dot(cross(sub(*to, *from), normal), sub(p, *from)) >= 0.0;
+    if edges.iter().all(is_over) {
+        return dot(normal, sub(p, a)).abs() / norm(normal);
+    }
+    edges.iter().map(|(from, to)| tapered_capsule(p, *from, *to, 0.0, 0.0)).fold(f64::INFINITY, f64::min)
 }
 
 /// An ellipsoid with half axes `radii`, for an offset `q` from its centre in its own axes.

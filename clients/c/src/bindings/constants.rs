@@ -6,11 +6,17 @@ macro_rules! named {
     ($($name:ident),* $(,)?) => { &[$((stringify!($name), $name as u64)),*] };
 }
 
+/// Integers that are no codes of fields: senders, lengths of arrays.
+pub(super) fn lengths() -> Vec<(&'static str, u64)> {
+    let senders = SENDERS.iter().map(|(name, number)| (*name, u64::from(*number)));
+    senders.chain(LENGTHS.iter().copied()).collect()
+}
+
 /// Integers: codes of fields, senders, lengths of arrays.
 pub(super) fn whole() -> Vec<(&'static str, u64)> {
-    let codes = CLIENT_CODES.iter().copied().flatten().map(|code| (code.constant, u64::from(code.number)));
-    let senders = SENDERS.iter().map(|(name, number)| (*name, u64::from(*number)));
-    codes.chain(senders).chain(LENGTHS.iter().copied()).collect()
+    let codes =
+        CLIENT_CODES.iter().flat_map(|set| set.codes).map(|code| (code.constant, u64::from(code.number)));
+    codes.chain(lengths()).collect()
 }
 
 const LENGTHS: &[(&str, u64)] =

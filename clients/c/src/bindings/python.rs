@@ -2,7 +2,9 @@
 
 use ipc_types::layout::{Description, Element, Field};
 
-use super::constants::{LIMITS, whole};
+use ipc_types::messages::{CLIENT_CODES, CODE_FIELDS, Code, CodeSet};
+
+use super::constants::{LIMITS, lengths, whole};
 use super::{layouts, nested_first, wrapped};
 use crate::ffi::{FUNCTIONS, STATUSES, VIEWS};
 
@@ -14,13 +16,27 @@ const TOP: &str = "\
 from __future__ import annotations
 
 import ctypes
-from typing import TYPE_CHECKING
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ._view import View, field, nested
+from ._view import ArrayField, ElementsField, View, field, nested
 
 ";
+
+/// Arrays of which a message uses only the beginning, and the field that says how much: message, array, count.
+const COUNTS: [(&str, &str, &str); 9] = [
+    ("State", "joint_position_rad", "joint_count"),
+    ("State", "joint_velocity_rad_per_s", "joint_count"),
+    ("State", "t_world_link", "joint_count"),
+    ("State", "tendon_tension_n", "tendon_count"),
+    ("State", "tendon_displacement_m", "tendon_count"),
+    ("State", "contacts", "contact_count"),
+    ("State", "t_world_body", "body_count"),
+    ("State", "applied", "controller_count"),
+    ("Latched", "commands", "controller_count"),
+];
 
 /// The Python module.
 pub fn python_module() -> String {
@@ -30,9 +46,10 @@ pub fn python_module() -> String {
     text.push_str(")\n\n");
     STATUSES.iter().for_each(|(name, value, _)| text.push_str(&format!("{name} = {value}\n")));
     text.push('\n');
-    whole().iter().for_each(|(name, value)| text.push_str(&format!("{name} = {value}\n")));
+    lengths().iter().for_each(|(name, value)| text.push_str(&format!("{name} = {value}\n")));
     text.push('\n');
     LIMITS.iter().for_each(|(name, value)| text.push_str(&format!("{name} = {value:?}\n")));
+    CLIENT_CODES.iter().for_each(|set| enumeration(set, &mut text));
     nested_first().into_iter().for_each(|message| class(message, &mut text));
     for view in VIEWS {
         text.push_str(&format!("\n\nclass {}(ctypes.Structure):\n    _fields_ = [\n", view.name));
@@ -41,7 +58,7 @@ pub fn python_module() -> String {
         }
         text.push_str("    ]\n");
     }
-    text.push_str("\n\n# Name, result, arguments.\nFUNCTIONS = [\n");
+    text.push_str("\n\n# Name, result, arguments.\nFUNCTIONS: list[tuple[str, Any, list[Any]]] = [\n");
     for function in FUNCTIONS {
         let arguments: Vec<&str> = function.arguments.iter().map(|(_, c_type)| ctypes_of(c_type)).collect();
         let list = format!("[{}]", arguments.join(", "));
@@ -49,10 +66,11 @@ pub fn python_module() -> String {
     }
     text.push_str("]\n\n__all__ = [\n");
     let messages = nested_first().into_iter().map(Description::short_name);
+    let enumerations = CLIENT_CODES.iter().map(|set| set.name);
     let statuses = STATUSES.iter().map(|(name, ..)| *name).filter(|name| name.starts_with("ERROR"));
     let whole = whole().into_iter().map(|(name, _)| name);
     let limits = LIMITS.iter().map(|(name, _)| *name);
-    for name in messages.chain(statuses).chain(whole).chain(limits) {
+    for name in enumerations.chain(messages).chain(statuses).chain(whole).chain(limits) {
         text.push_str(&format!("    \"{name}\",\n"));
     }
     text.push_str("]\n");
@@ -85,6 +103,21 @@ fn scalar(name: &str) -> &'static str {
     }
 }
 
+/// The codes of a field as an enum, and each code's constant.
+fn enumeration(set: &CodeSet, text: &mut String) {
+    text.push_str(&format!("\n\nclass {}(IntEnum):\n", set.name));
+    docstring(set.doc.trim(), text);
+    // `TENDON_SERVO_JF` is `TendonMode.SERVO_JF`.
+    let member = |code: &Code| code.constant.split_once('_').map_or(code.constant, |(_, rest)| rest);
+    for code in set.codes {
+        text.push_str(&format!("    {} = {}\n", member(code), code.number));
+    }
+    text.push_str("\n\n");
+    for code in set.codes {
+        text.push_str(&format!("{} = {}.{}\n", code.constant, set.name, member(code)));
+    }
+}
+
 fn class(message: &Description, text: &mut String) {
     let name = message.short_name();
     text.push_str(&format!("\n\nclass {name}(View):\n"));
@@ -100,7 +133,7 @@ fn class(message: &Description, text: &mut String) {
     list(text, "formats", &dtype);
     list(text, "offsets", &|field| field.offset.to_string());
     text.push_str(&format!("            \"itemsize\": {},\n        }}\n    )\n", message.size));
-    message.fields.iter().for_each(|field| attribute(field, text));
+    message.fields.iter().for_each(|field| attribute(name, field, text));
 }
 
 fn dtype(field: &Field) -> String {
@@ -111,21 +144,37 @@ fn dtype(field: &Field) -> String {
     field.array_length.map_or(element.clone(), |length| format!("({element}, ({length},))"))
 }
 
-fn attribute(field: &Field, text: &mut String) {
+fn attribute(message: &str, field: &Field, text: &mut String) {
     let doc = wrapped(field.doc, usize::MAX).join(" ").replace('"', "'");
-    let name = field.name;
-    let (annotation, maker) = match (field.element, field.array_length) {
+    let (name, offset) = (field.name, field.offset);
+    let count = COUNTS.iter().find(|(of, array, _)| (*of, *array) == (message, name));
+    let count = count.map_or(String::new(), |(_, _, count)| format!(", \"{count}\""));
+    let codes = CODE_FIELDS.iter().find(|coded| (coded.message, coded.field) == (message, name));
+    let line = match (field.element, field.array_length) {
         (Element::Message(nested), None) => {
             let class = nested.short_name();
-            (class.to_owned(), format!("nested({class}, {}, {doc:?})", field.offset))
+            format!("{name}: {class} = nested({class}, {offset}, {doc:?})")
         }
-        (_, Some(_)) => ("np.ndarray".to_owned(), format!("field(None, {}, {doc:?})", field.offset)),
+        (Element::Message(nested), Some(_)) => {
+            format!("{name} = ElementsField({}, {doc:?}{count})", nested.short_name())
+        }
+        (Element::Scalar(scalar_name), Some(_)) => {
+            format!("{name} = ArrayField(np.{scalar_name}, {doc:?}{count})")
+        }
         (Element::Scalar(scalar_name), None) => {
-            let kind = if scalar_name.starts_with("float") { "float" } else { "int" };
-            (kind.to_owned(), format!("field(\"{}\", {}, {doc:?})", struct_code(scalar_name), field.offset))
+            let code = struct_code(scalar_name);
+            match codes {
+                Some(coded) => {
+                    format!("{name}: {} = field(\"{code}\", {offset}, {doc:?}, {})", coded.codes, coded.codes)
+                }
+                None => {
+                    let kind = if scalar_name.starts_with("float") { "float" } else { "int" };
+                    format!("{name}: {kind} = field(\"{code}\", {offset}, {doc:?})")
+                }
+            }
         }
     };
-    text.push_str(&format!("    {name}: {annotation} = {maker}\n"));
+    text.push_str(&format!("    {line}\n"));
 }
 
 /// Code of the `struct` module.
@@ -151,6 +200,48 @@ fn docstring(doc: &str, text: &mut String) {
         several => {
             text.push_str(&format!("    \"\"\"{}\n", several.join("\n    ")));
             text.push_str("    \"\"\"\n\n");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Arrays came at their capacity: 32 joints of a tool that has 27, 4 poses of bodies of a scene without.
+    #[test]
+    fn every_array_with_a_count_beside_it_is_cut_to_it() {
+        for (message, array, count) in COUNTS {
+            let all = nested_first();
+            let message = all.iter().find(|known| known.short_name() == message).unwrap();
+            let field = |name: &str| message.fields.iter().find(|field| field.name == name).unwrap();
+            assert!(field(array).array_length.is_some() && field(count).array_length.is_none());
+        }
+        let long = |field: &&Field| field.array_length.is_some_and(|length| length > 9);
+        for message in nested_first() {
+            let name = message.short_name();
+            for field in message.fields.iter().filter(long).filter(|field| field.name != "sha256") {
+                assert!(
+                    COUNTS.iter().any(|(of, array, _)| (*of, *array) == (name, field.name)),
+                    "{name}.{}",
+                    field.name
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_code_is_a_member_of_its_enum_and_a_constant() {
+        let module = python_module();
+        for line in [
+            "class TendonMode(IntEnum):",
+            "    SERVO_JF = 1",
+            "TENDON_SERVO_JF = TendonMode.SERVO_JF",
+            "    severity: Severity = field(",
+            "    t_world_body = ElementsField(Pose, ",
+            "    joint_position_rad = ArrayField(np.float64, ",
+        ] {
+            assert!(module.lines().any(|found| found.starts_with(line)), "{line}");
         }
     }
 }

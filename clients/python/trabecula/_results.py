@@ -1,0 +1,129 @@
+"""What a client returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from . import _generated as g
+from ._errors import ArgumentError
+from ._geometry import Floats, Points, numbers
+
+
+@dataclass(frozen=True)
+class Info:
+    """Facts that stay constant during a session."""
+
+    #: Folder of the session.
+    folder: str
+    #: Name of this client's controller; empty for an observer.
+    controller: str
+    #: The whole scene as TOML.
+    scene_toml: str
+    #: Simulated time of a tick.
+    dt_s: float
+    #: Ticks of the whole run.
+    tick_count: int
+    #: Ticks between two scheduled frames; 0 if there are none.
+    frame_period_ticks: int
+    #: Index of the controller in the scene; -1 for an observer.
+    controller_index: int
+    #: Number of controllers in the scene.
+    controller_count: int
+    #: Whether a tick waits for every controller.
+    lockstep: bool
+    #: Pixel columns of a frame; 0 without X-ray.
+    frame_columns: int
+    #: Pixel rows of a frame; 0 without X-ray.
+    frame_rows: int
+    #: Whether there is a CT volume.
+    has_volume: bool
+
+
+class Image(NamedTuple):
+    """An X-ray frame in shared memory."""
+
+    #: Tick, C-arm and size.
+    frame: g.Frame
+    #: Intensities, shape (rows, columns), row 0 at the top; 0 is black.
+    pixels: npt.NDArray[np.uint16]
+
+    def __repr__(self) -> str:
+        rows, columns = self.pixels.shape
+        return f"Image(frame={self.frame!r}, pixels=[{rows} x {columns}])"
+
+
+class Ct(NamedTuple):
+    """The CT volume in shared memory."""
+
+    #: Geometry.
+    volume: g.Volume
+    #: Hounsfield units, shape (z, y, x).
+    hu: npt.NDArray[np.int16]
+
+    def world_to_voxel(self, point_m: Points) -> Floats:
+        """Voxel coordinates i, j, k of world points, shape (3,) or (…, 3). Voxel centres are whole numbers."""
+        axes = self.volume.direction.reshape(3, 3)
+        offset = numbers("point_m", point_m, 3) - self.volume.origin_m
+        return np.asarray(offset @ axes.T / self.volume.spacing_m)
+
+    def voxel_to_world(self, voxel: Points) -> Floats:
+        """World points of voxel coordinates i, j, k, shape (3,) or (…, 3)."""
+        axes = self.volume.direction.reshape(3, 3)
+        return np.asarray(self.volume.origin_m + (numbers("voxel", voxel, 3) * self.volume.spacing_m) @ axes)
+
+    def hu_at(self, point_m: Points) -> npt.NDArray[np.int16]:
+        """Hounsfield units of the voxels that hold world points: one number, shape (), or an array of shape (…).
+
+        Raises:
+            ArgumentError: A point lies outside the volume.
+        """
+        index = np.floor(self.world_to_voxel(point_m) + 0.5)
+        # Written so that NaN fails.
+        if not np.all((index >= 0) & (index < self.volume.dimensions)):
+            raise ArgumentError(f"`point_m` is {point_m!r}: outside the volume, whose corners are {self._corners_m()} m")
+        i, j, k = np.moveaxis(index.astype(np.int64), -1, 0)
+        return np.asarray(self.hu[k, j, i])
+
+    def _corners_m(self) -> str:
+        ends = self.voxel_to_world(np.stack([np.zeros(3), self.volume.dimensions - 1.0]))
+        return " and ".join(str([round(float(x), 4) for x in end]) for end in ends)
+
+    def __repr__(self) -> str:
+        return f"Ct(hu=[{' x '.join(str(n) for n in self.hu.shape)}], {self._corners_m()} m)"
+
+
+class Removal(NamedTuple):
+    """Voxels removed at a tick, in shared memory."""
+
+    #: The message.
+    removed: g.Removed
+    #: Flat indices, x fastest: `ct.hu.reshape(-1)[voxel_index]`.
+    voxel_index: npt.NDArray[np.uint32]
+
+
+class SessionEvent(NamedTuple):
+    """An event of the session."""
+
+    #: Tick at which the sender noticed it.
+    tick: int
+    #: How serious it is.
+    severity: g.Severity
+    #: Kind of event.
+    code: g.EventCode
+    #: Sender: one of the `SENDER_` constants.
+    sender: int
+    #: What happened.
+    text: str
+
+    def is_reset(self) -> bool:
+        """Whether it says that the simulation was reset."""
+        return self.sender == g.SENDER_PHYSICS and self.code == g.EventCode.RUN and self.text.startswith("reset: ")
+
+
+def as_array(memory: Any, dtype: str, count: int) -> npt.NDArray[Any]:
+    """Numbers in memory that is mapped for reading."""
+    return np.frombuffer(memory, dtype) if count else np.empty(0, dtype)

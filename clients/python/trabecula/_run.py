@@ -1,0 +1,173 @@
+"""Starting a run."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import threading
+import time
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO, Any, Iterator, Mapping, Optional, Union
+
+from . import _generated as g
+from ._client import Client
+from ._errors import ArgumentError, Ended, Error
+
+#: Environment variable with the program's path; takes precedence over every other place.
+PROGRAM_VARIABLE = "TRABECULA_PROGRAM"
+NAME = "trabecula"
+#: How long a run may take to finish its log after it was told to stop, and then after each signal.
+_END_LIMIT_S = 120.0
+_SIGNAL_LIMIT_S = 10.0
+_BAD_INPUT = 2
+
+
+@contextmanager
+def run(
+    scene: Union[str, Path, None] = None,
+    *,
+    overrides: Optional[Mapping[str, Any]] = None,
+    controller: Optional[str] = None,
+    output: Union[str, Path] = "out",
+    timeout_s: float = 60.0,
+) -> Iterator[Client]:
+    """Starts a run, joins it, and stops it at the end of the `with` block if it still goes on then.
+
+        with trabecula.run("scene.toml", overrides={"run.duration_s": 2.0, "controller.0.optional": True}) as client:
+            state = client.step(100)
+
+    Args:
+        scene: The scene file; None: the built-in femur.
+        overrides: Values for keys of the scene, by their path; a number in a path counts the tables of an array from 0.
+        controller: As in `Client`; without one in a scene that has no external controller, the client observes.
+        output: Parent of the run's folder.
+        timeout_s: How long the run may take to announce its session: it reads or makes the volume first.
+
+    Raises:
+        ArgumentError: The scene or an override is refused; the text is the program's.
+        Error: The program is not there, the run failed, or its log is not whole.
+        TimeoutError: No session in time.
+    """
+    words = [_program(), "run", *([] if scene is None else [str(scene)]), "--json", "--output", str(output)]
+    for key, value in (overrides or {}).items():
+        words += ["--set", f"{key}={_toml(key, value)}"]
+    with _Started(words) as started:
+        session = started.session(timeout_s)
+        with _joined(session, controller, timeout_s) as client:
+            try:
+                yield client
+            finally:
+                with suppress(Error, Ended, TimeoutError):
+                    client.run_control(g.ControlAction.STOP)
+        started.finish()
+
+
+def _joined(session: str, controller: Optional[str], timeout_s: float) -> Client:
+    if controller is None and not os.environ.get("TRABECULA_CONTROLLER"):
+        # An observer knows the scene, and so whether there is a controller to be.
+        with Client(session, "", timeout_s) as observer:
+            if "external = true" not in observer.info.scene_toml:
+                controller = ""
+    return Client(session, controller, timeout_s)
+
+
+def _program() -> str:
+    given = os.environ.get(PROGRAM_VARIABLE)
+    built = Path(__file__).resolve().parents[3] / "target" / "release" / NAME
+    found = given or (str(built) if built.exists() else shutil.which(NAME))
+    if found is None or not os.access(found, os.X_OK):
+        places = f"{found}" if found else f"{built} and the PATH"
+        text = f"no program `{NAME}` in {places}: build it with `cargo build --release`, or name it in {PROGRAM_VARIABLE}"
+        raise Error(g.ERROR_ABSENT, text)
+    return found
+
+
+def _toml(key: str, value: Any) -> str:
+    """A value as it is written in a scene."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (int, float)):
+        return repr(value)
+    if isinstance(value, (str, Path)):
+        return json.dumps(str(value), ensure_ascii=False)
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{name} = {_toml(f'{key}.{name}', inner)}" for name, inner in value.items()) + "}"
+    if hasattr(value, "tolist"):
+        return _toml(key, value.tolist())
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_toml(key, inner) for inner in value) + "]"
+    raise ArgumentError(f"the override `{key}` is {value!r}, expected a number, a text, a truth value, or a list or table of them")
+
+
+class _Started:
+    """The launcher's process, which is gone when this is left."""
+
+    def __init__(self, words: list[str]) -> None:
+        self._process = subprocess.Popen(
+            words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        )
+        self._said: list[str] = []
+        self._session: Optional[str] = None
+        self._heard = threading.Condition()
+        assert self._process.stderr is not None  # a pipe
+        self._listener = threading.Thread(target=self._listen, args=(self._process.stderr,), daemon=True)
+        self._listener.start()
+
+    def _listen(self, words: IO[str]) -> None:
+        for line in words:
+            with self._heard:
+                self._said = [*self._said[-19:], line.rstrip()]
+                if line.startswith("session ") and self._session is None:
+                    self._session = line[len("session ") :].rstrip("\n")
+                self._heard.notify_all()
+
+    def __enter__(self) -> _Started:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Ends a process that still runs: in order, then hard."""
+        for end in (self._process.terminate, self._process.kill):
+            if self._process.poll() is None:
+                end()
+                with suppress(subprocess.TimeoutExpired):
+                    self._process.wait(_SIGNAL_LIMIT_S)
+        self._listener.join(_SIGNAL_LIMIT_S)
+
+    def session(self, timeout_s: float) -> str:
+        """The session's folder, once it is announced."""
+        deadline = time.monotonic() + timeout_s
+        with self._heard:
+            while self._session is None:
+                if not self._listener.is_alive() and self._process.poll() is not None:
+                    raise self._failure()
+                if time.monotonic() > deadline:
+                    raise TimeoutError(f"no session within {timeout_s} s; the program said: {self._last_words()}")
+                self._heard.wait(0.1)
+            return self._session
+
+    def finish(self) -> None:
+        """Waits for the end of the run.
+
+        Raises:
+            Error: It did not end well.
+        """
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(_END_LIMIT_S)
+        self._listener.join(_SIGNAL_LIMIT_S)
+        if self._process.poll() != 0:
+            raise self._failure()
+
+    def _failure(self) -> Error:
+        code = self._process.poll()
+        if code == _BAD_INPUT:
+            return ArgumentError(self._last_words())
+        how = "did not end in time" if code is None else f"ended with exit code {code}"
+        return Error(g.ERROR_HUB_GONE, f"the run {how}: {self._last_words()}")
+
+    def _last_words(self) -> str:
+        complaints = [line for line in self._said if line.startswith("trabecula: ")]
+        last = (complaints or self._said or ["nothing"])[-1]
+        return last[len("trabecula: ") :] if last.startswith("trabecula: ") else last

@@ -1,0 +1,106 @@
+//! What a TOML error is about: the key at its place, and the types in a roboticist's words.
+
+use core::ops::Range;
+
+use toml::de::{DeTable, DeValue};
+
+/// The key whose name or value lies at a byte of the text, with its path: `run.duration_s`, `tool.direction[1]`; `None` outside of all, or in
+/// a text that is not TOML.
+pub(crate) fn key_at(text: &str, byte: usize) -> Option<String> {
+    let document = DeTable::parse(text).ok()?;
+    in_table(document.get_ref(), "", byte)
+}
+
+fn in_table(table: &DeTable<'_>, path: &str, byte: usize) -> Option<String> {
+    table.iter().find_map(|(key, value)| {
+        let name = key.get_ref();
+        let path = if path.is_empty() { name.to_string() } else { format!("{path}.{name}") };
+        let below = in_value(value.get_ref(), &path, byte);
+        below.or_else(|| (is_in(key.span(), byte) || is_in(value.span(), byte)).then_some(path))
+    })
+}
+
+fn in_value(value: &DeValue<'_>, path: &str, byte: usize) -> Option<String> {
+    match value {
+        DeValue::Table(table) => in_table(table, path, byte),
+        DeValue::Array(values) => values.iter().enumerate().find_map(|(index, value)| {
+            let path = format!("{path}[{index}]");
+            let below = in_value(value.get_ref(), &path, byte);
+            below.or_else(|| is_in(value.span(), byte).then_some(path))
+        }),
+        _ => None,
+    }
+}
+
+fn is_in(span: Range<usize>, byte: usize) -> bool {
+    span.contains(&byte)
+}
+
+/// The parser's message with what was expected in words: `expected f64` is `expected a number`.
+pub(crate) fn in_words(message: &str) -> String {
+    const WORDS: [(&str, &str); 8] = [
+        ("expected f64", "expected a number"),
+        ("expected f32", "expected a number"),
+        ("expected u64", "expected a whole number, 0 or more"),
+        ("expected u32", "expected a whole number, 0 or more"),
+        ("expected i64", "expected a whole number"),
+        ("expected a boolean", "expected true or false"),
+        ("expected a sequence", "expected a list"),
+        ("expected a map", "expected a table"),
+    ];
+    WORDS.iter().fold(message.to_owned(), |text, (typed, word)| text.replace(typed, word))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test fails by it")]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::Scene;
+
+    const TEXT: &str = "name = \"a\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[tool]\n\
+                        burr_start_mm = [0.0, 0.0, 0.0]\ndirection = [1.0, 0.0, 0.0]\nbend_toward = [0.0, 0.0, 1.0]\n\
+                        [[controller]]\nname = \"c\"\ndrives = []\nexternal = true\n";
+
+    /// `invalid type: string "long", expected f64` named neither the key nor a type that one can write.
+    #[test]
+    fn a_value_of_a_wrong_type_is_refused_with_its_key_and_the_type_in_words() {
+        let refused = |from: &str, to: &str| {
+            let error = Scene::parse(&TEXT.replacen(from, to, 1), Path::new("a.toml")).unwrap_err();
+            error.to_string()
+        };
+        for (from, to, said) in [
+            (
+                "duration_s = 1.0",
+                "duration_s = \"long\"",
+                "line 4: `run.duration_s`: invalid type: string \"long\", expected a number",
+            ),
+            (
+                "[1.0, 0.0, 0.0]",
+                "[1.0, \"x\", 0.0]",
+                "line 7: `tool.direction[1]`: invalid type: string \"x\", expected a number",
+            ),
+            (
+                "external = true",
+                "external = 1",
+                "line 12: `controller[0].external`: invalid type: integer `1`, expected true or false",
+            ),
+            (
+                "duration_s = 1.0",
+                "duration = 1.0",
+                "line 4: `run.duration`: unknown field `duration`, expected one of ",
+            ),
+            (
+                "burr_start_mm = [0.0, 0.0, 0.0]",
+                "burr_start_mm = [0.0]",
+                "line 6: `tool.burr_start_mm`: invalid length 1, expected ",
+            ),
+        ] {
+            let error = refused(from, to);
+            assert!(error.contains(said), "{error}\nis not\n{said}");
+        }
+        let syntax = refused("[run]", "[run");
+        assert!(syntax.starts_with("a.toml, line 2: ") && !syntax.contains('`'), "{syntax}");
+    }
+}

@@ -1,0 +1,98 @@
+//! What every `--help` ends with: examples and exit codes. Both programs' command lines are completed here, so that no command is without.
+
+use clap::Command;
+
+use crate::program::EXIT_CODES;
+
+/// Examples of a command: its path such as `log export`, and lines that begin with the program's name.
+pub type Examples = (&'static str, &'static [&'static str]);
+
+/// The command line with examples and exit codes in the help of each of its commands.
+pub fn completed(command: Command, examples: &'static [Examples]) -> Command {
+    below(command.after_help(EXIT_CODES), "", examples)
+}
+
+fn below(command: Command, path: &str, examples: &'static [Examples]) -> Command {
+    command.mut_subcommands(|command| {
+        let path = format!("{path} {}", command.get_name()).trim_start().to_owned();
+        let lines = examples.iter().find(|(of, _)| *of == path).map(|(_, lines)| *lines);
+        let text = match lines {
+            Some(lines) => format!("Examples:\n  {}\n\n{EXIT_CODES}", lines.join("\n  ")),
+            None => EXIT_CODES.to_owned(),
+        };
+        below(command.after_help(text), &path, examples)
+    })
+}
+
+/// The examples of `trabecula`.
+pub const EXAMPLES: &[Examples] = &[
+    (
+        "run",
+        &[
+            "trabecula run",
+            "trabecula run scene.toml --mode lockstep --set run.duration_s=2",
+            "trabecula run scene.toml --view",
+        ],
+    ),
+    (
+        "replay",
+        &[
+            "trabecula replay out/run --verify",
+            "trabecula replay out/run --from 1.5s --to 2s --verify --frames",
+        ],
+    ),
+    (
+        "view",
+        &["trabecula view", "trabecula view out/run", "trabecula view out/run out/other --port 0 --no-open"],
+    ),
+    (
+        "bridge igtl",
+        &["trabecula bridge igtl", "trabecula bridge igtl --controller plan --control-token-file token.txt"],
+    ),
+    (
+        "plot",
+        &[
+            "trabecula plot out/run bend_rad tendon_tension_n[0]",
+            "trabecula plot out/run t_world_tip.position_m -o tip",
+        ],
+    ),
+    ("log info", &["trabecula log info out/run", "trabecula log info out/run --json"]),
+    (
+        "log cat",
+        &["trabecula log cat out/run --topic /state --field t_world_tip.position_m --from 100 --to 200"],
+    ),
+    ("log diff", &["trabecula log diff out/run out/other"]),
+    ("log repair", &["trabecula log repair out/run -o whole.mcap"]),
+    ("log compress", &["trabecula log compress out/run -o small.mcap --method zstd --level 9"]),
+    (
+        "log export",
+        &[
+            "trabecula log export out/run -o state.parquet",
+            "trabecula log export out/run -o pictures --frames",
+        ],
+    ),
+    ("log cat-files", &["trabecula log cat-files out/run out/other -o both.mcap"]),
+    ("log split", &["trabecula log split both.mcap -o runs"]),
+    ("calibrate", &["trabecula calibrate", "trabecula calibrate sweep.toml -o out/sweep"]),
+    ("plan", &["trabecula plan scene.toml", "trabecula plan --check out/run", "trabecula plan --list"]),
+    ("scene check", &["trabecula scene check scene.toml"]),
+    ("scene init", &["trabecula scene init -o my_scenes", "trabecula scene init --scene free_space"]),
+    ("scene schema", &["trabecula scene schema"]),
+    ("volume info", &["trabecula volume info ct.nii.gz", "trabecula volume info dicom_folder --json"]),
+    ("volume drilled", &["trabecula volume drilled out/run -o drilled.nrrd --tick 5000"]),
+    ("phantom", &["trabecula phantom femur -o femur.nrrd", "trabecula phantom pelvis -o pelvis.nrrd"]),
+    (
+        "drr",
+        &["trabecula drr ct.nii.gz -o ap.png", "trabecula drr ct.nii.gz --sweep 180 --animate -o sweep.png"],
+    ),
+    ("docs messages", &["trabecula docs messages"]),
+    ("docs scene", &["trabecula docs scene"]),
+    ("docs schema", &["trabecula docs schema State"]),
+    ("docs completions", &["trabecula docs completions bash"]),
+    ("docs man", &["trabecula docs man"]),
+    (
+        "docs install",
+        &["trabecula docs install -o ~/.local", "trabecula docs install -o debian/trabecula/usr"],
+    ),
+    ("doctor", &["trabecula doctor", "trabecula doctor --json --seconds 5"]),
+];

@@ -1,0 +1,123 @@
+//! What the commands have in common for a user: JSON, completions and man pages, errors that lead on, a scene that runs without a CT.
+
+use std::ffi::OsStr;
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+use test_support::limited::Limited;
+
+use crate::common::program::{Place, Run, trabecula};
+use crate::common::scenes;
+
+fn words(line: &str, place: &Place) -> Vec<String> {
+    let here = place.path("");
+    line.split(' ').map(|word| word.replace('@', here.to_str().unwrap())).collect()
+}
+
+fn call(line: &str, place: &Place) -> crate::common::program::Done {
+    let words = words(line, place);
+    let words: Vec<&dyn AsRef<OsStr>> = words.iter().map(|word| word as &dyn AsRef<OsStr>).collect();
+    trabecula(&words)
+}
+
+#[test]
+fn every_command_with_figures_prints_them_as_one_json_object() {
+    let place = Place::new();
+    let folder = place.complete(&scenes::drill("lockstep", 0.3)).folder;
+    fs::rename(folder, place.path("log")).unwrap();
+    for (line, path) in [
+        ("log info @log --json", "/run/topics/~1state/messages"),
+        ("log diff @log @log --json", "/identical_ticks"),
+        ("log export @log -o @t.csv --json", "/verdict/intact"),
+        ("log compress @log -o @c.mcap --json", "/after_bytes"),
+        ("log repair @log -o @r.mcap --json", "/was_whole"),
+        ("replay @log --verify --json", "/hash"),
+        ("replay @log --output @again --json", "/sha256/0"),
+        ("volume drilled @log -o @d.nrrd --json", "/removed_voxels"),
+        ("volume info @d.nrrd --json", "/max_hu"),
+        ("phantom sphere -o @s.nrrd --spacing-mm 2 --json", "/dimensions/2"),
+        ("drr @s.nrrd -o @x.png --json", "/slowest_ms"),
+        ("scene check @scene.toml --json", "/ticks"),
+        ("plan @scene.toml --json", "/scene"),
+        ("plan --list --json", "/table_csv"),
+        ("doctor --json --seconds 0", "/cores"),
+    ] {
+        let done = call(line, &place);
+        assert_eq!(done.code, Some(0), "{line}: {}", done.err);
+        let answer: Value =
+            serde_json::from_str(&done.out).unwrap_or_else(|cause| panic!("{line}: {cause}: {}", done.out));
+        assert!(answer.pointer(path).is_some_and(|value| !value.is_null()), "{line}: {path}: {answer}");
+    }
+    let states = |line: &str| serde_json::from_str::<Value>(&call(line, &place).out).unwrap();
+    assert_eq!(states("log info @log --json")["run"]["topics"]["/state"]["messages"], 301);
+    assert_eq!(states("replay @log --verify --json")["ticks"], 300);
+}
+
+#[test]
+fn completions_and_man_pages_are_written_where_a_system_looks_for_them() {
+    let place = Place::new();
+    let done = call("docs install -o @usr", &place);
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    let bash = place.path("usr/share/bash-completion/completions/trabecula");
+    let script = format!("source {}; complete -p trabecula", bash.display());
+    let output = Command::new("bash").args(["--norc", "-c", &script]).limited_output().unwrap();
+    assert!(String::from_utf8_lossy(&output.stdout).contains("-F _trabecula"), "{output:?}");
+    for name in ["trabecula", "trabecula-run", "trabecula-log-export", "trabecula-docs-install"] {
+        let page = fs::read_to_string(place.path(&format!("usr/share/man/man1/{name}.1"))).unwrap();
+        assert!(page.contains(&format!(".TH {name}")) && page.contains("Exit codes"), "{name}: {page:.300}");
+    }
+    assert!(place.path("usr/share/zsh/site-functions/_trabecula").exists());
+    assert!(place.path("usr/share/fish/vendor_completions.d/trabecula.fish").exists());
+    assert!(!place.path("usr/share/man/man1/trabecula-proc.1").exists());
+}
+
+/// `State has no field 'bend'` left the user to look for the fields elsewhere.
+#[test]
+fn a_wrong_field_is_answered_with_the_nearest_one_and_all_that_there_are() {
+    let place = Place::new();
+    let folder = place.complete(&scenes::hold("lockstep", 0.1)).folder;
+    for line in ["plot LOG bend_red -o @f", "log cat LOG --topic /state --field bend_red"] {
+        let done = call(&line.replace("LOG", folder.to_str().unwrap()), &place);
+        assert_eq!(done.code, Some(2), "{}", done.err);
+        for said in [
+            "State has no field 'bend_red' (did you mean 'bend_rad'?)",
+            "it has tick, sim_time_s,",
+            "contacts",
+        ] {
+            assert!(done.err.contains(said), "{line}: {}", done.err);
+        }
+    }
+}
+
+/// The scene named a file that nobody outside has, and said no more than that.
+#[test]
+fn a_scene_whose_ct_is_not_there_says_where_one_is_to_be_had_and_runs_on_the_synthetic_pelvis() {
+    let place = Place::new();
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/pelvis_ct.toml");
+    let nowhere = "volume.path=\"/nowhere/ct.nii.gz\"";
+    let words: [&dyn AsRef<OsStr>; 6] = [&"run", &scene, &"--set", &nowhere, &"--output", &place.path("out")];
+    let done = trabecula(&words);
+    assert_eq!(done.code, Some(2), "{}", done.err);
+    for said in
+        ["`volume.path` is /nowhere/ct.nii.gz", "trabecula phantom pelvis -o", "docs/volumes.md", "--set"]
+    {
+        assert!(done.err.contains(said), "{}", done.err);
+    }
+    assert!(!place.path("out").exists());
+
+    let pelvis = place.path("pelvis.nrrd");
+    let made = call("phantom pelvis -o @pelvis.nrrd --spacing-mm 2", &place);
+    assert_eq!(made.code, Some(0), "{}", made.err);
+    let path = format!("volume.path={:?}", pelvis.to_str().unwrap());
+    let settings = ["--set", &path, "--set", "volume.resample_mm=1.5", "--set", "run.duration_s=1.5"];
+    let ended = Run::start(&scene, place.path("out"), &settings).end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let summary = fs::read_to_string(ended.folder.join("summary.json")).unwrap();
+    let summary: Value = serde_json::from_str(&summary).unwrap();
+    assert!(summary["drilling"]["removed_voxels"].as_u64().unwrap() > 0, "{summary}");
+    let page = fs::read_to_string(ended.folder.join("report.html")).unwrap();
+    assert!(page.contains("pelvis_ct") && page.matches("src=\"data:image/").count() == 5, "{page:.600}");
+    assert!(page.contains("replay") && page.contains("bone_threshold_hu"));
+}
