@@ -9,6 +9,8 @@ use run_log::topics::schema_of;
 use crate::cli::Arguments;
 use crate::failure::Failure;
 use crate::say;
+use crate::scenes::BuiltIn;
+use crate::tool;
 
 /// What to print.
 #[derive(Debug, Subcommand)]
@@ -38,7 +40,7 @@ pub enum DocsCommand {
 pub fn run(command: &DocsCommand) -> Result<(), Failure> {
     let text = match command {
         DocsCommand::Messages => message_reference(),
-        DocsCommand::Scene => scene_reference(),
+        DocsCommand::Scene => scene_reference() + &tool::reference(&BuiltIn::Femur.scene()?)?,
         DocsCommand::Schema { message } => schema(message)?,
         DocsCommand::Completions { shell } => completions(*shell),
         DocsCommand::Man => man_page()?,

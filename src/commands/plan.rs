@@ -7,6 +7,7 @@ use clap::Args;
 use ipc_types::scene::Scene;
 
 use crate::failure::Failure;
+use crate::feasibility;
 use crate::launcher::volume_source::VolumeFiles;
 use crate::plan::{self, check, resolve};
 use crate::replay::Overrides;
@@ -68,6 +69,9 @@ pub fn load(source: &SceneSource) -> Result<(Scene, Option<String>), Failure> {
 
 fn show(file: &Path) -> Result<(), Failure> {
     let (scene, choice) = load(&SceneSource::File(file.to_owned()))?;
+    for warning in feasibility::check(&scene, &file.display(), None)? {
+        tell!("{warning}");
+    }
     match choice {
         Some(choice) => say!("{}: scene `{}`\n{choice}", file.display(), scene.name),
         None => say!(

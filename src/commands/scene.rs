@@ -7,6 +7,7 @@ use clap::Subcommand;
 use controllers::Calibration;
 
 use crate::failure::Failure;
+use crate::feasibility;
 use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::output::refuse_existing;
 use crate::say;
@@ -15,7 +16,7 @@ use crate::scenes::{BuiltIn, SceneSource};
 /// What to do with a scene.
 #[derive(Debug, Subcommand)]
 pub enum SceneCommand {
-    /// Check all keys and ranges, and that the volume and the calibrations are readable.
+    /// Check all keys and ranges, that the volume and the calibrations are readable, and that the scene makes sense.
     Check {
         /// Scene file.
         file: PathBuf,
@@ -68,18 +69,22 @@ fn init(folder: &Path, scene: BuiltIn) -> Result<(), Failure> {
 
 fn check(file: &Path, volume_files: VolumeFiles) -> Result<(), Failure> {
     let (scene, _) = super::plan::load(&SceneSource::File(file.to_owned()))?;
-    if let Some(path) = scene.volume.as_ref().and_then(|volume| volume.path.as_ref()) {
-        if !path.exists() {
-            return Err(Failure::bad_input(format!(
-                "{}: `volume.path` is {}, which does not exist",
-                file.display(),
-                path.display()
-            )));
-        }
-        let loaded = volume_source::load_with_notes(&scene, volume_files)?;
-        for note in loaded.iter().flat_map(|loaded| &loaded.notes) {
-            say!("{note}");
-        }
+    if let Some(path) = scene.volume.as_ref().and_then(|volume| volume.path.as_ref())
+        && !path.exists()
+    {
+        return Err(Failure::bad_input(format!(
+            "{}: `volume.path` is {}, which does not exist",
+            file.display(),
+            path.display()
+        )));
+    }
+    let loaded = volume_source::load_with_notes(&scene, volume_files)?;
+    for note in loaded.iter().flat_map(|loaded| &loaded.notes) {
+        say!("{note}");
+    }
+    let volume = loaded.map(|loaded| (loaded.volume, loaded.sha256));
+    for warning in feasibility::check(&scene, &file.display(), volume.as_ref())? {
+        say!("{warning}");
     }
     let calibrations = scene.controller.iter().filter_map(|controller| controller.curved_drilling.as_ref());
     for path in calibrations.filter_map(|drilling| drilling.calibration.as_ref()) {

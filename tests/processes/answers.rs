@@ -45,6 +45,10 @@ fn call(command: &str) -> Call {
         "docs completions" => As("docs completions zsh"),
         "docs man" => As("docs man"),
         "doctor" => As("doctor"),
+        "session list" => As("session list"),
+        "tool show" => As("tool show @scene.toml"),
+        // They need a run under way: `tests/processes/session_commands.rs`.
+        "session stop" | "session pause" | "session resume" | "session env" => HelpOnly,
         // It ends when it is told to. The others take minutes, and a part of a session answers nobody. All speak through
         // `src/say.rs`: a lint refuses every other way to standard output.
         "view" | "stress" | "reproduce" => HelpOnly,
