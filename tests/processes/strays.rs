@@ -164,17 +164,17 @@ pub fn answer_here(client: &mut Client) {
 fn a_run_that_waits_in_vain_says_for_whom_and_how_to_connect() {
     let place = Place::new();
     let scene =
-        scenes::shared("lockstep", 1.0).replace("external = true", "external = true\nconnect_limit_s = 1.0");
+        scenes::shared("lockstep", 1.0).replace("external = true", "external = true\nconnect_limit_s = 3.0");
     let ended = place.start(&scene).end();
     assert_eq!(ended.code, Some(1));
     let words = [
-        "controller `pilot` did not connect within 1 s",
+        "controller `pilot` did not connect within 3 s",
         "TRABECULA_SESSION=/",
         "TRABECULA_CONTROLLER=pilot",
     ];
     assert!(words.iter().all(|word| ended.err.contains(word)), "{}", ended.err);
     assert!(
-        ended.err.contains("waiting for controller `pilot`: the first command, at most 1 s"),
+        ended.err.contains("waiting for controller `pilot`: the first command, at most 3 s"),
         "{}",
         ended.err
     );
@@ -195,8 +195,8 @@ fn a_client_hears_why_the_run_has_ended() {
         scenes::shared("lockstep", 600.0).replace("seed = 7", "seed = 7\ncontroller_limit_ms = 300.0");
     let run = place.start(&scene);
     let mut client = joined(&run, "pilot");
-    answer_here(&mut client);
     client.wait_state(LIMIT).unwrap();
+    answer_here(&mut client);
     // It answers no more.
     let outcome = loop {
         match client.wait_state(LIMIT) {
