@@ -18,6 +18,8 @@ use crate::commands::proc::ProcCommand;
 use crate::commands::replay::ReplayArguments;
 use crate::commands::run::RunArguments;
 use crate::commands::scene::SceneCommand;
+use crate::commands::session::SessionCommand;
+use crate::commands::tool::ToolCommand;
 use crate::commands::view::ViewArguments;
 use crate::commands::volume::{PhantomArguments, VolumeCommand};
 use crate::failure::Failure;
@@ -64,6 +66,12 @@ enum UserCommand {
     /// Check a scene, or write a built-in one to start from.
     #[command(subcommand)]
     Scene(SceneCommand),
+    /// List this user's running sessions; pause, resume or stop one.
+    #[command(subcommand)]
+    Session(SessionCommand),
+    /// Show the tool's dimensions.
+    #[command(subcommand)]
+    Tool(ToolCommand),
     /// Inspect a CT volume, or export the drilled one.
     #[command(subcommand)]
     Volume(VolumeCommand),
@@ -117,6 +125,8 @@ fn dispatch(command: &UserCommand) -> Result<(), Failure> {
         UserCommand::Calibrate(arguments) => commands::calibrate::run(arguments),
         UserCommand::Plan(arguments) => commands::plan::run(arguments),
         UserCommand::Scene(command) => commands::scene::run(command),
+        UserCommand::Session(command) => commands::session::run(command),
+        UserCommand::Tool(command) => commands::tool::run(command),
         UserCommand::Volume(command) => commands::volume::run(command),
         UserCommand::Phantom(arguments) => commands::volume::write_phantom(arguments),
         UserCommand::Drr(arguments) => commands::drr::run(arguments),

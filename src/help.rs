@@ -94,5 +94,11 @@ pub const EXAMPLES: &[Examples] = &[
         "docs install",
         &["trabecula docs install -o ~/.local", "trabecula docs install -o debian/trabecula/usr"],
     ),
+    ("session list", &["trabecula session list", "trabecula session list --json"]),
+    ("session stop", &["trabecula session stop"]),
+    ("session pause", &["trabecula session pause"]),
+    ("session resume", &["trabecula session resume"]),
+    ("session env", &["eval \"$(trabecula session env)\""]),
+    ("tool show", &["trabecula tool show", "trabecula tool show scene.toml --json"]),
     ("doctor", &["trabecula doctor", "trabecula doctor --json --seconds 5"]),
 ];

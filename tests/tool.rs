@@ -6,6 +6,7 @@ use std::path::Path;
 use ipc_types::scene::{STANDARD_RADII, Scene};
 use simulation::Simulation;
 use simulation::manipulator_parameters;
+use trabecula::tool::{dimensions, reference};
 use xray::ToolPart;
 use xray::tool_model::tool_of;
 
@@ -49,4 +50,39 @@ fn physics_and_x_ray_take_the_tools_radii_from_one_place() {
         assert_eq!(physics, [burr_m, tube, lumen, tube, tube]);
         assert_eq!(seen, [burr_m, tube, lumen]);
     }
+}
+
+fn dimension_mm(scene: &Scene, name: &str) -> f64 {
+    dimensions(scene).unwrap().into_iter().find(|dimension| dimension.name == name).unwrap().value
+}
+
+/// The figures were in no document, and users measured them in X-ray frames.
+#[test]
+fn the_dimensions_shown_are_those_of_the_simulated_tool() {
+    for change in ["", "[manipulator]\nburr_diameter_mm = 5.0\n", "[manipulator]\nlinks = 9\n"] {
+        let scene = scene(change);
+        let simulation = Simulation::new(&scene, None).unwrap();
+        let state = simulation.state();
+        let from_base_mm = |at: [f64; 3]| {
+            let base = state.t_world_base.position_m;
+            1e3 * (0..3).map(|i| (at[i] - base[i]).powi(2)).sum::<f64>().sqrt()
+        };
+        for (name, at) in [
+            ("burr_centre_mm", state.t_world_burr.position_m),
+            ("length_mm", state.t_world_tip.position_m),
+            ("rigid_shaft_mm", state.t_world_link[0].position_m),
+        ] {
+            let (shown, simulated) = (dimension_mm(&scene, name), from_base_mm(at));
+            assert!((shown - simulated).abs() < 1e-6, "{change:?}, {name}: {shown}, simulated {simulated}");
+        }
+        assert_eq!(dimension_mm(&scene, "flexures"), f64::from(state.joint_count), "{change:?}");
+    }
+}
+
+#[test]
+fn the_scene_reference_ends_with_the_tools_dimensions() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/scene.md");
+    let written = std::fs::read_to_string(file).unwrap();
+    let standard = reference(&scene("")).unwrap();
+    assert!(written.ends_with(&standard), "write it anew: cargo run --release -- docs scene > docs/scene.md");
 }

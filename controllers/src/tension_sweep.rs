@@ -26,8 +26,7 @@ impl TensionSweepController {
         let force = plan.most_n.zip(plan.step_n);
         let displacement = plan.most_mm.zip(plan.step_mm).map(|(most, step)| (most * 1e-3, step * 1e-3));
         let (most, step) = force.or(displacement).unwrap_or((0.0, 1.0));
-        // Whole steps, then the maximum itself.
-        let steps = ((most / step) * (1.0 - 1e-9)).ceil().max(1.0) as usize;
+        let steps = plan.steps();
         let level = |i: usize| most.min(step * i as f64);
         let up = (0..=steps).map(|i| (level(i), true));
         let down = (0..steps).rev().map(|i| (level(i), false));
@@ -40,11 +39,6 @@ impl TensionSweepController {
             calibration: Calibration::default(),
             remark: None,
         }
-    }
-
-    /// Simulated duration of the whole sweep.
-    pub fn duration_s(&self) -> f64 {
-        self.settle_s * self.levels.len() as f64
     }
 
     /// The rows recorded so far.

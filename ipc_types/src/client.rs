@@ -20,9 +20,9 @@ use crate::own::Own;
 use crate::ports::{Publisher, Subscriber};
 use crate::services::{self, CONNECTIONS_BYTES, Service};
 use crate::session::{
-    ANNOUNCEMENT_FILE, Announcement, ByteService, CONTROLLER_VARIABLE, PAGE_FILE, Reader, SESSION_VARIABLE,
-    Session, SessionError, SessionId, await_announcement, check_layouts, create_node, file_error, is_locked,
-    open_folder, short_memory, transported,
+    ANNOUNCEMENT_FILE, Announcement, Blame, ByteService, CONTROLLER_VARIABLE, PAGE_FILE, Reader,
+    SESSION_VARIABLE, Session, SessionError, SessionId, await_announcement, check_layouts, create_node,
+    file_error, is_locked, open_folder, short_memory, transported,
 };
 use crate::shared_memory::{SharedMemory, require_free};
 use crate::shared_page::SharedPage;
@@ -68,6 +68,24 @@ impl Session {
     /// Whether the announcement is still in the session's folder. A host removes it when it ends; a killed host leaves it behind.
     pub fn is_announced(&self) -> bool {
         rustix::fs::accessat(&self.handle, ANNOUNCEMENT_FILE, Access::EXISTS, AtFlags::empty()).is_ok()
+    }
+
+    /// Says why the physics ends the run early, to whoever asks [`Session::blame`].
+    ///
+    /// # Errors
+    /// Any system error.
+    pub fn leave_blame(&self, blame: &Blame) -> std::io::Result<()> {
+        blame.write(&self.handle)
+    }
+
+    /// Why the physics ended the run early; `None` if it did not.
+    pub fn blame(&self) -> Option<Blame> {
+        Blame::read(&self.handle)
+    }
+
+    /// The session's name, which is also its folder's.
+    pub fn name(&self) -> String {
+        self.id.to_string()
     }
 
     /// The session's folder.

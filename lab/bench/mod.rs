@@ -49,8 +49,9 @@ fn complete_run(
     let result = run_scene(plan, end, show).map_err(failed)?;
     match &result.outcome {
         Outcome::Completed => Ok(result),
-        Outcome::Interrupted => Err(Failure::failed("interrupted")),
-        Outcome::LogGone(how) => Err(Failure::failed(how.clone())),
+        Outcome::Stopped | Outcome::Interrupted | Outcome::LogGone(_) | Outcome::ControllerFailed { .. } => {
+            Err(Failure::failed(result.outcome.text()))
+        }
         Outcome::PartDied { name, how, last_words } => {
             Err(Failure::failed(format!("part `{name}` died ({how}): {}", last_words.join("; "))))
         }

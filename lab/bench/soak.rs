@@ -231,8 +231,8 @@ fn print_memory(growth: &Growth) -> Vec<String> {
 /// What is wrong with the logs; reads them to their ends and replays every tick.
 fn check(scene: &Scene, folder: &Path, result: &RunResult) -> Result<Vec<String>, Failure> {
     let mut problems = Vec::new();
-    if let Outcome::PartDied { name, how, .. } = &result.outcome {
-        problems.push(format!("part `{name}` died ({how})"));
+    if matches!(result.outcome, Outcome::PartDied { .. } | Outcome::ControllerFailed { .. }) {
+        problems.push(result.outcome.text());
     }
     let mut simulated_s = 0.0;
     for lane in LANES {

@@ -314,6 +314,12 @@ codes! {
         RequestRefused = EVENT_REQUEST_REFUSED, 7, "request_refused";
         /// A capacity was reached during the run; `text` says which, and what follows from it.
         CapacityReached = EVENT_CAPACITY_REACHED, 8, "capacity_reached";
+        /// The run waits for a controller; `text` says for which, and how long it may take.
+        Waiting = EVENT_WAITING, 9, "waiting";
+        /// The run ends: a controller did not join in time.
+        ControllerMissing = EVENT_CONTROLLER_MISSING, 10, "controller_missing";
+        /// The run ends: in lockstep, a controller did not answer in time.
+        ControllerLate = EVENT_CONTROLLER_LATE, 11, "controller_late";
     }
 }
 

@@ -19,15 +19,32 @@ pub const REPAIR_RECORD: &str = "repair";
 /// End reason of a log that was moved, as the end marker and the launcher write it. No part has this name.
 const LOG_MOVED: &str = "log moved";
 
+const PART_DIED: &str = "part died: ";
+const CONTROLLER_MISSING: &str = "controller missing: ";
+const CONTROLLER_LATE: &str = "controller late: ";
+
+/// The reasons that name who caused the end, by what their text begins with.
+const NAMED: [(&str, fn(String) -> EndReason); 3] = [
+    (PART_DIED, EndReason::PartDied),
+    (CONTROLLER_MISSING, EndReason::ControllerMissing),
+    (CONTROLLER_LATE, EndReason::ControllerLate),
+];
+
 /// Why a run ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum EndReason {
-    /// The scene ran all its ticks, or the run was stopped on request.
+    /// The scene ran all its ticks. Older logs say this of a run that was stopped, too.
     Completed,
+    /// Run control stopped the run before its last tick.
+    Stopped,
     /// A signal ended it.
     Interrupted,
     /// A part died; holds its name.
     PartDied(String),
+    /// A controller did not join in time; holds its name.
+    ControllerMissing(String),
+    /// In lockstep, a controller did not answer in time; holds its name.
+    ControllerLate(String),
     /// The log, or its folder, was moved while it was being written.
     LogMoved,
     /// The log was damaged or truncated, then repaired; holds its earlier reason if that could be read.
@@ -39,8 +56,11 @@ impl EndReason {
     pub fn text(&self) -> String {
         match self {
             EndReason::Completed => "completed".to_string(),
+            EndReason::Stopped => "stopped".to_string(),
             EndReason::Interrupted => "interrupted".to_string(),
-            EndReason::PartDied(part) => format!("part died: {part}"),
+            EndReason::PartDied(part) => format!("{PART_DIED}{part}"),
+            EndReason::ControllerMissing(name) => format!("{CONTROLLER_MISSING}{name}"),
+            EndReason::ControllerLate(name) => format!("{CONTROLLER_LATE}{name}"),
             EndReason::LogMoved => LOG_MOVED.to_string(),
             EndReason::Repaired(None) => "repaired".to_string(),
             EndReason::Repaired(Some(before)) => format!("repaired, before: {}", before.text()),
@@ -51,6 +71,7 @@ impl EndReason {
     pub fn parse(text: &str) -> Option<EndReason> {
         match text {
             "completed" => Some(EndReason::Completed),
+            "stopped" => Some(EndReason::Stopped),
             "interrupted" => Some(EndReason::Interrupted),
             LOG_MOVED => Some(EndReason::LogMoved),
             "repaired" => Some(EndReason::Repaired(None)),
@@ -59,7 +80,9 @@ impl EndReason {
                     text.strip_prefix("repaired, before: ").filter(|rest| !rest.starts_with("repaired"));
                 Some(EndReason::Repaired(Some(Box::new(EndReason::parse(before?)?))))
             }
-            _ => text.strip_prefix("part died: ").map(|part| EndReason::PartDied(part.to_string())),
+            _ => {
+                NAMED.iter().find_map(|(prefix, reason)| Some(reason(text.strip_prefix(prefix)?.to_string())))
+            }
         }
     }
 }
@@ -112,7 +135,9 @@ impl EndMarker {
         if !is_unbroken(map) {
             return Err(entries.wrong("crc32", "the checksum of the other entries"));
         }
-        let wrong_reason = || entries.wrong("reason", "completed, interrupted, log moved or part died");
+        let wrong_reason = || {
+            entries.wrong("reason", "completed, stopped, interrupted, log moved, part died, controller missing or controller late")
+        };
         let reason = EndReason::parse(entries.text("reason")?).ok_or_else(wrong_reason)?;
         let last_tick = match entries.text("last_tick")? {
             "" => None,

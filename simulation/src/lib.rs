@@ -66,6 +66,6 @@ pub mod rigid;
 mod world;
 
 pub use world::{
-    CtView, KeyframeError, Simulation, SimulationError, SimulationSnapshot, contact_kind, ct_geometry,
-    manipulator_parameters, rung,
+    CtView, Finding, KeyframeError, Simulation, SimulationError, SimulationSnapshot, Verdict, contact_kind,
+    ct_geometry, findings, manipulator_parameters, rung,
 };

@@ -27,7 +27,7 @@ pub enum BridgeCommand {
 #[derive(Debug, Args)]
 #[command(group(ArgGroup::new("permission").args(["control_token_file", "control_by_anyone"])))]
 pub struct IgtlArguments {
-    /// Folder of the session; without it the one of this user that was announced last.
+    /// Folder of the session; without it this user's only running one.
     #[arg(long)]
     session: Option<String>,
     /// Controller of the scene (`external = true`) that the bridge is, so that peers can drive the arm; without it they only watch and

@@ -74,7 +74,7 @@ fn sweep(scene: &Scene, source: &SceneSource, files: VolumeFiles) -> Result<Cali
     let mut run = InProcess::new(scene, simulation);
     let mut controller = TensionSweepController::new(plan, drives);
     // The last level is recorded one tick later.
-    let ticks = (controller.duration_s() / scene.dt_s()).ceil() as u64 + 2;
+    let ticks = (plan.duration_s() / scene.dt_s()).ceil() as u64 + 2;
     for _ in 0..ticks {
         let latched = run.latch(|_, state, command| {
             controller.step(state, command);

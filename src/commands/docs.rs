@@ -12,6 +12,8 @@ use crate::cli::command_line;
 use crate::failure::Failure;
 use crate::output::refuse_existing;
 use crate::say;
+use crate::scenes::BuiltIn;
+use crate::tool;
 
 /// What to print.
 #[derive(Debug, Subcommand)]
@@ -47,7 +49,7 @@ pub enum DocsCommand {
 pub fn run(command: &DocsCommand) -> Result<(), Failure> {
     let text = match command {
         DocsCommand::Messages => message_reference(),
-        DocsCommand::Scene => scene_reference(),
+        DocsCommand::Scene => scene_reference() + &tool::reference(&BuiltIn::Femur.scene()?)?,
         DocsCommand::Schema { message } => schema(message)?,
         DocsCommand::Completions { shell } => completions(*shell),
         DocsCommand::Man => man_page()?,

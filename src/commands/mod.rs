@@ -13,5 +13,7 @@ pub mod proc;
 pub mod replay;
 pub mod run;
 pub mod scene;
+pub mod session;
+pub mod tool;
 pub mod view;
 pub mod volume;

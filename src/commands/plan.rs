@@ -8,6 +8,7 @@ use ipc_types::scene::Scene;
 use serde_json::json;
 
 use crate::failure::Failure;
+use crate::feasibility;
 use crate::launcher::volume_source::VolumeFiles;
 use crate::plan::{self, check, resolve};
 use crate::replay::Overrides;
@@ -75,6 +76,8 @@ pub fn load(source: &SceneSource) -> Result<(Scene, Option<String>), Failure> {
 
 fn show(file: &Path, figures: Figures) -> Result<(), Failure> {
     let (scene, choice) = load(&SceneSource::File(file.to_owned()))?;
+    let warnings = feasibility::check(&scene, &file.display(), None)?;
+    warnings.iter().for_each(|warning| tell!("{warning}"));
     let none = "states no `tolerance` of tip or path: the standard settings, or what it names";
     figures.say(
         || match &choice {

@@ -8,14 +8,16 @@ use ipc_types::process::{EXIT_GAP, Role, prioritise};
 use ipc_types::scene::{Images, LONGEST_RUN_S, Mode, Policy, Scene, Wait};
 use ipc_types::services::RECORDER_QUEUE_TICKS;
 use output_file::OutputError;
+use volume_io::Volume;
 
 use crate::commands::plan;
 use crate::failure::{EXIT_INTERRUPTED, Failure};
+use crate::feasibility;
 use crate::launcher::hub::View;
 use crate::launcher::interrupt::{Interrupts, remove_empty};
 use crate::launcher::part;
 use crate::launcher::progress::{Display, ProgressStyle};
-use crate::launcher::run::{Outcome, RunError, RunPlan, RunResult, output_folder, run_with};
+use crate::launcher::run::{Outcome, RunPlan, RunResult, output_folder, run_with};
 use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::printer;
 use crate::redirect_file;
@@ -149,7 +151,8 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     printer::start().map_err(|cause| Failure::failed(format!("cannot write to standard output: {cause}")))?;
     let interrupts = Interrupts::install()
         .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
-    let scene = scene_of(arguments)?;
+    let source = SceneSource::new(arguments.scene.as_deref(), BuiltIn::Femur).with(&arguments.settings)?;
+    let scene = scene_of(arguments, &source)?;
     if let Some(choice) = xray::from_scene::tolerance_text(&scene).filter(|_| !arguments.json) {
         say!("{choice}");
     }
@@ -178,44 +181,53 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     let plan = RunPlan { scene, output, view, volume_files: arguments.volume_files };
     let mut display = Display::new(arguments.style())?;
     let began = Instant::now();
-    let volume = volume_source::load_with_notes(&plan.scene, plan.volume_files).map(|loaded| {
-        let loaded = loaded?;
-        loaded.notes.iter().for_each(|note| tell!("{note}"));
-        Some((loaded.volume, loaded.sha256))
-    });
+    let volume = volume_of(&plan, &source);
     let empty = interrupts.run_begins();
     let mut shown = false;
-    let result = volume.map_err(RunError::from).and_then(|volume| {
-        run_with(&plan, volume, began, &interrupts.end, |snapshot| {
+    let result = volume.and_then(|volume| {
+        let ran = run_with(&plan, volume, began, &interrupts.end, |snapshot| {
             // The parts have started. Everything from here on only serves the display and must not compete with them.
             if !std::mem::replace(&mut shown, true) && plan.scene.run.mode == Mode::Realtime {
                 prioritise(Role::Viewer, plan.scene.run.policy);
             }
             display.show(snapshot);
-        })
+        });
+        ran.map_err(|error| Failure::failed(error.to_string()))
     });
     display.end();
     interrupts.report_begins();
     // If nothing was recorded, remove the folders that this run created.
     remove_empty(&empty);
-    let result = result.map_err(|error| match error {
-        RunError::Volume(_) => Failure::bad_input(error),
-        _ => Failure::failed(error.to_string()),
-    })?;
+    let result = result?;
     let is_to_report = match result.outcome {
         Outcome::LogGone(_) => false,
         _ => !interrupts.end.is_urgent(),
     };
     let output = plan.output.as_deref().filter(|output| is_to_report && output.exists());
-    let written = output.map_or(Ok(()), |output| {
-        write_report(&result, output, if arguments.json { Told::Json } else { Told::Text })
-    });
+    let told = if arguments.json { Told::Json } else { Told::Text };
+    let written = match output {
+        Some(output) => write_report(&result, output, told),
+        None => {
+            tell_outcome(&result, told);
+            Ok(())
+        }
+    };
     judge(&result).and(written)
 }
 
-fn scene_of(arguments: &RunArguments) -> Result<Scene, Failure> {
-    let (mut scene, choice) =
-        plan::load(&SceneSource::new(arguments.scene.as_deref(), BuiltIn::Femur).with(&arguments.settings)?)?;
+/// The scene's volume, after a check of the scene as a whole; says what is noteworthy about both.
+fn volume_of(plan: &RunPlan, source: &SceneSource) -> Result<Option<(Volume, [u8; 32])>, Failure> {
+    let loaded =
+        volume_source::load_with_notes(&plan.scene, plan.volume_files).map_err(Failure::bad_input)?;
+    loaded.iter().flat_map(|loaded| &loaded.notes).for_each(|note| tell!("{note}"));
+    let volume = loaded.map(|loaded| (loaded.volume, loaded.sha256));
+    let warnings = feasibility::check(&plan.scene, source, volume.as_ref())?;
+    warnings.iter().for_each(|warning| tell!("{warning}"));
+    Ok(volume)
+}
+
+fn scene_of(arguments: &RunArguments, source: &SceneSource) -> Result<Scene, Failure> {
+    let (mut scene, choice) = plan::load(source)?;
     if let Some(choice) = choice.filter(|_| !arguments.json) {
         say!("{choice}");
     }
@@ -267,7 +279,16 @@ fn write_report(result: &RunResult, output: &Path, told: Told) -> Result<(), Fai
     let report = report::write(output, &facts)?;
     match told {
         Told::Json => {
-            say!("{}", serde_json::json!({"phase": "ended", "folder": output, "outcome": facts.outcome}))
+            let (session, outcome) = (&result.session, &facts.outcome);
+            let ended = serde_json::json!({
+                "phase": "ended", "session": session, "folder": output, "outcome": outcome, "summary": report.summary,
+            });
+            say!("{ended}");
+        }
+        // Without a tick there is nothing to sum up or to replay.
+        Told::Text if !result.has_started => {
+            tell_outcome(result, told);
+            say!("folder       {}", output.display());
         }
         Told::Text => {
             say!("{}", report.summary);
@@ -275,6 +296,17 @@ fn write_report(result: &RunResult, output: &Path, told: Told) -> Result<(), Fai
         }
     }
     complete(&report.missing)
+}
+
+/// Says how a run without a report ended.
+fn tell_outcome(result: &RunResult, told: Told) {
+    let outcome = result.outcome.text();
+    match told {
+        Told::Json => {
+            say!("{}", serde_json::json!({"phase": "ended", "session": result.session, "outcome": outcome}));
+        }
+        Told::Text => say!("outcome      {outcome}"),
+    }
 }
 
 /// Fails if files of the report are missing, and names them.
@@ -315,16 +347,19 @@ fn program_name() -> String {
 
 fn judge(result: &RunResult) -> Result<(), Failure> {
     match &result.outcome {
-        Outcome::Completed if result.has_gap => Err(Failure {
+        Outcome::Completed | Outcome::Stopped if result.has_gap => Err(Failure {
             message: format!(
                 "the run is complete, but its log has a gap: the recorder stalled for longer than its queues of \
                  {RECORDER_QUEUE_TICKS} ticks can bridge; with `recording.on_full = \"wait\"` the physics waits for it"
             ),
             code: EXIT_GAP,
         }),
-        Outcome::Completed => Ok(()),
+        Outcome::Completed | Outcome::Stopped => Ok(()),
         Outcome::Interrupted => Err(Failure { message: "interrupted".to_owned(), code: EXIT_INTERRUPTED }),
         // The launcher has already said how.
+        Outcome::ControllerFailed { name, .. } => {
+            Err(Failure::failed(format!("the run ended early because of controller `{name}`")))
+        }
         Outcome::PartDied { name, .. } => {
             Err(Failure::failed(format!("the run ended early because `{name}` ended")))
         }

@@ -8,6 +8,7 @@ use controllers::Calibration;
 use ipc_types::scene::Scene;
 
 use crate::failure::Failure;
+use crate::feasibility;
 use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::output::refuse_existing;
 use crate::say::{self, Figures};
@@ -16,7 +17,7 @@ use crate::scenes::{BuiltIn, SceneSource};
 /// What to do with a scene.
 #[derive(Debug, Subcommand)]
 pub enum SceneCommand {
-    /// Check all keys and ranges, and that the volume and the calibrations are readable.
+    /// Check all keys and ranges, that the volume and the calibrations are readable, and that the scene makes sense.
     Check {
         /// Scene file.
         file: PathBuf,
@@ -75,9 +76,11 @@ fn check(file: &Path, volume_files: VolumeFiles, figures: Figures) -> Result<(),
     let (scene, _) = super::plan::load(&SceneSource::File(file.to_owned()))?;
     if let Some(path) = scene.volume.as_ref().and_then(|volume| volume.path.as_ref()) {
         volume_source::refuse_missing(&file.display().to_string(), path)?;
-        let loaded = volume_source::load_with_notes(&scene, volume_files)?;
-        notes.extend(loaded.into_iter().flat_map(|loaded| loaded.notes));
     }
+    let loaded = volume_source::load_with_notes(&scene, volume_files)?;
+    notes.extend(loaded.iter().flat_map(|loaded| loaded.notes.clone()));
+    let volume = loaded.map(|loaded| (loaded.volume, loaded.sha256));
+    notes.extend(feasibility::check(&scene, &file.display(), volume.as_ref())?);
     let calibrations = scene.controller.iter().filter_map(|controller| controller.curved_drilling.as_ref());
     for path in calibrations.filter_map(|drilling| drilling.calibration.as_ref()) {
         Calibration::load(path, &ipc_types::text_file::read)

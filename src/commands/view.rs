@@ -7,7 +7,7 @@ use std::time::Duration;
 use clap::Args;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
-use ipc_types::session::{SESSION_VARIABLE, Searched, newest_session};
+use ipc_types::session::{SESSION_VARIABLE, Searched, only_session};
 use simulation::manipulator_parameters;
 use viewer_proc::live::{self, LiveOptions};
 use viewer_proc::log::{self, LogOptions, LogVolume, SceneHelp};
@@ -29,7 +29,7 @@ pub struct ViewArguments {
     log: Option<PathBuf>,
     /// Second log, to compare with the first.
     second: Option<PathBuf>,
-    /// Folder of the session; default: this user's newest session.
+    /// Folder of the session; default: this user's only running session.
     #[arg(long)]
     session: Option<PathBuf>,
     #[command(flatten)]
@@ -97,7 +97,8 @@ pub fn run(arguments: &ViewArguments) -> Result<(), Failure> {
         return view_logs(log, arguments, &end);
     }
     let named = arguments.session.clone().or_else(|| std::env::var_os(SESSION_VARIABLE).map(PathBuf::from));
-    let session = match named.or_else(newest_session) {
+    let only = || only_session().map_err(Failure::bad_input);
+    let session = match named.map_or_else(only, |folder| Ok(Some(folder)))? {
         Some(folder) => folder,
         None => return Err(failure(&ViewerError::NoSession(Searched::places(None)))),
     };

@@ -7,6 +7,7 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use ipc_types::messages::EventCode;
 use ipc_types::process::EndRequest;
 use output_file::SavedFile;
 use recorder_proc::reason_file;
@@ -75,19 +76,19 @@ impl Ending<'_> {
         let mut outcome = outcome;
         let mut reason = None;
         self.write_reason(&mut reason, &outcome, parts);
-        let stops = outcome != Outcome::Completed;
+        let stops = !outcome.is_regular();
         // In a run that never began, parts have nothing to finish and do not listen yet.
         let is_deaf = stops && !self.has_begun;
         let limit = match (is_deaf, &outcome) {
             (true, _) => Duration::ZERO,
-            (false, Outcome::Completed | Outcome::Interrupted) => END_LIMIT,
+            (false, Outcome::Completed | Outcome::Stopped | Outcome::Interrupted) => END_LIMIT,
             (false, _) => FAILED_LIMIT,
         };
         self.end_physics(limit, if stops { Ask::AtOnce } else { Ask::WhenDue }, parts);
         let over = Instant::now();
         let untold = stops && outcome != Outcome::Interrupted;
         self.end_others(limit, if untold { Ask::AtOnce } else { Ask::WhenDue }, parts);
-        if outcome == Outcome::Completed && self.end.is_set() {
+        if outcome.is_regular() && self.end.is_set() {
             outcome = Outcome::Interrupted;
         }
         if !is_deaf {
@@ -204,6 +205,11 @@ impl Ending<'_> {
     fn write_reason(&self, in_output: &mut Option<SavedFile>, outcome: &Outcome, parts: &[Part]) {
         let reason = match outcome {
             Outcome::Completed => EndReason::Completed,
+            Outcome::Stopped => EndReason::Stopped,
+            Outcome::ControllerFailed { name, blame } if blame.code == EventCode::ControllerLate => {
+                EndReason::ControllerLate(name.clone())
+            }
+            Outcome::ControllerFailed { name, .. } => EndReason::ControllerMissing(name.clone()),
             Outcome::Interrupted => EndReason::Interrupted,
             Outcome::PartDied { name, .. } => EndReason::PartDied(name.clone()),
             // Nobody reads the end of a log that was removed.

@@ -64,10 +64,12 @@ impl Display {
     /// Adds a snapshot, and updates the display if it is due.
     pub fn show(&mut self, snapshot: &RunSnapshot) {
         snapshot.timings.iter().for_each(|timing| self.stats.add(timing));
-        if self.style != ProgressStyle::Quiet && !self.announced {
+        if !self.announced {
             self.announced = true;
-            tell!("session {}", snapshot.session.display());
-            snapshot.awaited.iter().for_each(|line| tell!("{line}"));
+            self.announce(snapshot);
+        }
+        if let Some(waiting) = snapshot.waiting {
+            tell!("{waiting}");
         }
         let period = if self.terminal { TERMINAL_PERIOD } else { PLAIN_PERIOD };
         if self.style == ProgressStyle::Quiet || self.last.elapsed() < period {
@@ -78,6 +80,21 @@ impl Display {
         self.last_sim_s = snapshot.state.map_or(0.0, |state| state.sim_time_s);
         self.last_frames = snapshot.frames;
         self.draw(&lines);
+    }
+
+    /// Says which session this is; a script gets it on standard output.
+    fn announce(&self, snapshot: &RunSnapshot) {
+        let session = snapshot.session.display();
+        match self.style {
+            ProgressStyle::Quiet => say!("session      {session}"),
+            ProgressStyle::Text => tell!("session {session}"),
+            ProgressStyle::Json => {
+                say!("{}", serde_json::json!({"phase": "announced", "session": snapshot.session}));
+            }
+        }
+        if self.style != ProgressStyle::Quiet {
+            snapshot.awaited.iter().for_each(|line| tell!("{line}"));
+        }
     }
 
     fn lines(&mut self, snapshot: &RunSnapshot) -> Vec<String> {

@@ -4,12 +4,14 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use foreign_text::foreign_line;
-use ipc_types::messages::{Frame, Phase, RunStatus, State, Tick, TickTiming};
+use ipc_types::messages::{
+    Event, EventCode, Frame, Part as HubPart, Participant, Phase, RunStatus, State, Tick, TickTiming,
+};
 use ipc_types::ports::{PortError, Subscriber};
 use ipc_types::process::{EXIT_GAP, EndRequest, ProcessorTime};
 use ipc_types::scene::{Controller, Scene};
 use ipc_types::services;
-use ipc_types::session::{Session, SessionError};
+use ipc_types::session::{Blame, Session, SessionError};
 use recorder_proc::process::OUTPUT_FILE;
 use volume_io::Volume;
 
@@ -39,12 +41,21 @@ pub struct RunPlan {
 /// How a run ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Outcome {
-    /// All ticks were run, or run control stopped the run.
+    /// All ticks were run.
     Completed,
+    /// Run control stopped the run before its last tick.
+    Stopped,
     /// Ctrl-C, SIGTERM or SIGHUP.
     Interrupted,
     /// The log was removed or moved; says what happened to it.
     LogGone(String),
+    /// A controller did not join in time, or in lockstep did not answer in time.
+    ControllerFailed {
+        /// Its name.
+        name: String,
+        /// Which of the two, and the physics's words for it.
+        blame: Blame,
+    },
     /// A part died or ended too early.
     PartDied {
         /// Name of the part.
@@ -57,10 +68,28 @@ pub enum Outcome {
 }
 
 impl Outcome {
+    /// Whether the physics ended the run by itself, without a failure.
+    pub(super) fn is_regular(&self) -> bool {
+        matches!(self, Outcome::Completed | Outcome::Stopped)
+    }
+
+    /// The outcome's name and what there is to say of it, as the table and `summary.json` have it.
+    pub fn text(&self) -> String {
+        match self {
+            Outcome::Completed => "completed".to_owned(),
+            Outcome::Stopped => "stopped".to_owned(),
+            Outcome::Interrupted => "interrupted".to_owned(),
+            Outcome::ControllerFailed { blame, .. } => format!("{}: {}", blame.code.word(), blame.text),
+            Outcome::PartDied { name, how, .. } => format!("part `{name}` died ({how})"),
+            Outcome::LogGone(how) => how.clone(),
+        }
+    }
+
     /// What went wrong: which part died, how, and its last output.
     pub(super) fn death(&self) -> Option<String> {
         match self {
-            Outcome::Completed | Outcome::Interrupted => None,
+            Outcome::Completed | Outcome::Stopped | Outcome::Interrupted => None,
+            Outcome::ControllerFailed { blame, .. } => Some(blame.text.clone()),
             Outcome::LogGone(how) => Some(how.clone()),
             Outcome::PartDied { name, how, last_words } => {
                 let lines: Vec<String> =
@@ -77,6 +106,10 @@ impl Outcome {
 pub struct RunResult {
     /// How it ended.
     pub outcome: Outcome,
+    /// Folder of its session; gone by now.
+    pub session: PathBuf,
+    /// Whether a tick was made or due.
+    pub has_started: bool,
     /// Whether the log lacks messages because the recorder could not keep up.
     pub has_gap: bool,
     /// Wall time from the first tick to the end of the physics.
@@ -92,13 +125,7 @@ pub struct RunResult {
 impl RunResult {
     /// The facts that the run's report needs.
     pub fn facts(&self, replay_command: String) -> RunFacts {
-        let outcome = match &self.outcome {
-            Outcome::Completed => "completed".to_owned(),
-            Outcome::Interrupted => "interrupted".to_owned(),
-            Outcome::PartDied { name, how, .. } => format!("part `{name}` died ({how})"),
-            Outcome::LogGone(how) => how.clone(),
-        };
-        let outcome = outcome + if self.has_gap { ", with a gap in the log" } else { "" };
+        let outcome = self.outcome.text() + if self.has_gap { ", with a gap in the log" } else { "" };
         let both = |(name, memory): &(String, Memory)| {
             [(name.clone(), memory.peak_resident), (format!("{name}{NOT_SHARED}"), memory.peak_private)]
         };
@@ -149,6 +176,8 @@ pub struct RunSnapshot<'a> {
     pub timings: &'a [TickTiming],
     /// Frames so far.
     pub frames: u64,
+    /// For whom the run has been waiting for a while, once.
+    pub waiting: Option<&'a str>,
     /// Running parts, with their resource use.
     pub parts: &'a [Part],
 }
@@ -192,6 +221,7 @@ pub fn run_with(
         // Report at once: the other parts may take a while to end.
         tell!("trabecula: {death}");
     }
+    let has_started = first_tick.is_some();
     let first_tick = first_tick.unwrap_or_else(Instant::now);
     let ending = Ending { plan, end, session: hub.folder(), has_begun: subscriptions.status.is_some() };
     let (over, outcome) = ending.end_parts(outcome, &mut parts);
@@ -211,7 +241,8 @@ pub fn run_with(
         all().map(|part| (part.name.clone(), part.processor)).collect();
     processor.push((LAUNCHER.to_owned(), ProcessorTime::of("self").unwrap_or_default().own));
     let has_gap = parts.iter_mut().any(has_gap);
-    Ok(RunResult { outcome, has_gap, running, starting: first_tick.duration_since(began), memory, processor })
+    let (session, starting) = (hub.folder().to_owned(), first_tick.duration_since(began));
+    Ok(RunResult { outcome, session, has_started, has_gap, running, starting, memory, processor })
 }
 
 /// A run in progress.
@@ -263,8 +294,7 @@ impl Running<'_> {
     fn part_ended(&mut self, index: usize) -> Result<Option<Outcome>, RunError> {
         // The physics publishes the end before any part can exit because of it.
         self.subscriptions.poll()?;
-        let run_has_ended =
-            self.subscriptions.status.is_some_and(|status| status.phase() == Ok(Phase::Ended));
+        let run_has_ended = self.subscriptions.has_ended();
         let tick = self.subscriptions.state.as_ref().map_or(Tick::START, |state| Tick(state.tick));
         let run = if run_has_ended { RunState::Ended } else { RunState::Open };
         let goes_on = match run {
@@ -274,7 +304,35 @@ impl Running<'_> {
         if goes_on {
             return Ok(None);
         }
-        Ok(Some(judge(&mut self.parts[index], run)))
+        let outcome = judge(&mut self.parts[index], run);
+        Ok(Some(self.blamed(&outcome).unwrap_or_else(|| self.told_apart(outcome))))
+    }
+
+    /// The outcome if the physics ended the run because of a controller.
+    fn blamed(&self, outcome: &Outcome) -> Option<Outcome> {
+        let is_end = match outcome {
+            Outcome::PartDied { name, .. } => name == PHYSICS || self.subscriptions.has_ended(),
+            _ => self.subscriptions.has_ended(),
+        };
+        let mut blame = self.hub.host.session.blame().filter(|_| is_end)?;
+        let mut controllers = self.plan.scene.controller.iter();
+        let of = |name: &str| blame.text.starts_with(&format!("controller `{name}` "));
+        let controller = controllers.find(|controller| of(&controller.name))?;
+        let name = controller.name.clone();
+        if controller.external && blame.code == EventCode::ControllerMissing {
+            let how = self.hub.host.session.how_to_connect(&name);
+            blame.text += &format!("; it is external: start it with {how}");
+        }
+        Some(Outcome::ControllerFailed { name, blame })
+    }
+
+    /// A run that ended before its last tick was stopped.
+    fn told_apart(&self, outcome: Outcome) -> Outcome {
+        let cut = |status: RunStatus| self.subscriptions.has_ended() && status.tick < status.tick_count;
+        match outcome {
+            Outcome::Completed if self.subscriptions.status.is_some_and(cut) => Outcome::Stopped,
+            other => other,
+        }
     }
 }
 
@@ -349,13 +407,21 @@ struct Subscriptions {
     statuses: Subscriber<RunStatus>,
     tick_timings: Subscriber<TickTiming>,
     frame_messages: Option<Subscriber<Frame>>,
+    events: Subscriber<Event>,
     state: Option<Box<State>>,
     status: Option<RunStatus>,
     timings: Vec<TickTiming>,
     frames: u64,
+    /// For whom the run has been waiting, since the last update.
+    waiting: Option<String>,
 }
 
 impl Subscriptions {
+    /// Whether the physics has said that the run is over.
+    fn has_ended(&self) -> bool {
+        self.status.is_some_and(|status| status.phase() == Ok(Phase::Ended))
+    }
+
     fn open(session: &Session) -> Result<Subscriptions, SessionError> {
         let has_frames = session.announcement().frame_bytes > 0;
         Ok(Subscriptions {
@@ -365,8 +431,10 @@ impl Subscriptions {
             frame_messages: has_frames.then(|| session.subscriber(&services::FRAME)).transpose()?,
             state: None,
             status: None,
+            events: session.subscriber(&services::EVENT)?,
             timings: Vec::new(),
             frames: 0,
+            waiting: None,
         })
     }
 
@@ -380,6 +448,17 @@ impl Subscriptions {
         self.timings.clear();
         while let Some(timing) = self.tick_timings.receive()? {
             self.timings.push(*timing.message());
+        }
+        self.waiting = None;
+        while let Some(event) = self.events.receive_valid(|_| {})? {
+            let message = event.message();
+            if message.code() == Ok(EventCode::Waiting)
+                && message.sender() == Some(Participant::Part(HubPart::Physics))
+            {
+                let text = event.tail();
+                let text = String::from_utf8_lossy(text.strip_suffix(&[0]).unwrap_or(text));
+                self.waiting = Some(foreign_line(&text).to_string());
+            }
         }
         if let Some(frames) = &self.frame_messages {
             while let Some(frame) = frames.receive()? {
@@ -402,6 +481,7 @@ impl Subscriptions {
             status: self.status.as_ref(),
             timings: &self.timings,
             frames: self.frames,
+            waiting: self.waiting.as_deref(),
             parts,
         }
     }

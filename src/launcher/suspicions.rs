@@ -17,16 +17,6 @@ pub fn of_a_mask(volume: &Volume) -> Option<String> {
     })
 }
 
-/// A volume without bone.
-pub fn of_bone(volume: &Volume, bone_threshold_hu: i16) -> Option<String> {
-    let most = volume.hu.iter().copied().max()?;
-    (most < bone_threshold_hu).then(|| {
-        format!(
-            "warning: the largest value is {most} HU, below `volume.bone_threshold_hu` = {bone_threshold_hu}: there is no bone to drill"
-        )
-    })
-}
-
 /// Places of the scene that lie outside of the volume, but inside with the signs of RAS.
 pub fn of_places(volume: &Volume, scene: &Scene) -> Vec<String> {
     let isocentre = scene.drr.as_ref().filter(|drr| drr.carm.is_none()).map(|drr| drr.isocentre_mm);
@@ -84,13 +74,6 @@ mod tests {
         assert_eq!(said([0, 0, 0, 0, 1000, 0, 0, 0]), "");
         assert_eq!(said([-1000, 1, 1, 0, 0, 0, 0, 0]), "");
         assert_eq!(said([0; 8]), "");
-    }
-
-    #[test]
-    fn a_volume_without_bone_is_named() {
-        let said = |hu| of_bone(&volume(hu), 150).unwrap_or_default();
-        assert!(said([-1000, 0, 40, 60, 100, 149, 20, 0]).contains("largest value is 149 HU"));
-        assert_eq!(said([-1000, 300, 300, 0, 0, 0, 0, 0]), "");
     }
 
     #[test]

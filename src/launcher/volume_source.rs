@@ -115,10 +115,7 @@ pub fn load_with_notes(scene: &Scene, files: VolumeFiles) -> Result<Option<Loade
             if source.mask {
                 mask_to_hu(&mut volume, &MASK_MODEL)?;
             } else {
-                notes.extend(
-                    suspicions::of_a_mask(&volume)
-                        .or_else(|| suspicions::of_bone(&volume, source.bone_threshold_hu)),
-                );
+                notes.extend(suspicions::of_a_mask(&volume));
             }
             notes.extend(suspicions::of_places(&volume, scene));
             match source.resample_mm {

@@ -21,7 +21,7 @@ impl LogSummary {
 /// Maximum number of gaps that the table names individually.
 const GAPS_SHOWN: usize = 3;
 
-/// The short table at the end of a run: 21 lines, plus one for each controller after the third.
+/// The short table at the end of a run: 20 lines, plus one for each caution and for each controller after the third.
 impl fmt::Display for Summary {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let unknown = || "unknown".to_string();
@@ -65,9 +65,6 @@ impl Summary {
                 format!("{:.2} deg, tension up to {:.2} N", tool.bend_deg, tool.max_tension_n),
             ));
         }
-        if let Some(error) = &self.model_error {
-            rows.push(("model", error.to_string()));
-        }
         if let Some(drilling) = &self.drilling {
             let volume = drilling.removed_volume_mm3.map_or(String::new(), |mm3| format!(" ({mm3:.1} mm3)"));
             let (voxels, energy) = (drilling.removed_voxels, drilling.cutting_energy_j);
@@ -87,6 +84,7 @@ impl Summary {
             let rate = drr.frames_per_wall_s.map_or(String::new(), |hz| format!(", {hz:.1} per wall s"));
             rows.push(("DRR frames", format!("{} ({} full){render}{rate}", drr.frames, drr.full_frames)));
         }
+        rows.extend(self.cautions.iter().map(|caution| ("caution", caution.clone())));
         rows
     }
 

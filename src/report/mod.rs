@@ -14,6 +14,7 @@
 
 pub mod axis;
 pub mod calibration_figure;
+mod cautions;
 pub mod distribution;
 mod end_table;
 mod grey;

@@ -7,6 +7,7 @@ use ipc_types::messages::{Frame, ImagePrefix, MAX_TENDONS, Pose, State};
 use ipc_types::scene::Scene;
 use recorder_proc::log_file::LogFile;
 use run_log::{LogError, LogHeader, LogMessage, MessageStream, ReadOptions, Topic};
+use simulation::manipulator_parameters;
 use zerocopy::FromBytes;
 
 use super::grey::GreyImage;
@@ -103,10 +104,19 @@ pub struct Peaks {
     pub contacts: u32,
     /// Ticks with at least one contact.
     pub ticks_in_contact: u64,
+    /// Farthest place of the tip from where it was at the start.
+    pub tip_travel_m: f64,
+    /// Ticks with at least one flexure at its stop.
+    pub ticks_on_stops: u64,
 }
 
 impl Peaks {
-    fn add(&mut self, state: &State) {
+    /// Adds a state of a run that began at this tip, with a tool whose flexures bend up to `stop_rad`.
+    fn add(&mut self, state: &State, first_tip_m: [f64; 3], stop_rad: f64) {
+        let joints = (state.joint_count as usize).min(state.joint_position_rad.len());
+        let on_stop = state.joint_position_rad[..joints].iter().any(|angle| angle.abs() >= stop_rad);
+        self.ticks_on_stops += u64::from(on_stop);
+        self.tip_travel_m = self.tip_travel_m.max(distance_m(first_tip_m, state.t_world_tip.position_m));
         // f64::max ignores NaN.
         let tendons = (state.tendon_count as usize).min(MAX_TENDONS);
         self.tension_n = state.tendon_tension_n[..tendons].iter().copied().fold(self.tension_n, f64::max);
@@ -165,6 +175,8 @@ pub struct RunLane {
     /// The last state at the deepest insertion, that is, before the tool retracts, if it does.
     pub deepest: Option<Box<State>>,
     deepest_mm: f64,
+    /// Angle at which a flexure of the scene's tool reaches its stop.
+    stop_rad: Option<f64>,
     /// Curves for the figures; none without a state.
     pub curves: Option<Curves>,
     /// Maximum values.
@@ -200,6 +212,8 @@ impl RunLane {
         };
         let header = stream.header().clone();
         lane.scene = Scene::parse(&header.scene_toml, Path::new("scene.toml")).ok();
+        let tool = lane.scene.as_ref().and_then(|scene| manipulator_parameters(scene).ok());
+        lane.stop_rad = tool.map(|tool| tool.joint_limit_rad);
         let scene_end_ns = lane.scene.as_ref().map_or(0, |scene| (scene.run.duration_s * 1e9) as u64);
         let middle_ns = end_ns.unwrap_or(scene_end_ns) / 2;
         let dt_ns = header.dt_ns;
@@ -261,7 +275,8 @@ impl RunLane {
         let curves = self.curves.get_or_insert_with(|| Curves::new(&state, dt_ns));
         curves.add(&state, time_ns);
         let [_, depth_mm] = curves.plane.project_mm(state.t_world_base.position_m);
-        self.peaks.add(&state);
+        let first_tip_m = self.first.as_ref().map_or([0.0; 3], |first| first.t_world_tip.position_m);
+        self.peaks.add(&state, first_tip_m, self.stop_rad.unwrap_or(f64::INFINITY));
         if self.deepest.is_none() || depth_mm >= self.deepest_mm - SAME_DEPTH_MM {
             self.deepest_mm = if self.deepest.is_none() { depth_mm } else { self.deepest_mm.max(depth_mm) };
             self.deepest = Some(Box::new(state));

@@ -7,6 +7,7 @@ use run_log::{Cause, Misses, RunMode};
 use serde::{Deserialize, Serialize};
 
 use super::RunFacts;
+use super::cautions::cautions;
 use super::distribution::Quantiles;
 use super::run_lane::{RunLane, distance_m};
 use super::timing_lane::TimingLane;
@@ -38,6 +39,9 @@ pub struct Summary {
     /// Known error of the model; none for a model that does not bend in one plane, without bone, or not measured.
     #[serde(default)]
     pub model_error: Option<ModelError>,
+    /// What is most likely wrong with the run.
+    #[serde(default)]
+    pub cautions: Vec<String>,
     /// Drilling and contact; none without a state.
     pub drilling: Option<DrillingSummary>,
     /// X-ray frames; none without a frame.
@@ -211,6 +215,7 @@ impl Summary {
             final_hash: run.last.as_ref().map(|state| hash_text(state.hash)),
             tool: ToolSummary::of(run),
             model_error: run.scene.as_ref().and_then(ModelError::of),
+            cautions: cautions(run, timing),
             drilling: DrillingSummary::of(run),
             drr: DrrSummary::of(run, timing, facts),
             timing: TimingSummary::of(timing),

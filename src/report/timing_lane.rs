@@ -3,7 +3,8 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 
-use ipc_types::messages::{Event, FrameTiming, Part, Participant, Severity, TickTiming};
+use ipc_types::layout::Message;
+use ipc_types::messages::{Command, Event, FrameTiming, Part, Participant, RunStatus, Severity, TickTiming};
 use recorder_proc::log_file::LogFile;
 use run_log::{LogError, LogHeader, LogMessage, MessageStream, Misses, ReadOptions, Topic};
 use zerocopy::FromBytes;
@@ -45,6 +46,10 @@ pub struct TimingLane {
     pub rays: u64,
     /// Frames that were traced whole.
     pub full_frames: u64,
+    /// Commands as sent, of all controllers.
+    pub commands: u64,
+    /// Those that were refused, whole or in part.
+    pub refused_commands: u64,
     /// Number of events by kind.
     pub events: BTreeMap<String, u64>,
     /// The last warnings and errors, one line each.
@@ -90,6 +95,8 @@ impl TimingLane {
             render: duration,
             rays: 0,
             full_frames: 0,
+            commands: 0,
+            refused_commands: 0,
             events: BTreeMap::new(),
             warnings: VecDeque::new(),
             lost: BTreeMap::new(),
@@ -125,6 +132,12 @@ impl TimingLane {
                     self.full_frames += u64::from(timing.full != 0);
                 }
             }
+            Some(Topic::RunStatus) => {
+                if let Ok(status) = RunStatus::read_from_bytes(message.body) {
+                    self.refused_commands = self.refused_commands.max(status.refused_commands);
+                }
+            }
+            None if message.description.name == Command::DESCRIPTION.name => self.commands += 1,
             Some(Topic::Event) => {
                 if let Ok((event, text)) = Event::read_from_prefix(message.body) {
                     self.event(&event, text);

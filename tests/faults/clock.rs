@@ -26,14 +26,9 @@ fn the_stepping_clock_steps() {
 }
 
 /// Every mention of a wall clock in the program's sources, with the reason why a step of it does no harm.
-const WALL_CLOCK: [(&str, &str, &str); 3] = [
+const WALL_CLOCK: [(&str, &str, &str); 2] = [
     ("src/launcher/run.rs", "Zoned::now", "the name of a run's folder; a name that is taken gets a suffix"),
     ("lab/stress/mod.rs", "Zoned::now", "the date in a report"),
-    (
-        "ipc_types/src/session/folder.rs",
-        ".modified()",
-        "which session was announced last, when none is named",
-    ),
 ];
 
 /// Loops run by the monotonic clock (`Instant`, `CLOCK_MONOTONIC`): nobody reads another one.

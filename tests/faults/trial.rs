@@ -335,12 +335,12 @@ fn judge(fault: Fault, watched: &Watched, ended: &Ended, published: u64, outcome
 
 fn assert_reason(fault: Fault, went_on: bool, reason: &EndReason) {
     match (fault, reason) {
-        (_, EndReason::Completed) => assert!(went_on, "{fault:?}"),
+        (_, EndReason::Completed | EndReason::Stopped) => assert!(went_on, "{fault:?}"),
         (Fault::Kill(victim), EndReason::PartDied(name)) => {
             let known = [victim.part(), "reference", "physics"];
             assert!(known.contains(&name.as_str()), "{fault:?}: {name}");
         }
-        (_, EndReason::PartDied(_)) => assert!(!went_on, "{fault:?}"),
+        (_, EndReason::PartDied(_) | EndReason::ControllerLate(_)) => assert!(!went_on, "{fault:?}"),
         other => panic!("{other:?}"),
     }
 }

@@ -46,6 +46,10 @@ fn call(command: &str) -> Call {
         "docs man" => As("docs man"),
         "docs install" => As("docs install -o @usr#"),
         "doctor" => As("doctor"),
+        "session list" => As("session list"),
+        "tool show" => As("tool show @scene.toml"),
+        // They need a run under way: `tests/processes/session_commands.rs`.
+        "session stop" | "session pause" | "session resume" | "session env" => HelpOnly,
         // It ends when it is told to. The others take minutes, and a part of a session answers nobody. All speak through
         // `src/say.rs`: a lint refuses every other way to standard output.
         "view" | "stress" | "reproduce" => HelpOnly,

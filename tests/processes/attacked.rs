@@ -200,8 +200,8 @@ fn what_others_put_into_a_runs_folder_stays_and_costs_nothing_else() {
     for name in ["summary.json", "drr_before.png", "tip_path.svg", "timing.png"] {
         assert!(fs::metadata(folder.join(name)).unwrap().len() > 0, "{name}");
     }
-    assert!(ended.out.contains("completed") && ended.out.contains("replay it"), "{}", ended.out);
-    assert_eq!(read(&folder).marker.unwrap().reason, EndReason::Completed);
+    assert!(ended.out.contains("stopped") && ended.out.contains("replay it"), "{}", ended.out);
+    assert_eq!(read(&folder).marker.unwrap().reason, EndReason::Stopped);
     assert_replays(&folder);
 }
 
@@ -220,7 +220,7 @@ fn a_summary_that_cannot_be_written_costs_no_picture_and_no_table() {
     assert_eq!(ended.code, Some(1), "{}{}", ended.out, ended.err);
     assert_eq!(fs::read_to_string(folder.join("summary.json")).unwrap(), "mine");
     assert!(ended.err.contains("one file of the report could not be written"), "{}", ended.err);
-    assert!(ended.out.contains("completed"), "{}", ended.out);
+    assert!(ended.out.contains("stopped"), "{}", ended.out);
     for name in ["drr_after.png", "tip_path.png", "tip_path.svg", "timing.png", "timing.svg"] {
         assert!(fs::metadata(folder.join(name)).unwrap().len() > 0, "{name}");
     }

@@ -135,13 +135,14 @@ fn the_last_words_of_a_controller_program_are_shown() {
 }
 
 #[test]
-fn a_controller_program_that_does_not_exist_is_named() {
+fn a_controller_program_that_does_not_exist_is_refused_before_the_start() {
     let place = Place::new();
     let scene = scenes::hold("lockstep", 1.0)
         .replace("hold = { tension_n = 2.0 }", "command = [\"/no/such/program\"]");
     let ended = place.start(&scene).end();
-    assert_eq!(ended.code, Some(1), "{}", ended.err);
-    assert!(ended.err.contains("part `holder`") && ended.err.contains("/no/such/program"), "{}", ended.err);
+    assert_eq!(ended.code, Some(2), "{}", ended.err);
+    assert!(ended.err.contains("`controller.command` of `holder` is `/no/such/program`"), "{}", ended.err);
+    assert_eq!(place.entries(), ["scene.toml"], "nothing is written");
     assert_nothing_left(ended.pid);
 }
 

@@ -77,7 +77,7 @@ fn what_a_program_has_started_ends_with_the_run() {
 
 #[test]
 fn a_controller_may_not_have_the_name_of_a_part() {
-    for name in ["physics", "completed"] {
+    for name in ["physics", "completed", "stopped"] {
         let place = Place::new();
         let scene = scenes::hold("lockstep", 0.1).replace("\"holder\"", &format!("{name:?}"));
         let ended = place.start(&scene).end();

@@ -92,8 +92,10 @@ fn ticks_advance_exactly_as_run_control_asks() {
     let ended = run.end();
     assert_eq!(ended.code, Some(0), "{}", ended.err);
     assert_nothing_left(ended.pid);
+    // It was said to be complete.
+    assert!(ended.out.contains("piloted (lockstep), stopped\n"), "{}", ended.out);
     let marker = read(&ended.folder).marker.unwrap();
-    assert_eq!((marker.last_tick, marker.reason), (Some(Tick(80)), EndReason::Completed));
+    assert_eq!((marker.last_tick, marker.reason), (Some(Tick(80)), EndReason::Stopped));
     assert_replays(&ended.folder);
 }
 

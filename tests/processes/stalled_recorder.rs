@@ -64,7 +64,7 @@ fn a_recorder_held_up_beyond_its_queue_says_which_ticks_are_missing_and_ends_wit
         ended.err
     );
     let summary = summary(&ended);
-    assert_eq!(summary["outcome"], "completed, with a gap in the log");
+    assert_eq!(summary["outcome"], "stopped, with a gap in the log");
     let gap = &summary["logs"]["missing_ticks"][0];
     let (first, last) = (gap[0].as_u64().unwrap(), gap[1].as_u64().unwrap());
     assert!(first + 200 > stopped_at && last >= first + 500, "{first} to {last}, stopped at {stopped_at}");

@@ -11,6 +11,7 @@ use ipc_types::messages::{
 };
 use ipc_types::services;
 use ipc_types::session::{SESSION_VARIABLE, Session};
+use run_log::EndReason;
 use rustix::process::Signal;
 use trabecula_client::{Client, ClientError, Connection};
 
@@ -163,16 +164,52 @@ pub fn answer_here(client: &mut Client) {
 fn a_run_that_waits_in_vain_says_for_whom_and_how_to_connect() {
     let place = Place::new();
     let scene =
-        scenes::shared("lockstep", 1.0).replace("external = true", "external = true\nconnect_limit_s = 1.0");
+        scenes::shared("lockstep", 1.0).replace("external = true", "external = true\nconnect_limit_s = 3.0");
     let ended = place.start(&scene).end();
     assert_eq!(ended.code, Some(1));
     let words = [
-        "controller `pilot` did not connect within 1 s",
+        "controller `pilot` did not connect within 3 s",
         "TRABECULA_SESSION=/",
         "TRABECULA_CONTROLLER=pilot",
     ];
     assert!(words.iter().all(|word| ended.err.contains(word)), "{}", ended.err);
+    assert!(
+        ended.err.contains("waiting for controller `pilot`: the first command, at most 3 s"),
+        "{}",
+        ended.err
+    );
+    assert!(!ended.err.contains("died"), "the physics was blamed: {}", ended.err);
+    // A table of zeros was printed.
+    assert!(ended.out.contains("outcome      controller_missing: controller `pilot`"), "{}", ended.out);
+    assert!(!ended.out.contains("ticks") && !ended.out.contains("replay"), "{}", ended.out);
+    let marker = read(&ended.folder).marker.unwrap();
+    assert_eq!(marker.reason, EndReason::ControllerMissing("pilot".to_owned()));
     assert_nothing_left(ended.pid);
+}
+
+/// A client saw only that the hub was gone.
+#[test]
+fn a_client_hears_why_the_run_has_ended() {
+    let place = Place::new();
+    let scene =
+        scenes::shared("lockstep", 600.0).replace("seed = 7", "seed = 7\ncontroller_limit_ms = 300.0");
+    let run = place.start(&scene);
+    let mut client = joined(&run, "pilot");
+    client.wait_state(LIMIT).unwrap();
+    answer_here(&mut client);
+    // It answers no more.
+    let outcome = loop {
+        match client.wait_state(LIMIT) {
+            Ok(_) | Err(ClientError::TimedOut(_)) => {}
+            Err(outcome) => break outcome,
+        }
+    };
+    assert!(matches!(outcome, ClientError::Ended), "{outcome}");
+    let (reason, name) = (client.end_reason(), client.session_name());
+    let expected = format!("session {name}: the run has ended: controller `pilot` did not answer tick");
+    assert!(reason.starts_with(&expected), "{reason}");
+    drop(client);
+    assert_eq!(run.end().code, Some(1));
 }
 
 /// Only the controller that the scene gives the C-arm may ask for frames from a pose of its own.

@@ -29,7 +29,8 @@ fn a_mask_that_is_not_called_one_is_named_by_every_command() {
     let place = Place::new();
     write_ct(&place, "ct.nrrd", "(-11.5,-11.5,-11.5)", (1, 0), "");
     let (code, said) = check(&place, "path = \"ct.nrrd\"");
-    assert!(code == Some(0) && said.contains("every voxel is 0 or 1: this looks like a mask"), "{said}");
+    // As Hounsfield units it holds no bone.
+    assert!(code == Some(2) && said.contains("every voxel is 0 or 1: this looks like a mask"), "{said}");
     let done = trabecula(&[&"drr", &place.path("ct.nrrd"), &"-o", &place.path("x.png")]);
     assert!(done.code == Some(0) && done.err.contains("this looks like a mask"), "{}", done.err);
     let (code, said) = check(&place, "path = \"ct.nrrd\"\nmask = true");
@@ -47,11 +48,13 @@ fn a_start_with_the_signs_of_another_program_is_named() {
         let line = text.lines().find(|line| line.starts_with("burr_start_mm")).unwrap().to_owned();
         let scene = place.scene(&text.replace(&line, &format!("burr_start_mm = [{x}, {x}, -25.0]")));
         let done = trabecula(&[&"scene", &"check", &scene]);
-        assert_eq!(done.code, Some(0), "{}", done.err);
-        done.out
+        (done.code, done.out)
     };
-    assert!(start("-40.0").contains("`tool.burr_start_mm` = [-40, -40, -25] lies outside of the volume"));
-    assert!(!start("40.0").contains("burr_start_mm"));
+    let (code, said) = start("-40.0");
+    assert_eq!(code, Some(2), "the feed ends before the bone");
+    assert!(said.contains("`tool.burr_start_mm` = [-40, -40, -25] lies outside of the volume"), "{said}");
+    let (code, said) = start("40.0");
+    assert!(code == Some(0) && !said.contains("outside of the volume"), "{said}");
 }
 
 #[test]

@@ -28,7 +28,7 @@ impl IgtlError {
             IgtlError::Listen { .. } => true,
             IgtlError::Client(error) => matches!(
                 error,
-                ClientError::NoSession { .. } | ClientError::WhichController { .. } | ClientError::Session(_)
+                ClientError::NoSession { .. } | ClientError::Joining { .. } | ClientError::Session(_)
             ),
         }
     }

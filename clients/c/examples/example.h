@@ -19,7 +19,7 @@ static int checked(int status) {
     return status;
 }
 
-/* Connects to the session and under the name that the environment or the newest session gives. */
+/* Connects to the session and under the name that the environment or the only running session gives. */
 static trb_client connected(void) {
     trb_client client;
     checked(trb_connect(TRB_LAYOUTS, NULL, NULL, 10.0, &client));

@@ -64,7 +64,7 @@ extern "C" {
 #define TRB_ERROR_NULL (-1) /* A pointer that is needed is null. */
 #define TRB_ERROR_HANDLE (-2) /* Not a client of this thread: never connected, disconnected, or connected by another thread. */
 #define TRB_ERROR_ARGUMENT (-3) /* A number or text is not one that can be used. */
-#define TRB_ERROR_NO_SESSION (-4) /* No session is running there. */
+#define TRB_ERROR_NO_SESSION (-4) /* No session is running there; or several are, and none is named. */
 #define TRB_ERROR_VERSION (-5) /* Program, library and hub are not of one version: a message's layout or the transport differs. */
 #define TRB_ERROR_CONTROLLER (-6) /* The scene has no such controller, or leaves open which one is meant. */
 #define TRB_ERROR_TAKEN (-7) /* A controller of this name is connected already. */
@@ -129,6 +129,9 @@ extern "C" {
 #define TRB_EVENT_CONTROLLER 6
 #define TRB_EVENT_REQUEST_REFUSED 7
 #define TRB_EVENT_CAPACITY_REACHED 8
+#define TRB_EVENT_WAITING 9
+#define TRB_EVENT_CONTROLLER_MISSING 10
+#define TRB_EVENT_CONTROLLER_LATE 11
 #define TRB_SENDER_LAUNCHER 0
 #define TRB_SENDER_PHYSICS 1
 #define TRB_SENDER_DRR 2
@@ -984,14 +987,15 @@ const char *trb_version(void);
  * "State=729b226247fc0784;Command=...;Abi=...". The text stays valid for the life of the process. */
 const char *trb_layouts(void);
 
-/* Text of this thread's last error: what was given, what was expected, what to do. It stays valid
- * until this thread's next call that returns an error, or its end. */
+/* Text of this thread's last error: the session, what was given, what was expected, what to do; after
+ * TRB_ENDED, why the run is over. It stays valid until this thread's next call that returns an error
+ * or TRB_ENDED, or its end. */
 const char *trb_last_error(void);
 
 /* Connects to a session. `layouts` is TRB_LAYOUTS of the header that the program was compiled with; if
  * a message's layout in the library or the hub differs, or the version of these functions (Abi), the
  * call fails and names it. `session` is a session's folder or name; null selects the folder in the
- * environment variable TRABECULA_SESSION, or else this user's newest session. `controller` is a
+ * environment variable TRABECULA_SESSION, or else this user's only running session. `controller` is a
  * controller's name in the scene, or empty for an observer that sends no commands; null selects the
  * name in TRABECULA_CONTROLLER, or else the scene's only external controller. Waits at most
  * `timeout_s` for the session. `client` receives a handle, which belongs to the calling thread. */

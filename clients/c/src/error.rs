@@ -1,4 +1,4 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use ipc_types::ports::PortError;
@@ -37,6 +37,14 @@ pub enum ClientError {
         ours: String,
         /// Version of the library.
         version: &'static str,
+    },
+    /// The session was found, and cannot be joined in this way.
+    #[error("session {folder}: {cause}")]
+    Joining {
+        /// Session folder.
+        folder: PathBuf,
+        /// Why.
+        cause: Box<ClientError>,
     },
     /// The scene does not determine which controller is meant.
     #[error(
@@ -102,6 +110,21 @@ pub enum ClientError {
     /// Nothing arrived in time.
     #[error("nothing arrived within {:.3} s", .0.as_secs_f64())]
     TimedOut(Duration),
+}
+
+impl ClientError {
+    /// Names the session in an error that does not name it.
+    pub(crate) fn of(self, folder: &Path) -> ClientError {
+        match self {
+            ClientError::WhichController { .. }
+            | ClientError::Session(
+                SessionError::UnknownController { .. }
+                | SessionError::ControllerTaken { .. }
+                | SessionError::Crowded { .. },
+            ) => ClientError::Joining { folder: folder.to_owned(), cause: Box::new(self) },
+            other => other,
+        }
+    }
 }
 
 impl From<SessionError> for ClientError {

@@ -22,7 +22,7 @@ impl<F: FnMut(&State, &mut Command)> Controller for F {
     }
 }
 
-/// Runs a controller until the run ends, with the session and name from the environment or the newest session ([`Connection::default`]).
+/// Runs a controller until the run ends, with the session and name from the environment or the only running session ([`Connection::default`]).
 ///
 /// # Errors
 /// Any [`ClientError`] except [`ClientError::Ended`].

@@ -16,7 +16,7 @@ pub fn checked(status: i32) bool {
     std.process.exit(1);
 }
 
-/// Connects to the session and under the name that the environment or the newest session gives.
+/// Connects to the session and under the name that the environment or the only running session gives.
 pub fn connected() c.trb_client {
     var client: c.trb_client = 0;
     _ = checked(c.trb_connect(c.TRB_LAYOUTS, null, null, 10.0, &client));

@@ -4,8 +4,8 @@ use messages::{ControllerIndex, Phase, Plant, Tick};
 
 use super::control::When;
 use super::{
-    Awaited, CONNECT_LIMIT_NS, CONNECT_LOOK_NS, Hub, HubError, NS_PER_S, Next, Outcome, Stage, Step,
-    lane_failed, wait,
+    Awaited, CONNECT_LIMIT_NS, CONNECT_LOOK_NS, ControllerFault, Hub, HubError, NS_PER_S, Next, Outcome,
+    SILENT_WAIT_NS, Stage, Step, lane_failed, wait,
 };
 use crate::environment::Environment;
 use crate::patience::Patience;
@@ -17,6 +17,7 @@ impl<P: Plant> Hub<P> {
         env: &mut E,
         mut consumers: Patience,
         mut controllers: Vec<Patience>,
+        mut notice: Option<Patience>,
     ) -> Outcome<Step, P, E> {
         self.consumers.update(env)?;
         let missing = self.consumers.missing();
@@ -28,6 +29,7 @@ impl<P: Plant> Hub<P> {
             let limit =
                 |controller: &super::Controller| Patience::new(controller.connect_limit_ns, env.now_ns());
             controllers.extend(self.controllers.iter().map(limit));
+            notice = Some(Patience::new(SILENT_WAIT_NS, env.now_ns()));
         }
         self.collect_commands(env)?;
         if self.ends(env) {
@@ -47,12 +49,13 @@ impl<P: Plant> Hub<P> {
                     Some(index) if over[index.slot()] => {
                         let controller = &self.controllers[index.slot()];
                         let limit_s = controller.connect_limit_ns / NS_PER_S;
-                        return Err(HubError::ControllerNotConnected {
-                            name: controller.name.clone(),
-                            limit_s,
-                        });
+                        let name = controller.name.clone();
+                        return Err(HubError::Controller(ControllerFault::NotConnected { name, limit_s }));
                     }
-                    Some(_) => {}
+                    Some(index) => {
+                        let limit_ns = self.controllers[index.slot()].connect_limit_ns;
+                        self.tell_if_long(env, &mut notice, index, "the first command", limit_ns)?;
+                    }
                 }
             }
         }
@@ -60,7 +63,7 @@ impl<P: Plant> Hub<P> {
         self.send_status(env, Phase::Connecting, When::IfDue)?;
         env.deliver_state_history()?;
         let until_ns = env.now_ns() + CONNECT_LOOK_NS;
-        Ok((Stage::Connecting { consumers, controllers }, wait(Awaited::Nothing, until_ns)))
+        Ok((Stage::Connecting { consumers, controllers, notice }, wait(Awaited::Nothing, until_ns)))
     }
 
     fn connected<E: Environment>(&mut self, env: &mut E) -> Outcome<Step, P, E> {

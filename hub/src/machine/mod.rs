@@ -6,12 +6,15 @@ mod control;
 mod ticking;
 mod waiting;
 
-use messages::{CommandSource, ControllerIndex, MAX_CONTROLLERS, Part, Plant, Tick, TickTiming};
+use messages::{
+    CommandSource, ControllerIndex, EventCode, MAX_CONTROLLERS, Part, Phase, Plant, Severity, Tick,
+    TickTiming,
+};
 use scene::{Mode, Scene};
 use thiserror::Error;
 
 use crate::consumers::{Consumers, Whom};
-use crate::environment::Environment;
+use crate::environment::{Environment, Note};
 use crate::latch::Latch;
 use crate::late_notes::LateNotes;
 use crate::lead::recorder_lead_ticks;
@@ -20,6 +23,7 @@ use crate::patience::Patience;
 use crate::rate_limit::{RateLimit, WarningLimit};
 use crate::run_lane::{LaneError, RunLane};
 use commands::Controller;
+use control::When;
 
 const MS: u64 = 1_000_000;
 const NS_PER_S: u64 = 1000 * MS;
@@ -33,6 +37,8 @@ const CONSUMER_LIMIT_NS: u64 = 120_000 * MS;
 /// As above, when a signal has ended the run; whatever the consumers have not taken stays in their queues.
 const ABANDONED_LIMIT_NS: u64 = 500 * MS;
 const STATUS_PERIOD_NS: u64 = 100 * MS;
+/// How long the run waits for a controller before it says so.
+const SILENT_WAIT_NS: u64 = NS_PER_S;
 /// Poll interval while the run is paused, while parts connect, and while a consumer is behind.
 const POLL_NS: u64 = 20 * MS;
 const CONNECT_LOOK_NS: u64 = MS;
@@ -106,26 +112,9 @@ pub enum HubError<E, P> {
         /// Time waited.
         limit_s: u64,
     },
-    /// A controller never sent a command.
-    #[error("controller `{name}` did not connect within {limit_s} s")]
-    ControllerNotConnected {
-        /// Its name.
-        name: String,
-        /// Time waited.
-        limit_s: u64,
-    },
-    /// A controller did not answer in lockstep.
-    #[error(
-        "controller `{name}` did not answer tick {tick} within {limit_ms} ms (`run.controller_limit_ms`)"
-    )]
-    ControllerSilent {
-        /// Its name.
-        name: String,
-        /// Tick.
-        tick: Tick,
-        /// Limit.
-        limit_ms: f64,
-    },
+    /// A controller is to blame.
+    #[error("{0}")]
+    Controller(ControllerFault),
     /// A consumer stopped taking states.
     #[error("{part} has taken no state for {limit_s} s at tick {tick}")]
     ConsumerStuck {
@@ -136,6 +125,41 @@ pub enum HubError<E, P> {
         /// Limit.
         limit_s: u64,
     },
+}
+
+/// How a controller ends the run.
+#[derive(Debug, Error)]
+pub enum ControllerFault {
+    /// It never sent a command.
+    #[error("controller `{name}` did not connect within {limit_s} s")]
+    NotConnected {
+        /// Its name.
+        name: String,
+        /// Time waited.
+        limit_s: u64,
+    },
+    /// It did not answer in lockstep.
+    #[error(
+        "controller `{name}` did not answer tick {tick} within {limit_ms} ms (`run.controller_limit_ms`)"
+    )]
+    Silent {
+        /// Its name.
+        name: String,
+        /// Tick.
+        tick: Tick,
+        /// Limit.
+        limit_ms: f64,
+    },
+}
+
+impl ControllerFault {
+    /// The kind of event that tells it.
+    pub fn event(&self) -> EventCode {
+        match self {
+            ControllerFault::NotConnected { .. } => EventCode::ControllerMissing,
+            ControllerFault::Silent { .. } => EventCode::ControllerLate,
+        }
+    }
 }
 
 impl<E, P> From<E> for HubError<E, P> {
@@ -190,6 +214,8 @@ enum Stage {
         consumers: Patience,
         /// One timeout per controller, running from the time when there is a state to answer.
         controllers: Vec<Patience>,
+        /// Until the user is told for whom the run waits.
+        notice: Option<Patience>,
     },
     /// All connected; the first deadline is now.
     Ready,
@@ -201,8 +227,8 @@ enum Stage {
     ConsumersBehind { tick: Tick, whom: Whom, patience: Patience, began_ns: u64 },
     /// Waits for the deadline (real time).
     AwaitDeadline,
-    /// Waits for answers (lockstep); `silent` is the controller last waited for.
-    AwaitAnswers { patience: Patience, silent: Option<ControllerIndex> },
+    /// Waits for answers (lockstep); `silent` is the controller last waited for, `notice` as in `Connecting`.
+    AwaitAnswers { patience: Patience, silent: Option<ControllerIndex>, notice: Option<Patience> },
     /// The last tick is done.
     Ending { patience: Patience, abandoned: Patience },
     /// Ended or failed.
@@ -266,6 +292,7 @@ impl<P: Plant> Hub<P> {
             stage: Stage::Connecting {
                 consumers: Patience::new(CONNECT_LIMIT_NS, now_ns),
                 controllers: Vec::new(),
+                notice: None,
             },
             lane: RunLane::new(settings.keyframe_period_ticks),
             latch: Latch::new(scene),
@@ -307,11 +334,24 @@ impl<P: Plant> Hub<P> {
     /// Does everything that can be done now, up to the next wait.
     ///
     /// # Errors
-    /// Any [`HubError`]; the run is over then.
+    /// Any [`HubError`]; the run is over then. If a controller is to blame, every client has been told.
     pub fn advance<E: Environment>(&mut self, env: &mut E) -> Outcome<Next, P, E> {
+        let advanced = self.advance_stages(env);
+        if let Err(HubError::Controller(fault)) = &advanced {
+            let (code, text) = (fault.event(), fault.to_string());
+            env.send_event(&Note { tick: self.tick, severity: Severity::Error, code, text: &text })?;
+            self.send_status(env, Phase::Ended, When::Now)?;
+            env.wake_controllers();
+        }
+        advanced
+    }
+
+    fn advance_stages<E: Environment>(&mut self, env: &mut E) -> Outcome<Next, P, E> {
         loop {
             let (stage, next) = match std::mem::replace(&mut self.stage, Stage::Over) {
-                Stage::Connecting { consumers, controllers } => self.connect(env, consumers, controllers)?,
+                Stage::Connecting { consumers, controllers, notice } => {
+                    self.connect(env, consumers, controllers, notice)?
+                }
                 Stage::Ready => {
                     self.schedule = Schedule::new(self.settings.period_ns, env.now_ns());
                     (Stage::TickDue, None)
@@ -325,7 +365,9 @@ impl<P: Plant> Hub<P> {
                 Stage::ConsumersBehind { tick, whom, patience, began_ns } => {
                     self.await_consumers(env, tick, whom, patience, began_ns)?
                 }
-                Stage::AwaitAnswers { patience, silent } => self.await_answers(env, patience, silent)?,
+                Stage::AwaitAnswers { patience, silent, notice } => {
+                    self.await_answers(env, patience, silent, notice)?
+                }
                 Stage::Ending { patience, abandoned } => self.await_last(env, patience, abandoned)?,
                 Stage::Over => (Stage::Over, Some(Next::Ended)),
             };

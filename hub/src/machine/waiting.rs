@@ -1,16 +1,16 @@
 //! What a tick waits for: its deadline, the controllers' answers, the consumers. Every wait has a limit, does not count time spent stopped
 //! against it, and checks for the request to end.
 
-use messages::{ControllerIndex, EventCode, Phase, Plant, Tick};
+use messages::{ControllerIndex, EventCode, Phase, Plant, Severity, Tick};
 use scene::Mode;
 
 use super::control::When;
 use super::{
-    ABANDONED_LIMIT_NS, Awaited, CONNECT_LOOK_NS, CONSUMER_LIMIT_NS, Hub, HubError, NS_PER_S, Next, Outcome,
-    REPORT_LOOK_NS, Stage, Step, wait,
+    ABANDONED_LIMIT_NS, Awaited, CONNECT_LOOK_NS, CONSUMER_LIMIT_NS, ControllerFault, Hub, HubError,
+    NS_PER_S, Next, Outcome, REPORT_LOOK_NS, SILENT_WAIT_NS, Stage, Step, wait,
 };
 use crate::consumers::Whom;
-use crate::environment::Environment;
+use crate::environment::{Environment, Note};
 use crate::patience::Patience;
 
 impl<P: Plant> Hub<P> {
@@ -68,7 +68,8 @@ impl<P: Plant> Hub<P> {
             }
             Mode::Lockstep => {
                 let patience = Patience::new(self.settings.controller_limit_ns, now_ns);
-                Stage::AwaitAnswers { patience, silent: None }
+                let notice = Some(Patience::new(SILENT_WAIT_NS, now_ns));
+                Stage::AwaitAnswers { patience, silent: None, notice }
             }
         }
     }
@@ -79,6 +80,7 @@ impl<P: Plant> Hub<P> {
         env: &mut E,
         mut patience: Patience,
         silent: Option<ControllerIndex>,
+        mut notice: Option<Patience>,
     ) -> Outcome<Step, P, E> {
         if let Some(silent) = silent {
             let came = env.has_command(silent);
@@ -106,10 +108,33 @@ impl<P: Plant> Hub<P> {
                 self.give_up(env, silent)?;
                 continue;
             }
+            let limit_ns = patience.limit_ns();
+            self.tell_if_long(env, &mut notice, silent, "its answer", limit_ns)?;
             let until_ns = patience.next_look_ns(env.now_ns());
-            let stage = Stage::AwaitAnswers { patience, silent: Some(silent) };
+            let stage = Stage::AwaitAnswers { patience, silent: Some(silent), notice };
             return Ok((stage, wait(Awaited::Command(silent), until_ns)));
         }
+    }
+
+    /// Says once for whom the run waits, as soon as the wait has become long.
+    pub(super) fn tell_if_long<E: Environment>(
+        &self,
+        env: &mut E,
+        notice: &mut Option<Patience>,
+        controller: ControllerIndex,
+        what: &str,
+        limit_ns: u64,
+    ) -> Outcome<(), P, E> {
+        let now_ns = env.now_ns();
+        if !notice.as_mut().is_some_and(|notice| notice.is_over(now_ns)) {
+            return Ok(());
+        }
+        *notice = None;
+        let name = &self.controllers[controller.slot()].name;
+        let limit_s = limit_ns as f64 / NS_PER_S as f64;
+        let text = format!("waiting for controller `{name}`: {what}, at most {limit_s} s");
+        let (severity, code) = (Severity::Info, EventCode::Waiting);
+        Ok(env.send_event(&Note { tick: self.tick, severity, code, text: &text })?)
     }
 
     /// The first controller that lockstep waits for.
@@ -129,7 +154,8 @@ impl<P: Plant> Hub<P> {
         let controller = &self.controllers[silent.slot()];
         if !controller.optional {
             let name = controller.name.clone();
-            return Err(HubError::ControllerSilent { name, tick: self.tick, limit_ms });
+            let fault = ControllerFault::Silent { name, tick: self.tick, limit_ms };
+            return Err(HubError::Controller(fault));
         }
         self.latch.release(silent);
         let text = format!(

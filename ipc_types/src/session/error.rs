@@ -3,11 +3,12 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+use foreign_text::foreign_path;
 use thiserror::Error;
 
-use super::ICEORYX2_VERSION;
 use super::id::SessionId;
 use super::places::{Searched, Unfit};
+use super::{ICEORYX2_VERSION, SESSION_VARIABLE};
 use crate::messages::Part;
 use crate::shared_memory::{Short, refusal};
 
@@ -27,6 +28,12 @@ pub enum SessionError {
     NoSession {
         /// The places searched.
         searched: Searched,
+    },
+    /// Several sessions are running and none was named.
+    #[error("{} sessions are running, and none was named: {}; name one (`--session`, `session=` or {SESSION_VARIABLE})", running.len(), listed(running))]
+    SeveralSessions {
+        /// Their folders.
+        running: Vec<PathBuf>,
     },
     /// No session has, or could ever have, this name.
     #[error(
@@ -161,6 +168,11 @@ pub enum SessionError {
         /// iceoryx2's reason.
         cause: String,
     },
+}
+
+/// Folders of sessions in a text.
+fn listed(folders: &[PathBuf]) -> String {
+    folders.iter().map(|folder| foreign_path(folder).to_string()).collect::<Vec<_>>().join(", ")
 }
 
 pub(crate) fn file_error(path: &Path) -> impl FnOnce(io::Error) -> SessionError + '_ {

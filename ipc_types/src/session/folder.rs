@@ -12,12 +12,14 @@ use std::io::{self, Read, Write};
 use std::os::fd::{AsFd, OwnedFd};
 use std::path::{Path, PathBuf};
 
+use foreign_text::foreign_line;
 use rustix::fs::{AtFlags, Dir, FileType, FlockOperation, Mode, OFlags, flock, openat, unlinkat};
 use rustix::io::Errno;
 
 use super::id::{PREFIX_LENGTH, SessionId};
 use super::places::{Place, Unfit, open_private, places};
 use super::{SessionError, file_error};
+use crate::messages::EventCode;
 use crate::shared_memory::SharedMemory;
 
 /// File that holds the session's name.
@@ -154,14 +156,53 @@ pub fn running_sessions(name: Option<&str>) -> Vec<PathBuf> {
     found
 }
 
-/// The running session announced last, if any.
-pub fn newest_session() -> Option<PathBuf> {
-    let announced = |folder: PathBuf| {
-        let since =
-            std::fs::metadata(folder.join(super::ANNOUNCEMENT_FILE)).and_then(|meta| meta.modified()).ok()?;
-        Some((since, folder))
-    };
-    running_sessions(None).into_iter().filter_map(announced).max().map(|(_, folder)| folder)
+/// This user's only announced session, for a program that names none; `None` if none is running.
+///
+/// # Errors
+/// [`SessionError::SeveralSessions`]: which one is meant is open.
+pub fn only_session() -> Result<Option<PathBuf>, SessionError> {
+    let mut running = announced_sessions();
+    match running.len() {
+        0 | 1 => Ok(running.pop()),
+        _ => Err(SessionError::SeveralSessions { running }),
+    }
+}
+
+/// Folders of this user's sessions that can be joined.
+pub fn announced_sessions() -> Vec<PathBuf> {
+    let mut running = running_sessions(None);
+    running.retain(|folder| folder.join(super::ANNOUNCEMENT_FILE).exists());
+    running
+}
+
+/// File in which the physics says why it ends a run.
+const BLAME_FILE: &str = "blame";
+
+/// Why the physics ended a run early: which kind of event, and its text.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Blame {
+    /// The kind of event, [`EventCode::ControllerMissing`] or [`EventCode::ControllerLate`].
+    pub code: EventCode,
+    /// The event's text.
+    pub text: String,
+}
+
+impl Blame {
+    /// Leaves it in the session's folder, for whoever hears of the end.
+    ///
+    /// # Errors
+    /// Any system error.
+    pub(crate) fn write(&self, folder: impl AsFd) -> io::Result<()> {
+        create_file(folder, BLAME_FILE, format!("{}\n{}", self.code.code(), self.text).as_bytes())
+    }
+
+    /// What is in the session's folder, if anything.
+    pub(crate) fn read(folder: impl AsFd) -> Option<Blame> {
+        let content = read_file(folder, BLAME_FILE).ok()?;
+        let (code, text) = content.split_once('\n')?;
+        let code = EventCode::try_from(code.parse::<u32>().ok()?).ok()?;
+        Some(Blame { code, text: foreign_line(text).to_string() })
+    }
 }
 
 /// Removes the sessions of hosts that are no longer running, in all of this user's places. Returns how many.

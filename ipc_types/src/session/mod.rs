@@ -31,8 +31,10 @@ pub use announcement::Announcement;
 pub(crate) use announcement::{ANNOUNCEMENT_FILE, await_announcement, check_layouts};
 pub use error::SessionError;
 pub(crate) use error::{file_error, short_memory, transported};
+pub use folder::{
+    Blame, announced_sessions, host_is_alive, only_session, running_sessions, wipe_dead_sessions,
+};
 pub(crate) use folder::{create_file, is_locked, open as open_folder};
-pub use folder::{host_is_alive, newest_session, running_sessions, wipe_dead_sessions};
 pub use host::{SessionHost, SessionPlan};
 pub use id::SessionId;
 pub(crate) use id::prefix_of;

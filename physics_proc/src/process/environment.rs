@@ -6,14 +6,14 @@ use hub::rate_limit::Connection;
 use hub::{Awaited, Environment, Incoming, Note, Outputs, Report, Start, Wait};
 use ipc_types::clock::now_ns;
 use ipc_types::messages::{
-    Command, ControllerIndex, Keyframe, Latched, Part, Participant, Progress, Removed, RunControl,
+    Command, ControllerIndex, EventCode, Keyframe, Latched, Part, Participant, Progress, Removed, RunControl,
     RunControlReply, RunStatus, State, Tick, TickTiming,
 };
 use ipc_types::ports::{PortError, Publisher, Received, Subscriber};
 use ipc_types::process::{EndRequest, EventSender};
 use ipc_types::scene::Scene;
 use ipc_types::services;
-use ipc_types::session::{Reader, Session, SessionError};
+use ipc_types::session::{Blame, Reader, Session, SessionError};
 use ipc_types::wake::{Waiter, Waker};
 use zerocopy::IntoBytes;
 
@@ -21,7 +21,8 @@ use super::clock::Sleeper;
 use super::disturbance::{Disturbances, Sample};
 
 /// Every port of the physics process.
-pub(super) struct SharedMemory {
+pub(super) struct SharedMemory<'s> {
+    session: &'s Session,
     state: Publisher<State>,
     latched: Publisher<Latched>,
     removed: Publisher<Removed>,
@@ -42,13 +43,13 @@ pub(super) struct SharedMemory {
     end: EndRequest,
 }
 
-impl SharedMemory {
+impl<'s> SharedMemory<'s> {
     /// Opens the ports. Call it from the thread that will run the tick.
     pub(super) fn open(
-        session: &Session,
+        session: &'s Session,
         scene: &Scene,
         end: EndRequest,
-    ) -> Result<SharedMemory, SessionError> {
+    ) -> Result<SharedMemory<'s>, SessionError> {
         let names = || scene.controller.iter().map(|controller| controller.name.as_str());
         let announcement = session.announcement();
         let mut consumers = Vec::new();
@@ -60,6 +61,7 @@ impl SharedMemory {
         }
         let recorded = announcement.recorder && scene.keyframe_period_ticks().is_some();
         Ok(SharedMemory {
+            session,
             state: session.publisher(&services::STATE)?,
             latched: session.publisher(&services::LATCHED)?,
             removed: session.publisher(&services::REMOVED)?,
@@ -117,7 +119,7 @@ fn copied<M: ipc_types::layout::Message>(received: &Received<M>) -> Incoming<M> 
     Incoming::Message(*received.message(), Connection(received.sender().number()))
 }
 
-impl Outputs for SharedMemory {
+impl Outputs for SharedMemory<'_> {
     type Error = PortError;
 
     fn send_latched(&mut self, latched: &Latched) -> Result<(), PortError> {
@@ -137,7 +139,7 @@ impl Outputs for SharedMemory {
     }
 }
 
-impl Environment for SharedMemory {
+impl Environment for SharedMemory<'_> {
     fn now_ns(&self) -> u64 {
         now_ns()
     }
@@ -199,6 +201,10 @@ impl Environment for SharedMemory {
     }
 
     fn send_event(&mut self, note: &Note<'_>) -> Result<(), PortError> {
+        if matches!(note.code, EventCode::ControllerMissing | EventCode::ControllerLate) {
+            // Before the end is told, so that whoever hears of it finds the reason. Without it they hear the event only.
+            let _ = self.session.leave_blame(&Blame { code: note.code, text: note.text.to_owned() });
+        }
         self.events.send(note.tick, note.severity, note.code, note.text)
     }
 

@@ -55,9 +55,9 @@ pub enum PhysicsError {
         /// What is wrong.
         problem: String,
     },
-    /// The run ended early; the text says what to do.
-    #[error("{0}{1}")]
-    Run(HubError<PortError, SimulationError>, String),
+    /// The run ended early.
+    #[error("{0}")]
+    Run(HubError<PortError, SimulationError>),
     /// Signals cannot be handled.
     #[error("signals cannot be handled: {0}")]
     Signals(std::io::Error),
@@ -84,16 +84,13 @@ pub fn run(session_folder: &Path) -> Result<(), PhysicsError> {
     let simulation = Simulation::new(&scene, ct)?;
     let settings = Settings::new(&scene, &memory.consumers());
     let mut hub = Hub::new(&scene, simulation, settings, now_ns());
-    drive(&mut hub, &mut memory, &scene).map_err(|cause| {
-        let hint = hint(&cause, &session, &scene);
-        PhysicsError::Run(cause, hint)
-    })
+    drive(&mut hub, &mut memory, &scene).map_err(PhysicsError::Run)
 }
 
 /// Advances the hub until the run is over.
 fn drive(
     hub: &mut Hub<Simulation<'_>>,
-    memory: &mut SharedMemory,
+    memory: &mut SharedMemory<'_>,
     scene: &Scene,
 ) -> Result<(), HubError<PortError, SimulationError>> {
     loop {
@@ -108,19 +105,8 @@ fn drive(
     }
 }
 
-/// How to start an external controller that did not connect.
-fn hint(cause: &HubError<PortError, SimulationError>, session: &Session, scene: &Scene) -> String {
-    let HubError::ControllerNotConnected { name, .. } = cause else { return String::new() };
-    match scene.controller.iter().find(|controller| controller.name == *name) {
-        Some(controller) if controller.external => {
-            format!("; it is external: start it with {}", session.how_to_connect(name))
-        }
-        _ => String::new(),
-    }
-}
-
 /// Locks all memory of this process, where the system permits it.
-fn lock_memory(memory: &mut SharedMemory) -> Result<(), PortError> {
+fn lock_memory(memory: &mut SharedMemory<'_>) -> Result<(), PortError> {
     let flags = rustix::mm::MlockAllFlags::CURRENT | rustix::mm::MlockAllFlags::FUTURE;
     match rustix::mm::mlockall(flags) {
         Ok(()) => Ok(()),
@@ -129,7 +115,7 @@ fn lock_memory(memory: &mut SharedMemory) -> Result<(), PortError> {
 }
 
 /// Raises the priority, since in real time the tick comes first; reports it if the scheduler refuses.
-fn take_priority(memory: &mut SharedMemory, scene: &Scene) -> Result<(), PortError> {
+fn take_priority(memory: &mut SharedMemory<'_>, scene: &Scene) -> Result<(), PortError> {
     if scene.run.mode == Mode::Lockstep {
         return Ok(());
     }
@@ -145,6 +131,6 @@ fn take_priority(memory: &mut SharedMemory, scene: &Scene) -> Result<(), PortErr
     )
 }
 
-fn inform(memory: &mut SharedMemory, text: &str) -> Result<(), PortError> {
+fn inform(memory: &mut SharedMemory<'_>, text: &str) -> Result<(), PortError> {
     memory.send_event(&Note { tick: Tick::START, severity: Severity::Info, code: EventCode::Run, text })
 }

@@ -5,7 +5,8 @@ use crate::error::SceneError;
 use crate::model::{Controller, CurvedDrilling, Display, Drives, Drr, Feedback, Scene, TensionSweep};
 
 /// Names of the other parts, and end reasons that are not names of parts: a log's end names who caused it.
-const RESERVED_NAMES: [&str; 6] = ["physics", "drr", "recorder", "launcher", "completed", "interrupted"];
+const RESERVED_NAMES: [&str; 7] =
+    ["physics", "drr", "recorder", "launcher", "completed", "stopped", "interrupted"];
 
 pub(super) fn check(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     let mut driven: Vec<(Drives, &str)> = Vec::new();

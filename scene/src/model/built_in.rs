@@ -116,6 +116,18 @@ pub struct TensionSweep {
 }
 
 impl TensionSweep {
+    /// Whole steps up to the greatest level, the last one to it.
+    pub fn steps(&self) -> usize {
+        let most_and_step = self.most_n.zip(self.step_n).or(self.most_mm.zip(self.step_mm));
+        let (most, step) = most_and_step.unwrap_or((0.0, 1.0));
+        ((most / step) * (1.0 - 1e-9)).ceil().max(1.0) as usize
+    }
+
+    /// Simulated time of all levels, up and down again.
+    pub fn duration_s(&self) -> f64 {
+        self.settle_s * (2 * self.steps() + 1) as f64
+    }
+
     fn default_settle_s() -> f64 {
         0.5
     }

@@ -27,6 +27,7 @@ pub use kinematics::{Joints, LinkFrames, SingularityFactors, UrGeometry};
 pub use parameters::{
     ArmCommand, ArmError, ArmParameters, COMFORTABLE_Q_RAD, CartesianLimits, JointLimits, place_base_for,
 };
+pub(crate) use path::LEAST_MANIPULABILITY_M3;
 pub use state::{ArmMode, ArmState};
 pub use trajectory::{AxisLimits, AxisState, Goal, Planner, Segment, TrajectoryError};
 

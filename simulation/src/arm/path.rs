@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 /// Number of intervals at which a path is checked before it is accepted.
 const PATH_INTERVALS: usize = 32;
 /// A path on which |det J| falls below this is refused as singular (UR5: typically 0.05 to 0.1 m³).
-pub(super) const LEAST_MANIPULABILITY_M3: f64 = 1e-4;
+pub(crate) const LEAST_MANIPULABILITY_M3: f64 = 1e-4;
 /// The path counts as singular if the joint angles at the next sample differ by more than this from their trapezoidal prediction.
 const PREDICTION_TOLERANCE_RAD: f64 = 0.05;
 /// Tolerance for a goal to be on the extended line: 1e-9 m and 1e-9 rad, a thousandth of the promised micrometre.

@@ -15,6 +15,7 @@
 //! Only construction, snapshots, [`BoneField::predrill_capsule`] and [`BoneField::make_room`] allocate memory.
 
 mod buried;
+mod distance;
 pub mod drilling;
 mod error;
 mod field;
@@ -34,6 +35,7 @@ mod surface;
 mod tracked;
 mod voxels;
 
+pub use distance::Matter;
 pub use drilling::{BurrState, CuttingLaw, GrindReport};
 pub use error::BoneError;
 pub use field::BoneField;

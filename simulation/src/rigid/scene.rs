@@ -147,6 +147,16 @@ impl RigidScene {
         }
     }
 
+    /// The smallest gap between each body and these spheres, m; negative where they overlap. In the order of the definition.
+    pub fn gaps_m(&self, spheres: &[ProxySphere]) -> Vec<f64> {
+        let gap_m = |body: &Body, sphere: &ProxySphere| {
+            body.shape.nearest(&body.t_world_body, &sphere.centre_m).distance_m - sphere.radius_m
+        };
+        let smallest_m =
+            |body: &Body| spheres.iter().map(|sphere| gap_m(body, sphere)).fold(f64::INFINITY, f64::min);
+        self.bodies.iter().map(smallest_m).collect()
+    }
+
     /// Selects the coupling between tool and free bodies; the default is iterated.
     pub fn set_coupling(&mut self, coupling: Coupling) {
         self.coupling = coupling;

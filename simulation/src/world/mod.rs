@@ -11,6 +11,7 @@
 //! 6. extend the hash chain with commands, state and removed voxels.
 
 mod apply;
+mod feasibility;
 mod keyframe;
 mod message;
 mod move_tool;
@@ -35,6 +36,7 @@ use crate::rigid::{RigidError, RigidScene, RigidSnapshot, ToolDrive};
 use move_tool::Reach;
 use tendon_drive::{TendonDrive, TendonDriveState};
 
+pub use feasibility::{Finding, Verdict, findings};
 pub use keyframe::KeyframeError;
 pub use setup::{contact_kind, ct_geometry, manipulator_parameters, rung};
 

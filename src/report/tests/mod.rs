@@ -7,9 +7,12 @@ use std::path::Path;
 
 use super::*;
 use fastrand::Rng;
+use ipc_types::messages::{Command, Pose, RunStatus, State, Tick};
 use recorder_proc::log_file::{create_run, create_timing};
-use run_log::{EndReason, LogHeader, RunMode};
+use run_log::topics::command;
+use run_log::{EndReason, LogHeader, RunMode, Topic};
 use synthetic::{BURR_RADIUS_M, FRAME_TICKS};
+use zerocopy::IntoBytes;
 
 const TICKS: u64 = 2000;
 
@@ -104,6 +107,68 @@ fn a_run_is_summed_up() {
     let table = summary.to_string();
     assert!(table.lines().count() <= 21, "{table}");
     assert!(table.contains("2.000 s simulated in 4.000 s, 0.50 x real time"), "{table}");
+}
+
+/// Of a synthetic run with these states and commands, what is said of it in the table.
+fn cautions_of(change: impl Fn(&mut State)) -> Vec<String> {
+    let folder = tempfile::tempdir().unwrap();
+    synthetic::write_states(folder.path(), 100, change);
+    let summary = write(folder.path(), &facts()).unwrap();
+    let table = summary.to_string();
+    let rows = |caution: &String| table.contains(&format!("caution      {caution}\n"));
+    assert!(summary.cautions.iter().all(rows), "{table}");
+    // The scene's model bends in one plane, which is said of every run.
+    let (model, others) = summary.cautions.split_last().unwrap();
+    assert!(model.starts_with("`planar` bends in one plane: up to "), "{model}");
+    others.to_vec()
+}
+
+#[test]
+fn a_run_with_nothing_wrong_has_only_the_caution_of_its_model() {
+    assert_eq!(cautions_of(|_| {}), Vec::<String>::new());
+}
+
+#[test]
+fn what_is_most_likely_wrong_with_a_run_is_said() {
+    let pressed = cautions_of(|state| {
+        if state.tick == 40 {
+            state.burr_force_n = 60.0;
+        }
+    });
+    assert_eq!(pressed, ["the burr pressed with up to 60.0 N, more than the arm's payload of 49.1 N"]);
+    let jammed = cautions_of(|state| {
+        if state.tick == 40 {
+            state.contacts[0].normal_force_n = 1000.0;
+            state.contact_count = 1;
+        }
+    });
+    assert_eq!(jammed, ["a contact pressed with up to 1000.0 N, more than the arm's payload of 49.1 N"]);
+    let still = cautions_of(|state| state.t_world_tip = Pose::IDENTITY);
+    assert_eq!(still, ["the tip never moved: at most 0.0000 mm from its start"]);
+    let stopped = cautions_of(|state| {
+        if state.tick > 75 {
+            state.joint_position_rad[3] = -0.0873;
+        }
+    });
+    assert_eq!(stopped, ["the tool was on its stops in 25.0 % of the ticks: it bends no farther"]);
+}
+
+#[test]
+fn the_share_of_refused_commands_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    synthetic::write_run(folder.path(), 100);
+    let timing = folder.path().join("timing.mcap");
+    fs::remove_file(&timing).unwrap();
+    let mut lane = create_timing(&timing, &synthetic::header()).unwrap();
+    for sequence in 1..=40 {
+        let sent = Command { sequence, ..Command::zeroed() };
+        lane.command(&command("guide"), Tick(sequence), sent.as_bytes()).unwrap();
+    }
+    let status = RunStatus { refused_commands: 10, ..RunStatus::zeroed() };
+    lane.message(Topic::RunStatus, Tick(40), status.as_bytes()).unwrap();
+    lane.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
+    let summary = write(folder.path(), &facts()).unwrap();
+    assert_eq!(summary.cautions[0], "10 of 40 commands were refused (25.0 %)");
 }
 
 #[test]

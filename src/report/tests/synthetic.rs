@@ -133,16 +133,26 @@ fn event(tick: u64, severity: u32, code: u32, text: &str) -> Vec<u8> {
 
 /// Writes both lanes of a run of `ticks` ticks into a folder.
 pub fn write_run(folder: &Path, ticks: u64) {
+    write_states(folder, ticks, |_| {});
+}
+
+/// The same with changed states.
+pub fn write_states(folder: &Path, ticks: u64, change: impl Fn(&mut State)) {
+    let changed = |tick: u64, random: &mut Rng| {
+        let mut state = state(tick, ticks, random);
+        change(&mut state);
+        state
+    };
     let mut random = Rng::with_seed(1);
     let mut run = create_run(&folder.join("run.mcap"), &header()).unwrap();
     let mut lane = create_timing(&folder.join("timing.mcap"), &header()).unwrap();
-    run.state(&state(0, ticks, &mut random)).unwrap();
+    run.state(&changed(0, &mut random)).unwrap();
     let mut frames = 0;
     for k in 0..ticks {
         let mut latched = Latched::zeroed();
         latched.tick = k;
         run.latched(&latched).unwrap();
-        run.state(&state(k + 1, ticks, &mut random)).unwrap();
+        run.state(&changed(k + 1, &mut random)).unwrap();
         let timing = timing(k, &mut random);
         lane.message(Topic::TickTiming, Tick(k + 1), timing.as_bytes()).unwrap();
         if k % FRAME_TICKS == 0 {

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use ipc_types::scene::Scene;
 use ipc_types::session::{
-    CONTROLLER_VARIABLE, SESSION_VARIABLE, Searched, Session, SessionId, host_is_alive, newest_session,
+    CONTROLLER_VARIABLE, SESSION_VARIABLE, Searched, Session, SessionId, host_is_alive, only_session,
     running_sessions,
 };
 
@@ -17,7 +17,7 @@ const RETRY_TIME: Duration = Duration::from_millis(10);
 /// Which session to join, and as which controller.
 #[derive(Debug, Clone)]
 pub struct Connection {
-    /// The session's folder or name. `None` uses the folder in `TRABECULA_SESSION`, or else this user's session that was announced last.
+    /// The session's folder or name. `None` uses the folder in `TRABECULA_SESSION`, or else this user's only running session.
     pub session: Option<String>,
     /// The controller's name in the scene, or empty for an observer, which sends no commands. `None` uses the name in
     /// `TRABECULA_CONTROLLER`, or else the scene's only external controller.
@@ -73,13 +73,15 @@ pub(super) fn await_folder(connection: &Connection) -> Result<PathBuf, ClientErr
     }
     // A path is one folder; a name may be in any of this user's places.
     let look = || match &named {
-        Some(path) if path.contains('/') => Some(PathBuf::from(path)).filter(|folder| host_is_alive(folder)),
-        Some(name) => running_sessions(Some(name)).pop(),
-        None => newest_session(),
+        Some(path) if path.contains('/') => {
+            Ok(Some(PathBuf::from(path)).filter(|folder| host_is_alive(folder)))
+        }
+        Some(name) => Ok(running_sessions(Some(name)).pop()),
+        None => only_session(),
     };
     let end = Instant::now() + connection.limit;
     loop {
-        if let Some(folder) = look() {
+        if let Some(folder) = look()? {
             return Ok(folder);
         }
         if Instant::now() >= end {

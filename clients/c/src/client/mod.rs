@@ -7,6 +7,7 @@ mod events;
 pub use connection::{Connection, Info};
 pub(crate) use events::event_text;
 
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
@@ -95,10 +96,15 @@ impl Client {
     /// Joins a session.
     ///
     /// # Errors
-    /// No session within the limit, another layout or transport version (by name), a controller that the scene does not name or that is
-    /// already connected.
+    /// No session within the limit, several and none named, another layout or transport version (by name), a controller that the scene does
+    /// not name or that is already connected.
     pub fn connect(connection: &Connection) -> Result<Client, ClientError> {
         let folder = await_folder(connection)?;
+        let named = folder.clone();
+        Client::join(connection, folder).map_err(|cause| cause.of(&named))
+    }
+
+    fn join(connection: &Connection, folder: PathBuf) -> Result<Client, ClientError> {
         let session = Session::join_within(&folder, connection.limit)?;
         let scene = session_scene(&folder)?;
         let controller = controller_of(connection, &session, &scene)?;
@@ -286,6 +292,25 @@ impl Client {
             self.hub_seen = Instant::now();
         }
         Ok(false)
+    }
+
+    /// The session's name.
+    pub fn session_name(&self) -> String {
+        self.session.name()
+    }
+
+    /// Why the run is over, once [`ClientError::Ended`] has been returned: a controller that did not join or was late, by name; a stop;
+    /// or its last tick.
+    pub fn end_reason(&self) -> String {
+        let name = self.session_name();
+        let tick = self.newest_status.map_or(0, |status| status.tick);
+        match self.session.blame() {
+            Some(blame) => format!("session {name}: the run has ended: {}", blame.text),
+            None if tick < self.info.tick_count => {
+                format!("session {name}: the run was stopped at tick {tick} of {}", self.info.tick_count)
+            }
+            None => format!("session {name}: the run has ended after its last tick"),
+        }
     }
 
     /// The run's newest status, if one has arrived.

@@ -58,8 +58,8 @@ functions! {
         LAYOUTS.get_or_init(|| CString::new(bindings::layouts()).unwrap_or_default()).as_ptr()
     }
 
-    /// Text of this thread's last error: what was given, what was expected, what to do. It stays valid until this thread's
-    /// next call that returns an error, or its end.
+    /// Text of this thread's last error: the session, what was given, what was expected, what to do; after TRB_ENDED, why the
+    /// run is over. It stays valid until this thread's next call that returns an error or TRB_ENDED, or its end.
     fn trb_last_error() -> *const c_char {
         outcome::last_error()
     }
@@ -67,7 +67,7 @@ functions! {
     /// Connects to a session. `layouts` is TRB_LAYOUTS of the header that the program was compiled with; if a message's
     /// layout in the library or the hub differs, or the version of these functions (Abi), the call fails and names it.
     /// `session` is a session's folder or name; null selects the folder in the environment variable TRABECULA_SESSION, or
-    /// else this user's newest session. `controller` is a controller's name in the scene, or empty for an observer that sends
+    /// else this user's only running session. `controller` is a controller's name in the scene, or empty for an observer that sends
     /// no commands; null selects the name in TRABECULA_CONTROLLER, or else the scene's only external controller. Waits at most
     /// `timeout_s` for the session. `client` receives a handle, which belongs to the calling thread.
     fn trb_connect(

@@ -30,7 +30,7 @@ statuses! {
     ERROR_HANDLE = -2;
     /// A number or text is not one that can be used.
     ERROR_ARGUMENT = -3;
-    /// No session is running there.
+    /// No session is running there; or several are, and none is named.
     ERROR_NO_SESSION = -4;
     /// Program, library and hub are not of one version: a message's layout or the transport differs.
     ERROR_VERSION = -5;
@@ -59,6 +59,11 @@ statuses! {
 pub(super) enum Failure {
     #[error(transparent)]
     Client(#[from] ClientError),
+    #[error("session {session}: {cause}")]
+    Joined { session: String, cause: ClientError },
+    /// With the reason.
+    #[error("{0}")]
+    Ended(String),
     #[error("`{0}` is a null pointer")]
     Null(&'static str),
     #[error(
@@ -80,7 +85,8 @@ impl Failure {
             Failure::Handle(_) | Failure::NotHeld(_) => ERROR_HANDLE,
             Failure::Busy => ERROR_BUSY,
             Failure::Text(_) => ERROR_ARGUMENT,
-            Failure::Client(cause) => client_status(cause),
+            Failure::Ended(_) => ENDED,
+            Failure::Client(cause) | Failure::Joined { cause, .. } => client_status(cause),
         }
     }
 }
@@ -89,7 +95,10 @@ fn client_status(cause: &ClientError) -> i32 {
     match cause {
         ClientError::TimedOut(_) => TIMEOUT,
         ClientError::Ended => ENDED,
-        ClientError::NoSession { .. } => ERROR_NO_SESSION,
+        ClientError::NoSession { .. } | ClientError::Session(SessionError::SeveralSessions { .. }) => {
+            ERROR_NO_SESSION
+        }
+        ClientError::Joining { cause, .. } => client_status(cause),
         ClientError::Layout { .. }
         | ClientError::Session(
             SessionError::Layout { .. } | SessionError::Transport { .. } | SessionError::Version { .. },
@@ -119,9 +128,8 @@ pub(super) fn outcome(body: impl FnOnce() -> Result<(), Failure>) -> i32 {
         Ok(Ok(())) => return OK,
         // A signal handler must not allocate.
         Ok(Err(Failure::Busy)) => return ERROR_BUSY,
-        // These two occur on every iteration of a loop, so they get no text.
+        // It occurs on every iteration of a loop, so it gets no text.
         Ok(Err(Failure::Client(ClientError::TimedOut(_)))) => return TIMEOUT,
-        Ok(Err(Failure::Client(ClientError::Ended))) => return ENDED,
         Ok(Err(failure)) => (failure.status(), failure.to_string()),
         Err(_) => {
             (ERROR_DEFECT, "a defect of libtrabecula_client; its message is on standard error".to_owned())

@@ -15,6 +15,8 @@ pub(super) struct Texts {
     pub(super) folder: CString,
     pub(super) controller: CString,
     pub(super) scene_toml: CString,
+    /// The session's name, for errors.
+    pub(super) name: String,
 }
 
 /// A connected client.
@@ -63,6 +65,7 @@ pub(super) fn insert(client: Client) -> Result<u64, Failure> {
         folder: text(info.folder.to_string_lossy().into_owned()),
         controller: text(info.controller.as_ref().map_or_else(String::new, |(name, _)| name.clone())),
         scene_toml: text(scene.unwrap_or_default()),
+        name: client.session_name(),
     };
     let slot = Slot { handle, open: Some(Open { client, texts }) };
     with_slots(handle, |slots| {
@@ -80,7 +83,11 @@ pub(super) fn with<T>(
         let slot = slots.iter_mut().find(|slot| slot.handle == handle);
         let open = slot.and_then(|slot| slot.open.as_mut()).ok_or(Failure::Handle(handle))?;
         open.client.check_process()?;
-        Ok(body(open)?)
+        body(open).map_err(|cause| match cause {
+            ClientError::TimedOut(_) => Failure::Client(cause),
+            ClientError::Ended => Failure::Ended(open.client.end_reason()),
+            cause => Failure::Joined { session: open.texts.name.clone(), cause },
+        })
     })
 }
 

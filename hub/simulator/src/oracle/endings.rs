@@ -1,6 +1,6 @@
 //! Every ending has a reason.
 
-use hub::HubError;
+use hub::{ControllerFault, HubError};
 use messages::Part;
 use scene::Mode;
 
@@ -39,12 +39,12 @@ impl Oracle {
             HubError::NotConnected { part, .. } => {
                 self.taken(*part).is_none() && now_ns - self.began_ns >= 60_000 * MS
             }
-            HubError::ControllerNotConnected { name, .. } => {
+            HubError::Controller(ControllerFault::NotConnected { name, .. }) => {
                 self.slot_of(name).is_some_and(|(slot, optional)| slot.newest.is_none() && !optional)
                     && !self.stopped
                     && self.has_waited(1000 * MS, now_ns)
             }
-            HubError::ControllerSilent { name, tick, .. } => {
+            HubError::Controller(ControllerFault::Silent { name, tick, .. }) => {
                 let silent = self.slot_of(name).is_some_and(|(slot, optional)| {
                     !optional && slot.newest.is_none_or(|command| command.state_tick != tick.0)
                 });
@@ -60,5 +60,7 @@ impl Oracle {
             }
         };
         expect!(self, justified, format!("ended early without a reason: {cause}"));
+        let told = self.ended == matches!(cause, HubError::Controller(_));
+        expect!(self, told, format!("the phase `ended` was told: {}, at: {cause}", self.ended));
     }
 }

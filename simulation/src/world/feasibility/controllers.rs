@@ -1,0 +1,140 @@
+//! Rules about what the controllers, the arm and the X-ray can do in this run.
+
+use nalgebra::Vector3;
+use scene::Drives;
+
+use super::{Feed, Start};
+use crate::arm::LEAST_MANIPULABILITY_M3;
+use crate::manipulator::ManipulatorModel;
+
+/// A target may lie so far beyond the end of the feed, mm: the drilled tip is not at the tool's, and nobody measures a tenth of a burr.
+const BEYOND_MM: f64 = 0.5;
+/// An arc may be longer than the insertion by this share: the burr need not come all the way.
+const ARC_SLACK: f64 = 1.02;
+/// Rates closer than this are the same.
+const SAME_RATE: f64 = 1e-9;
+
+impl Start<'_> {
+    /// Length that bends, from the first flexure to the burr's centre, mm.
+    fn flexible_mm(&self) -> f64 {
+        let tool = self.simulation.manipulator.parameters();
+        let [first, last] = [tool.joint_positions_m.first(), tool.joint_positions_m.last()];
+        let joints_m = last.copied().unwrap_or(0.0) - first.copied().unwrap_or(0.0);
+        1e3 * (joints_m + tool.tip_offset_m)
+    }
+
+    /// `|det J|` at the start, if it is too small for a path.
+    fn singular_m3(&self) -> Option<f64> {
+        let arm = &self.simulation.arm;
+        let found_m3 = arm.parameters().geometry.manipulability_m3(&arm.state().q_rad);
+        (found_m3 < LEAST_MANIPULABILITY_M3).then_some(found_m3)
+    }
+
+    /// A feed along a path of the arm.
+    fn arm_feed(&self) -> Option<Feed<'_>> {
+        self.feeds().find(|feed| feed.drives.contains(&Drives::Arm) && feed.length_mm > 0.0)
+    }
+}
+
+pub(super) fn program_is_missing(start: &Start) -> Option<String> {
+    let mut controllers = start.scene.controller.iter();
+    let (name, program) = controllers.find_map(|controller| {
+        let program = controller.command.as_ref()?.first()?;
+        (!(start.program_exists)(program)).then_some((&controller.name, program))
+    })?;
+    Some(format!(
+        "of `{name}` is `{program}`, expected a program: a path to an executable file, or a name found in PATH"
+    ))
+}
+
+pub(super) fn feed_ends_before_bone(start: &Start) -> Option<String> {
+    let feed = start.feeds().next()?;
+    let (gap_mm, reach_mm) = (1e3 * start.burr_gap_m?, feed.length_mm + start.flexible_mm());
+    (gap_mm > reach_mm).then(|| {
+        format!(
+            "puts the burr {gap_mm:.1} mm from the nearest bone, allowed is at most {reach_mm:.1}: `{}.{}` and the tool's flexible length",
+            feed.table, feed.length_key
+        )
+    })
+}
+
+pub(super) fn no_path_from_singular_start(start: &Start) -> Option<String> {
+    start.arm_feed()?;
+    let found_m3 = start.singular_m3()?;
+    Some(format!(
+        "is singular (manipulability {found_m3:.1e} m³, allowed is {LEAST_MANIPULABILITY_M3:.0e} or more): the arm cannot insert from there"
+    ))
+}
+
+pub(super) fn singular_start(start: &Start) -> Option<String> {
+    if start.arm_feed().is_some() || !start.is_driven(Drives::Arm) {
+        return None;
+    }
+    let found_m3 = start.singular_m3()?;
+    Some(format!(
+        "is singular (manipulability {found_m3:.1e} m³, a path needs {LEAST_MANIPULABILITY_M3:.0e}): only joint commands work from there"
+    ))
+}
+
+/// The target of curved drilling, seen from the burr: ahead and beside, mm; and the length of the feed, mm.
+fn target_mm(start: &Start) -> Option<[f64; 3]> {
+    let mut plans =
+        start.scene.controller.iter().filter_map(|controller| controller.curved_drilling.as_ref());
+    let (target_mm, length_mm) = plans.find_map(|plan| Some((plan.target_mm?, plan.insertion_mm)))?;
+    let along = Vector3::from(start.scene.tool.direction).normalize();
+    let away = Vector3::from(target_mm) - Vector3::from(start.scene.tool.burr_start_mm);
+    let ahead_mm = away.dot(&along);
+    Some([ahead_mm, (away - along * ahead_mm).norm(), length_mm])
+}
+
+pub(super) fn target_out_of_reach(start: &Start) -> Option<String> {
+    let [ahead_mm, beside_mm, length_mm] = target_mm(start)?;
+    let flexible_mm = start.flexible_mm();
+    if ahead_mm < 0.0 {
+        let behind_mm = -ahead_mm;
+        return Some(format!(
+            "lies {behind_mm:.1} mm behind the start, allowed is 0 to {length_mm} ahead (`insertion_mm`)"
+        ));
+    }
+    if ahead_mm > length_mm + BEYOND_MM {
+        return Some(format!(
+            "lies {ahead_mm:.1} mm ahead of the start, allowed is 0 to {length_mm} (`insertion_mm`)"
+        ));
+    }
+    (beside_mm > flexible_mm).then(|| {
+        format!("lies {beside_mm:.1} mm beside the line of the feed, allowed is 0 to {flexible_mm:.1} (the tool's flexible length)")
+    })
+}
+
+/// A circular arc that begins along the feed: its chord turns by half its angle.
+pub(super) fn insertion_shorter_than_arc(start: &Start) -> Option<String> {
+    let [ahead_mm, beside_mm, length_mm] = target_mm(start)?;
+    let half_rad = libm::atan2(beside_mm, ahead_mm);
+    let chord_mm = libm::hypot(ahead_mm, beside_mm);
+    let arc_mm = if half_rad > 0.0 { chord_mm * half_rad / libm::sin(half_rad) } else { chord_mm };
+    let reachable = target_out_of_reach(start).is_none();
+    (reachable && arc_mm > length_mm * ARC_SLACK + BEYOND_MM)
+        .then(|| format!("is {length_mm}; the arc to `target_mm` is {arc_mm:.1} mm long"))
+}
+
+pub(super) fn run_shorter_than_plan(start: &Start) -> Option<String> {
+    let run_s = start.scene.run.duration_s;
+    let sweeps = start.scene.controller.iter().filter_map(|controller| controller.tension_sweep.as_ref());
+    let mut plans = start
+        .feeds()
+        .map(|feed| (feed.table, feed.time_s))
+        .chain(sweeps.map(|sweep| ("controller.tension_sweep", sweep.duration_s())));
+    let (table, plan_s) = plans.find(|(_, plan_s)| *plan_s > run_s)?;
+    Some(format!("is {run_s}; `{table}` needs {plan_s:.1} s"))
+}
+
+pub(super) fn frame_rate_is_rounded(start: &Start) -> Option<String> {
+    let (rate_hz, ticks) = (start.scene.drr.as_ref()?.rate_hz, start.scene.frame_period_ticks()?);
+    let real_hz = 1.0 / (ticks as f64 * start.scene.dt_s());
+    ((real_hz - rate_hz).abs() > SAME_RATE * rate_hz).then(|| {
+        format!(
+            "is {rate_hz}; a frame every {ticks} ticks of {} ms is {real_hz:.3} Hz",
+            start.scene.run.dt_ms
+        )
+    })
+}

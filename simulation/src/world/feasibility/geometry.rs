@@ -1,0 +1,174 @@
+//! Rules about the tool's start, the bone, the holes and the bodies.
+
+use nalgebra::Vector3;
+use scene::{Drives, Predrill};
+
+use super::Start;
+use crate::bone::{Matter, Voxels};
+use crate::manipulator::{ManipulatorModel, ProxySphere, SphereKind};
+
+/// A start with all coordinates below this may have been given in metres, mm.
+const METRES_MM: f64 = 1.0;
+/// A start farther from all bone than this is most likely a mistake, m.
+const FAR_M: f64 = 0.1;
+/// A body may overlap the tool at the start by this much: it is pushed out, m.
+const OVERLAP_M: f64 = 1e-4;
+/// Most diameter that `predrill.diameter_mm` may have, for its error.
+const WIDEST_HOLE_MM: f64 = 50.0;
+
+impl Start<'_> {
+    pub(super) fn voxels(&self) -> Option<&Voxels> {
+        self.simulation.bone.as_ref().map(|bone| bone.field.voxels())
+    }
+
+    pub(super) fn burr_m(&self) -> Vector3<f64> {
+        self.simulation.manipulator.t_world_tip().translation.vector
+    }
+
+    pub(super) fn burr_gap_m(&self) -> Option<f64> {
+        let radius_m = self.simulation.manipulator.parameters().burr_radius_m;
+        Some(self.voxels()?.distance_m(&self.burr_m(), Matter::Bone)? - radius_m)
+    }
+
+    /// The tube's spheres: shaft and segments.
+    fn tube(&self) -> impl Iterator<Item = &ProxySphere> {
+        let spheres = self.simulation.manipulator.proxy_spheres().iter();
+        spheres.filter(|sphere| sphere.kind != SphereKind::Burr)
+    }
+
+    fn tube_diameter_mm(&self) -> f64 {
+        2e3 * self.simulation.manipulator.parameters().shaft_sphere_radius_m
+    }
+
+    /// The largest Hounsfield unit of the volume.
+    fn most_hu(&self) -> Option<i16> {
+        self.simulation.bone.as_ref()?.hu.iter().copied().max()
+    }
+
+    /// The volume's largest value, if it is below the threshold.
+    fn below_threshold(&self) -> Option<(i16, i16)> {
+        let threshold_hu = self.scene.volume.as_ref()?.bone_threshold_hu;
+        self.most_hu().filter(|most_hu| *most_hu < threshold_hu).map(|most_hu| (most_hu, threshold_hu))
+    }
+}
+
+/// Distance of a point from a hole's axis between its ends, m.
+fn from_axis_m(hole: &Predrill, point_m: &Vector3<f64>) -> f64 {
+    let [from, to] = [hole.from_mm, hole.to_mm].map(|end| Vector3::from(end) * 1e-3);
+    let along = to - from;
+    let share = (point_m - from).dot(&along) / along.norm_squared().max(f64::MIN_POSITIVE);
+    (point_m - from - along * share.clamp(0.0, 1.0)).norm()
+}
+
+pub(super) fn nothing_to_drill(start: &Start) -> Option<String> {
+    start.feeds().next()?;
+    let (most_hu, threshold_hu) = start.below_threshold()?;
+    let problem = format!(
+        "is {threshold_hu}, allowed is -1000 to {most_hu}, the volume's largest value: there is no bone to drill"
+    );
+    Some(problem)
+}
+
+pub(super) fn no_bone(start: &Start) -> Option<String> {
+    if start.feeds().next().is_some() {
+        return None;
+    }
+    let (most_hu, threshold_hu) = start.below_threshold()?;
+    Some(format!("is {threshold_hu}, and the largest value is {most_hu} HU: there is no bone to drill"))
+}
+
+pub(super) fn start_in_metres(start: &Start) -> Option<String> {
+    let given = start.scene.tool.burr_start_mm;
+    let geometry = start.voxels()?.geometry();
+    let tiny = given.iter().all(|x| x.abs() < METRES_MM) && given != [0.0; 3];
+    // A thousand times a millimetre is a metre.
+    let place = geometry.point_to_grid(&Vector3::from(given));
+    let inside =
+        (0..3).all(|a| (-0.5..geometry.dims[a] as f64 - 0.5).contains(&(place[a] / geometry.spacing_m[a])));
+    let gap_m = start.burr_gap_m.filter(|gap_m| *gap_m > 0.0)?;
+    let [x, y, z] = given;
+    (tiny && inside).then(|| {
+        format!(
+            "is [{x}, {y}, {z}], {:.1} mm from the nearest bone; a thousand times as much lies in the volume: expected millimetres, not metres",
+            gap_m * 1e3
+        )
+    })
+}
+
+pub(super) fn start_far_from_bone(start: &Start) -> Option<String> {
+    let gap_m = start.burr_gap_m.filter(|gap_m| *gap_m > FAR_M)?;
+    let is_fed = start.feeds().next().is_some();
+    (start.is_driven(Drives::Arm)
+        && !is_fed
+        && start.scene.controller.iter().all(|entry| entry.hold.is_none()))
+    .then(|| format!("puts the burr {:.1} mm from the nearest bone", gap_m * 1e3))
+}
+
+pub(super) fn burr_in_bone(start: &Start) -> Option<String> {
+    let depth_m =
+        start.voxels()?.distance_m(&start.burr_m(), Matter::Open).filter(|depth_m| *depth_m > 0.0)?;
+    let depth_mm = depth_m * 1e3;
+    Some(format!(
+        "puts the burr {depth_mm:.1} mm inside bone; expected in front of it, or in a `[[predrill]]` hole"
+    ))
+}
+
+pub(super) fn shaft_in_bone(start: &Start) -> Option<String> {
+    let voxels = start.voxels()?;
+    let depth_m = start.tube().filter_map(|sphere| voxels.distance_m(&sphere.centre_m, Matter::Open));
+    let depth_mm = 1e3 * depth_m.fold(0.0, f64::max);
+    (depth_mm > 0.0).then(|| {
+        format!("puts the shaft up to {depth_mm:.1} mm inside bone; expected a `[[predrill]]` hole along it")
+    })
+}
+
+pub(super) fn hole_thinner_than_tool(start: &Start) -> Option<String> {
+    let tube_mm = start.tube_diameter_mm();
+    let is_tools = |hole: &&Predrill| {
+        let radius_m = hole.diameter_mm * 0.5e-3;
+        start.tube().any(|sphere| from_axis_m(hole, &sphere.centre_m) < radius_m)
+    };
+    start.voxels()?;
+    let hole = start.scene.predrill.iter().filter(|hole| hole.diameter_mm < tube_mm).find(is_tools)?;
+    Some(format!(
+        "is {}, allowed is {tube_mm} to {WIDEST_HOLE_MM}: the tool, {tube_mm:.1} mm thick, starts in this hole",
+        hole.diameter_mm
+    ))
+}
+
+pub(super) fn hole_thinner_than_burr(start: &Start) -> Option<String> {
+    let burr_mm = 2e3 * start.simulation.manipulator.parameters().burr_radius_m;
+    let tube_mm = start.tube_diameter_mm();
+    start.voxels()?;
+    let is_burrs = |hole: &&Predrill| {
+        (tube_mm..burr_mm).contains(&hole.diameter_mm)
+            && from_axis_m(hole, &start.burr_m()) < hole.diameter_mm * 0.5e-3
+    };
+    let hole = start.scene.predrill.iter().find(is_burrs)?;
+    Some(format!(
+        "is {}: the burr, {burr_mm:.1} mm, starts in this hole and touches its wall",
+        hole.diameter_mm
+    ))
+}
+
+pub(super) fn burr_thinner_than_tool(start: &Start) -> Option<String> {
+    start.voxels()?;
+    let (burr_mm, tube_mm) = (start.scene.manipulator.burr_diameter_mm?, start.tube_diameter_mm());
+    (burr_mm < tube_mm)
+        .then(|| format!("is {burr_mm}: the shaft, {tube_mm:.1} mm, does not follow a burr of {burr_mm:.1}"))
+}
+
+pub(super) fn body_in_tool(start: &Start) -> Option<String> {
+    let bodies = start.simulation.rigid.as_ref()?;
+    let spheres = start.simulation.manipulator.proxy_spheres();
+    let gaps = bodies.gaps_m(spheres);
+    let (body, gap_m) = gaps.into_iter().enumerate().min_by(|a, b| a.1.total_cmp(&b.1))?;
+    let name = start.scene.body.get(body).map_or("", |body| body.name.as_str());
+    (gap_m < -OVERLAP_M).then(|| {
+        format!(
+            "puts `{name}` {:.1} mm into the tool, allowed is at most {:.1}",
+            -gap_m * 1e3,
+            OVERLAP_M * 1e3
+        )
+    })
+}

@@ -1,0 +1,47 @@
+//! Whether a scene makes sense (`simulation::findings`): what cannot work is refused, what is most likely a mistake is said.
+
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+
+use ipc_types::scene::Scene;
+use simulation::{CtView, Verdict, ct_geometry, findings};
+use volume_io::Volume;
+
+use crate::failure::Failure;
+use crate::launcher::volume_source;
+
+/// Checks a scene with its volume; without one, what does not depend on bone. Returns a warning for everything unlikely. `source` names the
+/// scene in messages.
+///
+/// # Errors
+/// Bad input: something in it is impossible; the message names all of it, each on a line.
+pub fn check(
+    scene: &Scene,
+    source: &dyn std::fmt::Display,
+    volume: Option<&(Volume, [u8; 32])>,
+) -> Result<Vec<String>, Failure> {
+    let volume = volume.map(|(volume, sha256)| (volume_source::message(volume, *sha256), &volume.hu));
+    let ct = volume.as_ref().map(|(message, hu)| CtView { geometry: ct_geometry(message), hu });
+    let found =
+        findings(scene, ct, &is_program).map_err(|cause| Failure::bad_input(format!("{source}: {cause}")))?;
+    let of = |verdict| found.iter().filter(move |finding| finding.verdict == verdict);
+    let refused: Vec<String> =
+        of(Verdict::Impossible).map(|finding| format!("{source}: {finding}")).collect();
+    if !refused.is_empty() {
+        return Err(Failure::bad_input(refused.join("\n")));
+    }
+    Ok(of(Verdict::Unlikely).map(|finding| format!("warning: {source}: {finding}")).collect())
+}
+
+/// Whether a program's name is that of an executable file: a path, or a name in one of the folders of `PATH`.
+fn is_program(name: &str) -> bool {
+    if name.contains('/') {
+        return is_executable(Path::new(name));
+    }
+    let folders = std::env::var_os("PATH").unwrap_or_default();
+    std::env::split_paths(&folders).any(|folder| is_executable(&folder.join(name)))
+}
+
+fn is_executable(path: &Path) -> bool {
+    path.metadata().is_ok_and(|found| found.is_file() && found.permissions().mode() & 0o111 != 0)
+}

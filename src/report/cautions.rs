@@ -1,0 +1,57 @@
+//! What is most likely wrong with a run that went through: for the table at its end and `summary.json`.
+
+use ipc_types::scene::{Drives, Scene};
+
+use super::run_lane::RunLane;
+use super::timing_lane::TimingLane;
+use crate::plan::ModelError;
+
+/// A greater normal force is named: the arm's rated payload, 5 kg (Universal Robots, UR5 technical specifications).
+const MOST_FORCE_N: f64 = 5.0 * 9.81;
+/// A tip that has stayed within this of its start has not moved.
+const STILL_M: f64 = 1e-5;
+
+/// The cautions of a run, one line each.
+pub(super) fn cautions(run: &RunLane, timing: &TimingLane) -> Vec<String> {
+    let found = [
+        refused(timing),
+        force(run),
+        tip_at_rest(run),
+        on_stops(run),
+        run.scene.as_ref().and_then(ModelError::of).map(|error| error.to_string()),
+    ];
+    found.into_iter().flatten().collect()
+}
+
+fn refused(timing: &TimingLane) -> Option<String> {
+    let (refused, sent) = (timing.refused_commands, timing.commands);
+    let share = 100.0 * (refused as f64 / sent.max(1) as f64).min(1.0);
+    (refused > 0).then(|| format!("{refused} of {sent} commands were refused ({share:.1} %)"))
+}
+
+fn force(run: &RunLane) -> Option<String> {
+    let (burr_n, contact_n) = (run.peaks.burr_force_n, run.peaks.contact_force_n);
+    let (what, force_n) = if burr_n > MOST_FORCE_N { ("the burr", burr_n) } else { ("a contact", contact_n) };
+    (force_n > MOST_FORCE_N).then(|| {
+        format!(
+            "{what} pressed with up to {force_n:.1} N, more than the arm's payload of {MOST_FORCE_N:.1} N"
+        )
+    })
+}
+
+fn tip_at_rest(run: &RunLane) -> Option<String> {
+    let moves = |scene: &Scene| {
+        let drives = scene.controller.iter().flat_map(|controller| &controller.drives);
+        drives.into_iter().any(|part| matches!(part, Drives::Tendon | Drives::Arm))
+    };
+    let is_driven = run.scene.as_ref().is_some_and(moves);
+    (run.ticks > 0 && is_driven && run.peaks.tip_travel_m < STILL_M).then(|| {
+        format!("the tip never moved: at most {:.4} mm from its start", run.peaks.tip_travel_m * 1e3)
+    })
+}
+
+fn on_stops(run: &RunLane) -> Option<String> {
+    let share = 100.0 * (run.peaks.ticks_on_stops as f64 / run.ticks.max(1) as f64).min(1.0);
+    (run.peaks.ticks_on_stops > 0)
+        .then(|| format!("the tool was on its stops in {share:.1} % of the ticks: it bends no farther"))
+}

@@ -1,0 +1,96 @@
+//! The tool's dimensions, for people.
+
+use std::fmt::Write;
+
+use ipc_types::scene::Scene;
+use serde::Serialize;
+use simulation::manipulator_parameters;
+
+use crate::failure::Failure;
+
+/// A dimension of the tool.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Dimension {
+    /// Its name, with the unit at its end.
+    pub name: &'static str,
+    /// Its value.
+    pub value: f64,
+    /// What it is.
+    pub text: &'static str,
+}
+
+/// The dimensions of a scene's tool: the straight tool in its base's frame, whose z runs along the tool from the flange.
+///
+/// # Errors
+/// Bad input: no such tool.
+pub fn dimensions(scene: &Scene) -> Result<Vec<Dimension>, Failure> {
+    let tool = manipulator_parameters(scene).map_err(Failure::bad_input)?;
+    let (first_m, last_m) = (
+        tool.joint_positions_m.first().copied().unwrap_or(0.0),
+        tool.joint_positions_m.last().copied().unwrap_or(0.0),
+    );
+    let burr_m = last_m + tool.tip_offset_m;
+    let joints = tool.joint_positions_m.len();
+    let dimension = |name, value: f64, text| Dimension { name, value, text };
+    Ok(vec![
+        dimension("length_mm", 1e3 * (burr_m + tool.burr_radius_m), "from the flange to the burr's front"),
+        dimension(
+            "burr_centre_mm",
+            1e3 * burr_m,
+            "from the flange to the burr's centre, which is `burr_start_mm` at the start",
+        ),
+        dimension(
+            "rigid_shaft_mm",
+            1e3 * first_m,
+            "from the flange to the first flexure: this part does not bend",
+        ),
+        dimension(
+            "flexible_mm",
+            1e3 * (burr_m - first_m),
+            "from the first flexure to the burr's centre: this part bends",
+        ),
+        dimension(
+            "tube_outer_mm",
+            2e3 * tool.tube_radii_m[0],
+            "outer diameter of the tube; a pilot hole is at least as wide",
+        ),
+        dimension("tube_inner_mm", 2e3 * tool.tube_radii_m[1], "inner diameter of the tube"),
+        dimension("burr_mm", 2e3 * tool.burr_radius_m, "diameter of the burr, a ball"),
+        dimension("flexures", joints as f64, "number of flexures"),
+        dimension(
+            "flexure_stop_deg",
+            tool.joint_limit_rad.to_degrees(),
+            "bend of each flexure at its stop, to either side",
+        ),
+        dimension(
+            "most_bend_deg",
+            joints as f64 * tool.joint_limit_rad.to_degrees(),
+            "bend of the whole tool with all flexures at their stops",
+        ),
+        dimension(
+            "tendon_offset_mm",
+            1e3 * tool.tendon.offset_m,
+            "distance of the standard pair of tendons from the axis",
+        ),
+    ])
+}
+
+/// The dimensions as a section of the scene reference.
+///
+/// # Errors
+/// As [`dimensions`].
+pub fn reference(scene: &Scene) -> Result<String, Failure> {
+    let mut text = "\n## The tool's dimensions\n\nOf the standard tool; `trabecula tool show SCENE` prints those of a scene's own. Distances are along the straight tool.\n\n\
+                    | dimension | value | what it is |\n|---|---|---|\n"
+        .to_owned();
+    for Dimension { name, value, text: what } in dimensions(scene)? {
+        // Writing to a text cannot fail.
+        let _ = writeln!(text, "| `{name}` | {} | {what} |", rounded(value));
+    }
+    Ok(text)
+}
+
+/// A value to a hundredth, without trailing zeros.
+pub fn rounded(value: f64) -> f64 {
+    (value * 100.0).round() / 100.0
+}

@@ -1,0 +1,133 @@
+//! `trabecula session`, and what a script learns of a run.
+
+use std::path::Path;
+
+use serde_json::Value;
+use trabecula_client::{Client, ClientError, Connection};
+
+use crate::common::logs::read;
+use crate::common::program::{Ended, LIMIT, Place, Run, assert_nothing_left, trabecula, wait_for};
+use crate::common::scenes;
+use crate::strays::joined;
+
+fn name_of(session: &Path) -> String {
+    session.file_name().unwrap().to_str().unwrap().to_owned()
+}
+
+/// What a command of `session` prints of a run; it must succeed.
+fn told(words: &[&str], session: &str) -> String {
+    let mut all: Vec<&dyn AsRef<std::ffi::OsStr>> = vec![&"session"];
+    all.extend(words.iter().map(|word| word as &dyn AsRef<std::ffi::OsStr>));
+    if words != ["list"] {
+        all.push(&session);
+    }
+    let done = trabecula(&all);
+    assert_eq!(done.code, Some(0), "{words:?}: {}", done.err);
+    done.out
+}
+
+#[test]
+fn a_run_is_listed_paused_resumed_and_stopped_from_the_command_line() {
+    let place = Place::new();
+    let scene =
+        scenes::shared("realtime", 600.0).replace("external = true", "external = true\noptional = true");
+    let run = place.start(&scene);
+    let (folder, name) = (run.session(), name_of(&run.session()));
+    let mut watcher = joined(&run, "");
+    watcher.wait_state(LIMIT).unwrap();
+    let list = told(&["list"], &name);
+    let line = list.lines().find(|line| line.starts_with(&name)).unwrap();
+    assert!(
+        line.contains("shared  controllers: pilot, holder") && line.contains(folder.to_str().unwrap()),
+        "{line}"
+    );
+    let variables = told(&["env"], &name);
+    let expected =
+        format!("export TRABECULA_SESSION={}\nexport TRABECULA_CONTROLLER=pilot\n", folder.display());
+    assert_eq!(variables, expected);
+    assert!(told(&["pause"], &name).starts_with(&format!("session {name}: pause at tick ")));
+    let paused = |client: &mut Client| client.status().unwrap().is_some_and(|status| status.phase == 2);
+    wait_for("the pause", || paused(&mut watcher).then_some(()));
+    told(&["resume"], folder.to_str().unwrap());
+    wait_for("the end of the pause", || (!paused(&mut watcher)).then_some(()));
+    assert!(told(&["stop"], &name).contains(": stop at tick "));
+    drop(watcher);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert!(ended.out.contains("stopped"), "{}", ended.out);
+    assert_nothing_left(ended.pid);
+    let gone = trabecula(&[&"session", &"stop", &name]);
+    assert_eq!(gone.code, Some(2), "{}", gone.err);
+    assert!(gone.err.contains(&format!("no running session `{name}`")), "{}", gone.err);
+}
+
+/// A program that named no session joined the one announced last, somebody else's or a forgotten one.
+#[test]
+fn of_several_sessions_none_is_taken_unnamed() {
+    let places = [Place::new(), Place::new()];
+    let runs = places.each_ref().map(|place| place.start(&scenes::shared("realtime", 600.0)));
+    let folders = runs.each_ref().map(Run::session);
+    let refusal = Client::connect(&Connection::observer()).unwrap_err();
+    let text = refusal.to_string();
+    assert!(matches!(refusal, ClientError::Session(_)), "{text}");
+    assert!(folders.iter().all(|folder| text.contains(folder.to_str().unwrap())), "{text}");
+    assert!(text.contains("none was named") && text.contains("TRABECULA_SESSION"), "{text}");
+    for words in [["session", "stop"], ["view", "--no-open"]] {
+        let done = trabecula(&[&words[0], &words[1]]);
+        assert!(done.code == Some(2) && done.err.contains("none was named"), "{words:?}: {}", done.err);
+    }
+    for run in runs {
+        told(&["stop"], &name_of(&run.session()));
+        assert_eq!(run.end().code, Some(0));
+    }
+}
+
+/// Every refusal of a session names it.
+#[test]
+fn a_refusal_names_the_session() {
+    let place = Place::new();
+    let run = place.start(&scenes::shared("realtime", 600.0));
+    let session = run.session().to_str().unwrap().to_owned();
+    let nobody = Connection {
+        session: Some(session.clone()),
+        controller: Some("nobody".to_owned()),
+        ..Connection::default()
+    };
+    let text = Client::connect(&nobody).unwrap_err().to_string();
+    assert_eq!(
+        text,
+        format!("session {session}: the scene has no controller `nobody`; it has: pilot, holder")
+    );
+    told(&["stop"], &name_of(Path::new(&session)));
+    assert_eq!(run.end().code, Some(0));
+}
+
+fn lines(ended: &Ended) -> Vec<Value> {
+    ended.out.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+/// A script had the folder and the outcome, and had to look for everything else.
+#[test]
+fn a_script_learns_session_outcome_and_figures() {
+    let place = Place::new();
+    let scene = place.scene(&scenes::hold("lockstep", 0.3));
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_trabecula"));
+    let output = place.path("out");
+    command.arg("run").arg(&scene).arg("--output").arg(&output).arg("--json");
+    let ended = Run::of(command, output).end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let lines = lines(&ended);
+    let (first, last) = (&lines[0], lines.last().unwrap());
+    assert_eq!((&first["phase"], &last["phase"]), (&"announced".into(), &"ended".into()));
+    assert!(first["session"].as_str().is_some_and(|session| session.starts_with('/')), "{first}");
+    assert_eq!((&last["session"], &last["outcome"]), (&first["session"], &"completed".into()));
+    assert_eq!(last["summary"]["ticks"], 300);
+    let written = std::fs::read_to_string(ended.folder.join("summary.json")).unwrap();
+    assert_eq!(last["summary"], serde_json::from_str::<Value>(&written).unwrap());
+    assert_eq!(read(&ended.folder).ticks.len(), 300);
+    // And as words.
+    let quiet = place.start(&scenes::hold("lockstep", 0.3)).end();
+    assert!(quiet.out.starts_with("session      /") && quiet.out.contains(", completed\n"), "{}", quiet.out);
+    let unrecorded = trabecula(&[&"run", &scene, &"--quiet", &"--no-record"]);
+    assert!(unrecorded.out.ends_with("outcome      completed\n"), "{}", unrecorded.out);
+}
