@@ -15,7 +15,7 @@ use ipc_types::process::EXIT_GAP;
 
 use crate::failure::Failure;
 use crate::launcher::volume_source::VolumeFiles;
-use crate::replay::{LivePlan, OpenedLog, Overrides, record, run_live, verify_frames};
+use crate::replay::{ComparedFrames, LivePlan, OpenedLog, Overrides, record, run_live, verify_frames};
 
 /// Arguments of `replay`.
 #[derive(Debug, Args)]
@@ -118,12 +118,19 @@ pub fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
     if arguments.frames {
         let began = Instant::now();
         let threads = arguments.threads();
-        let (frames, in_gaps) = verify_frames(&log, ticks, threads)?;
+        let ComparedFrames { identical, in_gaps, without_request } = verify_frames(&log, ticks, threads)?;
         let wall_s = began.elapsed().as_secs_f64();
         let label = log.label();
-        say!("rendered {frames} frames again on {threads} threads, all identical{label}, in {wall_s:.3} s");
+        say!(
+            "rendered {identical} frames again on {threads} threads, all identical{label}, in {wall_s:.3} s"
+        );
         if in_gaps > 0 {
             say!("{in_gaps} frames fall into a gap of the log and were not rendered");
+        }
+        if without_request > 0 {
+            say!(
+                "{without_request} requested frames: no request in timing.mcap, so their C-arm was not compared with it"
+            );
         }
     }
     match code {
