@@ -213,6 +213,8 @@ const NO_CAPACITIES: &[(&str, &str)] = &[
     ("MAX_FILE_BYTES", "volume_io/src/dicom/file.rs"),
     ("MAX_FREEDOMS", "simulation/src/manipulator/pressing.rs"),
     ("MAX_GROUPS", "physics_proc/src/process/held_back.rs"),
+    ("MAX_HALVINGS", "xray/src/slice_ordered/parts.rs"),
+    ("MAX_LAYERS", "xray/src/slice_ordered/plan.rs"),
     ("MAX_LINES", "src/commands/plot.rs"),
     ("MAX_LINES", "xray/src/slice_ordered/plan.rs"),
     ("MAX_LINE_EVALUATIONS", "simulation/src/rigid/descent.rs"),

@@ -157,14 +157,15 @@ fn frames(
         &format!("{:.1} MB", memory.total() as f64 * 1e-6),
     );
     row(
-        &format!("{}: copies", instructions.name()),
-        &format!("{:.1} + {:.1} MB", memory.along_x as f64 * 1e-6, memory.along_y as f64 * 1e-6),
+        &format!("{}: copies across x, y, z, MB", instructions.name()),
+        &memory.copies.map(|bytes| format!("{:.1}", bytes as f64 * 1e-6)).join(" + "),
     );
-    let [along_x, along_y] = slices.occupied_shares().map(|share| share.unwrap_or(0.0));
+    let occupied = slices.occupied_shares().map(|share| share.unwrap_or(0.0));
     for ((name, ..), times) in POSES.iter().zip(times.chunks(4)) {
         let [one, two, one_large, two_large] = times else { continue };
-        let lateral = *name == "lateral";
-        let bytes = if lateral { memory.along_y as f64 * along_y } else { memory.along_x as f64 * along_x };
+        // Across x from the side, otherwise across y.
+        let slow = usize::from(*name != "lateral");
+        let bytes = memory.copies[slow] as f64 * occupied[slow];
         let share = |times: &Times, rate: f64| 100.0 * bytes / rate / (times.least() * 1e-3);
         row(
             &format!("{} {name}: 512, 1 and 2 threads; 1024", instructions.name()),

@@ -16,7 +16,7 @@ use ipc_types::process::EXIT_GAP;
 
 use crate::failure::Failure;
 use crate::launcher::volume_source::VolumeFiles;
-use crate::replay::{LivePlan, OpenedLog, Overrides, record, run_live, verify_frames};
+use crate::replay::{ComparedFrames, LivePlan, OpenedLog, Overrides, record, run_live, verify_frames};
 use crate::say::Figures;
 
 /// Arguments of `replay`.
@@ -123,16 +123,30 @@ pub fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
     if arguments.frames {
         let began = Instant::now();
         let threads = arguments.threads();
-        let (frames, in_gaps) = verify_frames(&log, ticks, threads)?;
+        let ComparedFrames { identical, in_gaps, without_request } = verify_frames(&log, ticks, threads)?;
         let wall_s = began.elapsed().as_secs_f64();
         let label = log.label();
         arguments.figures.say(
             || {
-                let gaps = format!("\n{in_gaps} frames fall into a gap of the log and were not rendered");
-                let gaps = if in_gaps > 0 { gaps.as_str() } else { "" };
-                format!("rendered {frames} frames again on {threads} threads, all identical{label}, in {wall_s:.3} s{gaps}")
+                let mut lines = vec![format!(
+                    "rendered {identical} frames again on {threads} threads, all identical{label}, in {wall_s:.3} s"
+                )];
+                if in_gaps > 0 {
+                    lines.push(format!("{in_gaps} frames fall into a gap of the log and were not rendered"));
+                }
+                if without_request > 0 {
+                    lines.push(format!(
+                        "{without_request} requested frames: no request in timing.mcap, so their C-arm was not compared with it"
+                    ));
+                }
+                lines.join("\n")
             },
-            || json!({"identical_frames": frames, "frames_in_gaps": in_gaps, "wall_s": wall_s}),
+            || {
+                json!({
+                    "identical_frames": identical, "frames_in_gaps": in_gaps,
+                    "frames_without_request": without_request, "wall_s": wall_s,
+                })
+            },
         );
     }
     match code {

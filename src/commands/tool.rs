@@ -7,7 +7,7 @@ use clap::Subcommand;
 use crate::failure::Failure;
 use crate::say::Figures;
 use crate::scenes::{BuiltIn, SceneSource};
-use crate::tool::{dimensions, rounded};
+use crate::tool::{Dimension, dimensions, rounded};
 
 /// What to do with the tool.
 #[derive(Debug, Subcommand)]
@@ -33,7 +33,13 @@ pub fn run(command: &ToolCommand) -> Result<(), Failure> {
     let line = |it: &Dimension| format!("\n{:<17} {:>7}  {}", it.name, rounded(it.value), it.text);
     figures.say(
         || format!("the tool of {source}{}", dimensions.iter().map(line).collect::<String>()),
-        || dimensions.iter().map(|it| (it.name.to_owned(), it.value.into())).collect::<serde_json::Map<_, _>>().into(),
+        || {
+            dimensions
+                .iter()
+                .map(|it| (it.name.to_owned(), it.value.into()))
+                .collect::<serde_json::Map<_, _>>()
+                .into()
+        },
     );
     Ok(())
 }

@@ -154,21 +154,31 @@ fn gone_at(log: &OpenedLog, keyframe: &SavedState) -> Result<(Vec<u32>, Vec<u32>
     Ok((predrilled, simulation.gone()))
 }
 
-/// Renders the frames of these ticks again and compares them with their recordings; returns how many there
-/// are, and how many have ticks in a gap.
+/// What a comparison of rendered with recorded frames has found, if all that were compared are identical.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct ComparedFrames {
+    /// Frames compared.
+    pub identical: u64,
+    /// Frames whose ticks lie in a gap.
+    pub in_gaps: u64,
+    /// Requested frames whose request is not in the timing lane.
+    pub without_request: u64,
+}
+
+/// Renders the frames of these ticks again and compares them with their recordings.
 ///
 /// # Errors
 /// The log has no such frames (2); the first frame that differs (1), or a log that cannot be read.
-pub fn verify_frames(log: &OpenedLog, ticks: TickRange, threads: usize) -> Result<(u64, u64), Failure> {
+pub fn verify_frames(log: &OpenedLog, ticks: TickRange, threads: usize) -> Result<ComparedFrames, Failure> {
     let nothing = |what: &str| Failure::bad_input(format!("--frames: {}: {what}", log.path.display()));
     let Some(mut replay) = FrameReplay::new(log, threads)? else {
         return Err(nothing("the scene has no X-ray"));
     };
-    let (mut identical, mut in_gaps) = (0, 0);
+    let mut compared = ComparedFrames::default();
     while let Some(recorded) = replay.next_recorded()? {
         if ticks.contains(Tick(recorded.frame.tick)) {
             let Some(rendered) = replay.render(&recorded.frame)? else {
-                in_gaps += 1;
+                compared.in_gaps += 1;
                 continue;
             };
             compare(&recorded, &rendered).map_or(Ok(()), |difference| {
@@ -178,13 +188,13 @@ pub fn verify_frames(log: &OpenedLog, ticks: TickRange, threads: usize) -> Resul
                     log.label()
                 )))
             })?;
-            identical += 1;
+            compared.identical += 1;
         }
     }
-    if identical + in_gaps == 0 {
+    if compared.identical + compared.in_gaps == 0 {
         return Err(nothing("the log has no frames for these ticks"));
     }
-    Ok((identical, in_gaps))
+    Ok(ComparedFrames { without_request: replay.replies.without_request(), ..compared })
 }
 
 /// Where two frames differ: in their fields, and in the first differing pixel if the log holds the image.

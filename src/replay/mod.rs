@@ -6,7 +6,7 @@ mod log;
 mod recording;
 mod replies;
 
-pub use frames::verify_frames;
+pub use frames::{ComparedFrames, verify_frames};
 pub use live::{LivePlan, run as run_live};
 pub use log::{OpenedLog, Overrides};
 pub use recording::{Recorded, record};

@@ -1,6 +1,6 @@
 //! What a frame should show, according to its reply, its request and the scene.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::path::PathBuf;
 
 use ipc_types::layout::Message;
@@ -11,13 +11,12 @@ use run_log::difference::compare;
 use run_log::{MessageStream, ReadOptions, Topic};
 use xray::from_scene::scene_c_arm;
 use xray::message::c_arm_message;
+use xxhash_rust::xxh3::xxh3_64;
 use zerocopy::{FromBytes, IntoBytes};
 
 use super::OpenedLog;
 use crate::failure::Failure;
 
-/// Maximum number of requests to remember; later ones are not compared.
-const MAX_REQUESTS: usize = 1 << 16;
 /// Maximum number of replies before their frames: more than the renderer has in flight.
 const MAX_WAITING: usize = 4096;
 
@@ -27,9 +26,9 @@ pub struct Replies {
     waiting: VecDeque<DrrReply>,
     /// The scene's C-arm.
     scene: CArmGeometry,
-    /// Requested C-arms, by controller and request number; a controller may reuse a number. Empty without the timing
-    /// lane.
-    requests: BTreeMap<(u32, u64), Vec<CArmGeometry>>,
+    requests: Requests,
+    /// Requested frames whose request is not in the timing lane.
+    without_request: u64,
     path: PathBuf,
     options: ReadOptions,
     /// Whether the log lacks replies; none until first needed.
@@ -46,9 +45,15 @@ impl Replies {
         let scene = c_arm_message(&scene);
         let wanted = [Topic::DrrReply.name().to_owned()];
         let stream = MessageStream::open_topics(&LogFile::at(&log.path), &wanted, log.options())?;
-        let requests = requests(log, &scene);
         let (path, options) = (log.path.clone(), log.options());
-        Ok(Replies { stream, waiting: VecDeque::new(), scene, requests, path, options, lacks: None })
+        let requests = Requests::of(path.with_file_name("timing.mcap"), options, scene);
+        let waiting = VecDeque::new();
+        Ok(Replies { stream, waiting, scene, requests, without_request: 0, path, options, lacks: None })
+    }
+
+    /// Requested frames so far whose request is not in the timing lane: their C-arm is compared with their reply's alone.
+    pub fn without_request(&self) -> u64 {
+        self.without_request
     }
 
     /// The C-arm that a frame should have: the scene's or the requested one.
@@ -80,14 +85,14 @@ impl Replies {
     }
 
     /// The requested C-arm; if the request is unknown, the one in the reply.
-    fn asked_for(&self, request_id: u64, reply: &DrrReply) -> CArmGeometry {
+    fn asked_for(&mut self, request_id: u64, reply: &DrrReply) -> CArmGeometry {
         if request_id == 0 {
             return self.scene;
         }
-        match self.requests.get(&(reply.requester, request_id)).map(Vec::as_slice) {
-            Some([first, others @ ..]) if !others.contains(&reply.geometry) => *first,
-            _ => reply.geometry,
-        }
+        self.requests.asked_for((reply.requester, request_id), &reply.geometry).unwrap_or_else(|| {
+            self.without_request += 1;
+            reply.geometry
+        })
     }
 
     fn reply_of(&mut self, sequence: u64) -> Result<Option<DrrReply>, String> {
@@ -121,21 +126,60 @@ impl Replies {
     }
 }
 
-/// Reads the requests from the timing lane beside a log.
-fn requests(log: &OpenedLog, scene: &CArmGeometry) -> BTreeMap<(u32, u64), Vec<CArmGeometry>> {
-    let mut requests: BTreeMap<(u32, u64), Vec<CArmGeometry>> = BTreeMap::new();
-    let wanted = [Topic::DrrRequest.name().to_owned()];
-    let timing = log.path.with_file_name("timing.mcap");
-    let Ok(mut stream) = MessageStream::open_topics(&LogFile::at(&timing), &wanted, log.options()) else {
-        return requests;
-    };
-    let mut count = 0;
-    while let (true, Ok(Some(message))) = (count < MAX_REQUESTS, stream.next_message()) {
-        let Ok(request) = DrrRequest::read_from_bytes(message.body) else { continue };
-        let asked =
-            if request.use_geometry() == Ok(GeometryChoice::Request) { request.geometry } else { *scene };
-        requests.entry((request.requester, request.request_id)).or_default().push(asked);
-        count += 1;
+/// Requester and request number; a controller may reuse a number.
+type Key = (u32, u64);
+
+/// The requests of the timing lane. Of each only the key and a hash of its C-arm are kept (24 bytes), so that those of a day fit; the C-arm
+/// itself is read again for the report of a difference.
+struct Requests {
+    timing: PathBuf,
+    options: ReadOptions,
+    scene: CArmGeometry,
+    /// In order.
+    known: Vec<(Key, u64)>,
+}
+
+impl Requests {
+    /// None if the timing lane is missing; as far as it can be read.
+    fn of(timing: PathBuf, options: ReadOptions, scene: CArmGeometry) -> Requests {
+        let mut requests = Requests { timing, options, scene, known: Vec::new() };
+        let mut known = Vec::new();
+        requests.find(|key, geometry| {
+            known.push((key, hash(geometry)));
+            false
+        });
+        known.sort_unstable();
+        requests.known = known;
+        requests
     }
-    requests
+
+    /// The first request that is `wanted`.
+    fn find(&self, mut wanted: impl FnMut(Key, &CArmGeometry) -> bool) -> Option<CArmGeometry> {
+        let topics = [Topic::DrrRequest.name().to_owned()];
+        let mut stream =
+            MessageStream::open_topics(&LogFile::at(&self.timing), &topics, self.options).ok()?;
+        while let Ok(Some(message)) = stream.next_message() {
+            let Ok(request) = DrrRequest::read_from_bytes(message.body) else { continue };
+            let chosen = request.use_geometry() == Ok(GeometryChoice::Request);
+            let geometry = if chosen { request.geometry } else { self.scene };
+            if wanted((request.requester, request.request_id), &geometry) {
+                return Some(geometry);
+            }
+        }
+        None
+    }
+
+    /// `replied` if a request with this key asked for it, otherwise what the first one asked for; none without a request.
+    fn asked_for(&self, key: Key, replied: &CArmGeometry) -> Option<CArmGeometry> {
+        if self.known.binary_search(&(key, hash(replied))).is_ok() {
+            return Some(*replied);
+        }
+        let first = self.known.partition_point(|known| known.0 < key);
+        self.known.get(first).filter(|known| known.0 == key)?;
+        self.find(|asked, _| asked == key)
+    }
+}
+
+fn hash(geometry: &CArmGeometry) -> u64 {
+    xxh3_64(geometry.as_bytes())
 }

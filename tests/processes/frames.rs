@@ -1,15 +1,19 @@
 //! X-ray frames are tied to ticks and are a function of volume, removed voxels and state.
 
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::path::Path;
+
 use drr_proc::ThisMachine;
-use ipc_types::messages::{Pose, Restores, Volume as VolumeMessage};
+use ipc_types::messages::{DrrRequest, Pose, Restores, Tick, Volume as VolumeMessage};
 use ipc_types::scene::Scene;
 use recorder_proc::log_file::LogFile;
-use run_log::{FrameRecord, ReadOptions, frames};
+use run_log::{EndReason, FrameRecord, MessageStream, ReadOptions, TimingLog, Topic, frames};
 use xray::DrrRenderer;
 use xray::frame::{Cache, Job, render_job};
 use xray::from_scene::{renderer_parameters, scene_c_arm, scene_isocentre_m};
 use xray::message::volume_view;
-use zerocopy::IntoBytes;
+use zerocopy::{FromBytes, IntoBytes};
 
 use crate::common::logs::{Whole, read};
 use crate::common::program::{Ended, LIMIT, Place, trabecula};
@@ -152,4 +156,56 @@ fn a_batch_of_poses_is_answered_in_order_and_leaves_the_scheduled_frames_alone()
     });
     assert_eq!(scheduled[0].iter().map(|(tick, _)| *tick).collect::<Vec<u64>>(), [0, 10, 20, 30, 40]);
     assert_eq!(scheduled[0], scheduled[1]);
+}
+
+/// Writes the timing lane again with these requests and nothing else.
+fn write_requests(timing: &Path, requests: impl Iterator<Item = DrrRequest>) {
+    let stream = MessageStream::open(&LogFile::at(timing), ReadOptions::default()).unwrap();
+    let header = stream.header().clone();
+    drop(stream);
+    let mut log = TimingLog::create(File::create(timing).unwrap(), &header).unwrap();
+    for request in requests {
+        log.message(Topic::DrrRequest, Tick(request.tick), request.as_bytes()).unwrap();
+    }
+    log.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
+}
+
+/// A replay compared the first 65,536 requests with their frames and later ones, without a word, with their own replies.
+#[test]
+fn a_request_behind_a_hundred_thousand_others_is_compared_with_its_frame() {
+    let place = Place::new();
+    let text = std::fs::read_to_string(clients().join("scenes/image_guided.toml")).unwrap();
+    let run = place.start(&text);
+    let mut client = joined(&run, "mine");
+    let tick = client.wait_state(LIMIT).unwrap().tick;
+    let asked = client.request_frame(Some(&turned(30.0)), tick).unwrap();
+    client.wait_frame(asked, LIMIT).unwrap();
+    answer_here(&mut client);
+    let ended = stopped(run, client, ());
+    let timing = ended.folder.join("timing.mcap");
+    let mut stream = MessageStream::open(&LogFile::at(&timing), ReadOptions::default()).unwrap();
+    let mut request = None;
+    while let Some(message) = stream.next_message().unwrap() {
+        if message.known == Some(Topic::DrrRequest) {
+            request = Some(DrrRequest::read_from_bytes(message.body).unwrap());
+        }
+    }
+    let request = request.unwrap();
+    let replayed = || trabecula(&[&"replay", &ended.folder, &"--frames"]);
+    let others = (1..=100_000).map(|n| DrrRequest { request_id: request.request_id ^ n, ..request });
+    write_requests(&timing, others.clone().chain([request]));
+    let done = replayed();
+    assert!(done.code == Some(0) && !done.out.contains("no request"), "{}{}", done.out, done.err);
+
+    let mut other = request;
+    other.geometry.source_m[1] += 1e-3;
+    write_requests(&timing, others.chain([other]));
+    let done = replayed();
+    assert_eq!(done.code, Some(1), "{}{}", done.out, done.err);
+    assert!(done.err.contains("geometry.source_m[1]"), "{}", done.err);
+
+    write_requests(&timing, std::iter::empty());
+    let done = replayed();
+    assert!(done.code == Some(0), "{}{}", done.out, done.err);
+    assert!(done.out.contains("1 requested frames: no request in timing.mcap"), "{}", done.out);
 }

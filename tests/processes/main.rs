@@ -10,6 +10,7 @@ mod attacked;
 mod bad_input;
 mod bare_iceoryx2;
 mod calibrate;
+mod capacities;
 mod charts;
 mod clients;
 #[allow(dead_code, reason = "other tests share it, too")]

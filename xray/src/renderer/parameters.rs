@@ -15,7 +15,7 @@ pub enum Projector {
     /// Bilinear interpolation per plane, ray by ray ([`joseph`](crate::joseph)).
     Joseph,
     /// Sums all slices in memory order, then warps the result ([`slice_ordered`](crate::slice_ordered)). Its difference from Joseph is
-    /// small compared with the discretisation error of the voxels. Keeps a copy of the volume for each of two orders, created when a
+    /// small compared with the discretisation error of the voxels. Keeps a copy of the volume for each axis it reads slices across, created when a
     /// frame needs it.
     SliceOrdered {
         /// Samples per voxel of the farthest slice, 0.8 to 4: more samples are slower and closer to Joseph.

@@ -29,10 +29,13 @@ impl BeforeDetector {
         }
     }
 
-    /// True if the plane may cut some of an image's rays before the slice with this inverse ratio of depths.
-    pub fn cuts(&self, inverse_ratio: f64, [columns, rows]: [usize; 2]) -> bool {
-        let most = |each: f64, count: usize| (each * count as f64).max(0.0);
-        self.constant + most(self.per_column, columns) + most(self.per_row, rows) >= inverse_ratio
+    /// True if the plane may cut some of the rays of these columns and rows (half-open) before the slice with this inverse ratio of depths.
+    #[inline(always)]
+    pub fn cuts(&self, inverse_ratio: f64, columns: (usize, usize), rows: (usize, usize)) -> bool {
+        let most = |each: f64, (first, end): (usize, usize)| (each * first as f64).max(each * end as f64);
+        // Rounding must not hide a cut that [`Self::columns`] finds.
+        let least_ratio = inverse_ratio * (1.0 - 1e-9);
+        self.constant + most(self.per_column, columns) + most(self.per_row, rows) >= least_ratio
     }
 
     /// Those of the columns `within` of an image row whose rays meet the slice before the detector, half-open.

@@ -1,13 +1,16 @@
 //! The volume in the orders in which slices are read: rows of cells of 32 small integers, aligned for vector loads.
 //!
-//! Two copies serve all three axes: slices across z and across y are read in rows along x, slices across x in rows along y. A copy is
-//! created when the first frame needs it. A row is a whole number of cells, and one bit per cell tells whether it holds anything.
+//! There is one copy for each axis across which slices are read, with rows along x (along y for slices across x). Neighbouring rows of a
+//! copy belong to successive slices, so a sum that goes from slice to slice reads each plane of rows from end to end: the CPU fetches such
+//! rows ahead by itself, and rows of successive planes only as fast as the sum asks for them. A copy is created when the first frame needs
+//! it. A row is a whole number of cells, and one bit per cell tells whether it holds anything.
 
 use rayon::prelude::*;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 use super::Machine;
 use super::array::Array;
+use super::plan::Axes;
 
 /// Voxels per cell.
 pub(crate) const CELL: usize = 32;
@@ -97,11 +100,11 @@ fn voxels_mut<T: Voxel>(cells: &mut [T::Cell]) -> &mut [T] {
 
 /// One ordering of the volume.
 pub(crate) struct Copy3<T: Voxel> {
-    /// A row of zeros, which stands in for all rows outside the volume; then the planes of equal z.
+    /// A row of zeros, which stands in for all rows outside the volume; then the planes.
     data: Array<T::Cell>,
     dims: [usize; 3],
-    /// The axis along which rows are contiguous.
-    fast: usize,
+    /// Rows run along `u` and follow one another along `slow`, planes along `v`.
+    axes: Axes,
     /// Cells per row, and cells between planes.
     row_cells: usize,
     plane_cells: usize,
@@ -110,43 +113,44 @@ pub(crate) struct Copy3<T: Voxel> {
     words_per_row: usize,
 }
 
-/// Cells per row and per plane of a copy with rows along `fast`.
-fn extents(dims: [usize; 3], fast: usize) -> (usize, usize) {
-    let row = dims[fast].div_ceil(CELL);
-    let used = row * dims[1 - fast];
+/// Cells per row and per plane of a copy.
+fn extents(dims: [usize; 3], axes: Axes) -> (usize, usize) {
+    let row = dims[axes.u].div_ceil(CELL);
+    let used = row * dims[axes.slow];
     (row, used.next_multiple_of(PAGE_CELLS) + PLANE_SHIFT)
 }
 
-/// Elements of a copy with rows along `fast`.
-pub(crate) fn copy_elements(dims: [usize; 3], fast: usize) -> u64 {
-    let (row, plane) = extents(dims, fast);
-    (row as u64 + plane as u64 * dims[2] as u64) * CELL as u64
+/// Elements of a copy.
+pub(crate) fn copy_elements(dims: [usize; 3], axes: Axes) -> u64 {
+    let (row, plane) = extents(dims, axes);
+    (row as u64 + plane as u64 * dims[axes.v] as u64) * CELL as u64
 }
 
 impl<T: Voxel> Copy3<T> {
-    /// Creates the copy with rows along `fast` (0 or 1). `fill_row(y, z, row)` writes the voxels of a row along x. `None` if the machine
+    /// Creates the copy for slices across `axes.slow`. `fill_row(y, z, row)` writes the voxels of a row along x. `None` if the machine
     /// has too little memory.
     pub fn new(
         machine: &dyn Machine,
         dims: [usize; 3],
-        fast: usize,
+        axes: Axes,
         fill_row: impl Fn(usize, usize, &mut [T]) + Sync,
     ) -> Option<Self> {
-        let [nx, ny, nz] = dims;
-        let (row_cells, plane_cells) = extents(dims, fast);
+        let [nx, ny, _] = dims;
+        let (row_cells, plane_cells) = extents(dims, axes);
         let width = row_cells * CELL;
-        let mut data = Array::zeroed(machine, row_cells + plane_cells * nz)?;
+        let mut data = Array::zeroed(machine, row_cells + plane_cells * dims[axes.v])?;
         data[row_cells..].par_chunks_mut(plane_cells).enumerate().for_each_init(
-            || vec![T::default(); if fast == 0 { 0 } else { nx * ny }],
-            |flat, (z, plane)| {
-                let out = voxels_mut::<T>(plane);
-                if fast == 0 {
-                    for (y, row) in out.chunks_mut(width).take(ny).enumerate() {
+            || vec![T::default(); if axes.u == 0 { 0 } else { nx * ny }],
+            |flat, (plane, out)| {
+                let out = voxels_mut::<T>(out);
+                if axes.u == 0 {
+                    for (n, row) in out.chunks_mut(width).take(dims[axes.slow]).enumerate() {
+                        let (y, z) = if axes.slow == 1 { (n, plane) } else { (plane, n) };
                         fill_row(y, z, &mut row[..nx]);
                     }
                 } else {
                     for (y, row) in flat.chunks_mut(nx).enumerate() {
-                        fill_row(y, z, row);
+                        fill_row(y, plane, row);
                     }
                     transpose(flat, [nx, ny], out, width);
                 }
@@ -154,14 +158,14 @@ impl<T: Voxel> Copy3<T> {
         );
         let words_per_row = row_cells.div_ceil(64);
         let mut copy =
-            Self { data, dims, fast, row_cells, plane_cells, occupancy: Vec::new(), words_per_row };
+            Self { data, dims, axes, row_cells, plane_cells, occupancy: Vec::new(), words_per_row };
         copy.occupancy = copy.occupied_rows();
         Some(copy)
     }
 
     fn occupied_rows(&self) -> Vec<u64> {
-        let rows = self.dims[1 - self.fast];
-        let mut bits = vec![0_u64; rows * self.dims[2] * self.words_per_row];
+        let rows = self.dims[self.axes.slow];
+        let mut bits = vec![0_u64; rows * self.dims[self.axes.v] * self.words_per_row];
         let planes = self.data[self.row_cells..].par_chunks(self.plane_cells);
         let zero = T::Cell::default();
         bits.par_chunks_mut(rows * self.words_per_row).zip(planes).for_each(|(bits, plane)| {
@@ -179,24 +183,32 @@ impl<T: Voxel> Copy3<T> {
         self.data.par_chunks(1 << 11).map(largest).max().unwrap_or(0)
     }
 
+    /// First cell of a row, and its first word of occupancy.
+    #[inline(always)]
+    fn row_at(&self, row: usize, plane: usize) -> (usize, usize) {
+        let bits = (row + self.dims[self.axes.slow] * plane) * self.words_per_row;
+        (self.row_cells * (1 + row) + self.plane_cells * plane, bits)
+    }
+
     /// Index in `data` of the cell that contains a voxel.
     #[inline(always)]
     fn cell_of(&self, voxel: [usize; 3]) -> usize {
-        let row = voxel[1 - self.fast] * self.row_cells + voxel[self.fast] / CELL;
-        self.row_cells + voxel[2] * self.plane_cells + row
+        let Axes { slow, u, v } = self.axes;
+        self.row_at(voxel[slow], voxel[v]).0 + voxel[u] / CELL
     }
 
     /// Changes a voxel.
     pub fn set(&mut self, voxel: [usize; 3], value: i16) {
+        let Axes { slow, u, v } = self.axes;
         let at = self.cell_of(voxel);
         let Some(cell) = self.data.get_mut(at..=at) else { return };
-        if let Some(v) = voxels_mut::<T>(cell).get_mut(voxel[self.fast] % CELL) {
-            *v = T::store(value);
+        if let Some(stored) = voxels_mut::<T>(cell).get_mut(voxel[u] % CELL) {
+            *stored = T::store(value);
         }
         if value != 0 {
-            let row = (voxel[1 - self.fast] + self.dims[1 - self.fast] * voxel[2]) * self.words_per_row;
+            let (_, row) = self.row_at(voxel[slow], voxel[v]);
             if let Some(words) = self.occupancy.get_mut(row..row + self.words_per_row) {
-                mark(words, voxel[self.fast] / CELL);
+                mark(words, voxel[u] / CELL);
             }
         }
     }
@@ -205,7 +217,7 @@ impl<T: Voxel> Copy3<T> {
     #[inline(always)]
     pub fn wide(&self, voxel: [usize; 3]) -> i16 {
         let cell = self.data.get(self.cell_of(voxel)..).and_then(|cells| cells.first_chunk::<1>());
-        let voxel = cell.and_then(|cell| voxels::<T>(cell).get(voxel[self.fast] % CELL));
+        let voxel = cell.and_then(|cell| voxels::<T>(cell).get(voxel[self.axes.u] % CELL));
         voxel.map_or(0, |v| v.value() * T::UNIT)
     }
 
@@ -227,16 +239,15 @@ impl<T: Voxel> Copy3<T> {
         self.row_cells
     }
 
-    /// First cell of a row of slice `k` across `slow` (of zeros outside the volume), and the row's occupancy.
+    /// First cell of row `v` of slice `k` across `slow` (of zeros outside the volume), and the row's occupancy.
     #[inline(always)]
-    pub fn row(&self, slow: usize, k: usize, v_axis: usize, v: i64) -> (usize, &[u64]) {
-        if v < 0 || v >= self.dims[v_axis] as i64 {
+    pub fn row(&self, slow: usize, k: usize, v: i64) -> (usize, &[u64]) {
+        let own = slow == self.axes.slow;
+        if v < 0 || v >= self.dims[if own { self.axes.v } else { self.axes.slow }] as i64 {
             return (0, &[]);
         }
-        let v = v as usize;
-        let (row, z) = if slow == 2 { (v, k) } else { (k, v) };
-        let bits = (row + self.dims[1 - self.fast] * z) * self.words_per_row;
-        let first = self.row_cells * (1 + row) + self.plane_cells * z;
+        let (row, plane) = if own { (k, v as usize) } else { (v as usize, k) };
+        let (first, bits) = self.row_at(row, plane);
         (first, self.occupancy.get(bits..bits + self.words_per_row).unwrap_or(&[]))
     }
 

@@ -154,8 +154,8 @@ struct Summed {
 impl Summed {
     #[inline(always)]
     fn of(plan: &Plan, slice: &Slice, first_row: usize) -> Self {
-        if !slice.meets_detector {
-            let all = plan.summed_columns(slice, first_row);
+        if !plan.meets_detector(slice, first_row) {
+            let all = plan.seen_columns(first_row);
             let groups = ((all.0 / GROUP).max(slice.groups.0), (all.1 / GROUP).min(slice.groups.1));
             return Self { columns: [all; TILE_ROWS], any: groups, whole: groups };
         }
@@ -195,8 +195,7 @@ impl TileRows {
         self.lines = ((last_line - first_line) as usize + 2).min(MAX_LINES);
         self.occupied.fill(0);
         for line in 0..self.lines {
-            let (offset, occupied) =
-                copy.row(plan.axes.slow, slice.index, plan.axes.v, first_line + line as i64);
+            let (offset, occupied) = copy.row(plan.axes.slow, slice.index, first_line + line as i64);
             self.offsets[line] = offset;
             for (all, word) in self.occupied.iter_mut().zip(occupied) {
                 *all |= word;
@@ -262,7 +261,7 @@ impl<'a> Ahead<'a> {
 }
 
 /// 32-bit sums of a tile.
-#[derive(Clone)]
+#[derive(Default)]
 struct TileSums {
     groups: Vec<GroupSums>,
     /// Number of slices summed so far, and the groups that are not zero.
@@ -271,6 +270,7 @@ struct TileSums {
 }
 
 /// Per-thread workspace.
+#[derive(Default)]
 pub(crate) struct Work {
     sums: Vec<TileSums>,
     /// Eight rows of cells, with one zero cell at either end.
@@ -280,19 +280,15 @@ pub(crate) struct Work {
 }
 
 impl Work {
-    pub fn new<T: Voxel>(plan: &Plan, copy: &Copy3<T>) -> Self {
-        let rows = || TileRows { occupied: vec![0; copy.words_per_row()], ..TileRows::default() };
-        Self {
-            sums: vec![
-                TileSums {
-                    groups: vec![[[0; GROUP]; TILE_ROWS]; plan.columns / GROUP],
-                    summed: 0,
-                    touched: (usize::MAX, 0),
-                };
-                TILES
-            ],
-            blended: vec![Cell16::default(); TILE_ROWS * (copy.row_cells() + 2)],
-            rows: [rows(), rows()],
+    /// Takes the sizes of an image and a copy. The sums are zero between images.
+    pub fn fit<T: Voxel>(&mut self, plan: &Plan, copy: &Copy3<T>) {
+        self.sums.resize_with(TILES, TileSums::default);
+        for tile in &mut self.sums {
+            tile.groups.resize(plan.columns / GROUP, [[0; GROUP]; TILE_ROWS]);
+        }
+        self.blended.resize(TILE_ROWS * (copy.row_cells() + 2), Cell16::default());
+        for rows in &mut self.rows {
+            rows.occupied.resize(copy.words_per_row(), 0);
         }
     }
 }

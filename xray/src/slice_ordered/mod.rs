@@ -12,7 +12,8 @@
 //! - The line integral starts at the source and ends at the detector. Both may lie inside the volume, or inside bone. Where one image
 //!   serves all rays, what lies within one slice of the source is not in it.
 //!
-//! Memory: one copy of the volume for each of two orders (see [`SliceOrdered::memory`]), created when a frame first needs it.
+//! Memory: a copy of the volume for each axis across which slices are read (see [`SliceOrdered::memory`]), created when a frame first needs
+//! it; a third one only where memory is plentiful.
 
 mod array;
 mod before;
@@ -117,13 +118,16 @@ impl SliceOrdered {
 
     /// Bytes held.
     pub fn memory(&self) -> SliceOrderedMemory {
-        let [along_x, along_y] = self.store.copy_bytes();
         let image = self.standing.iter().chain(&self.aside).map(Standing::bytes).sum();
-        SliceOrderedMemory { along_x, along_y, preview_sums: self.store.preview_bytes(), image }
+        SliceOrderedMemory {
+            copies: self.store.copy_bytes(),
+            preview_sums: self.store.preview_bytes(),
+            image,
+        }
     }
 
-    /// Fraction of occupied 32-voxel cells in each existing copy (along x, along y).
-    pub fn occupied_shares(&self) -> [Option<f64>; 2] {
+    /// Fraction of occupied 32-voxel cells in each existing copy (for slices across x, y, z).
+    pub fn occupied_shares(&self) -> [Option<f64>; 3] {
         self.store.occupied_shares()
     }
 
@@ -194,7 +198,7 @@ impl SliceOrdered {
         c_arm: &CArm,
     ) -> Result<(), DrrError> {
         let fan = RayFan::new(&self.store_grid, c_arm);
-        self.parts(&fan, c_arm).iter().try_for_each(|part| self.ensure(view, removed, part.plan.axes.u))
+        self.parts(&fan, c_arm).iter().try_for_each(|part| self.ensure(view, removed, part.plan.axes.slow))
     }
 
     fn parts(&self, fan: &RayFan, c_arm: &CArm) -> Vec<Part> {
@@ -206,10 +210,10 @@ impl SliceOrdered {
         &mut self,
         view: &VolumeView<'_>,
         removed: &RemovedVoxels,
-        fast: usize,
+        slow: usize,
     ) -> Result<(), DrrError> {
         let source = Source { view, removed, values: &self.values, fill: self.fill, machine: self.machine };
-        self.store.ensure(&source, fast)
+        self.store.ensure(&source, slow)
     }
 
     /// Same as [`SliceOrdered::project`] if no worker threads are needed: the C-arm is unchanged and few voxels have changed. Otherwise
@@ -252,17 +256,14 @@ impl SliceOrdered {
             self.standing.take().map_or_else(Default::default, |s| (s.sums, s.image));
         self.settle();
         let parts = self.parts(&fan, c_arm);
-        parts.iter().try_for_each(|part| self.ensure(view, removed, part.plan.axes.u))?;
+        parts.iter().try_for_each(|part| self.ensure(view, removed, part.plan.axes.slow))?;
         let samples = parts.last().map_or(0, |last| last.samples().end);
         self.check_memory(samples)?;
         let began_ns = self.machine.now_ns();
         // Every sample is overwritten.
         sums.resize(samples, 0);
         floats.resize(samples, 0.0);
-        for part in &parts {
-            let sums = sums.get_mut(part.samples()).unwrap_or(&mut []);
-            self.store.sum(&part.plan, self.options.instructions, sums);
-        }
+        self.store.sum(&parts, self.options.instructions, &mut sums);
         self.cost.full_ns = self.machine.now_ns().saturating_sub(began_ns) as f64;
         let mut standing = Standing { c_arm: *c_arm, fan, parts, sums, image: floats };
         let show = self.show(Threads::Pool);

@@ -65,10 +65,8 @@ pub struct Sums<'a> {
 /// Bytes that a [`SliceOrdered`](super::SliceOrdered) holds, by purpose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct SliceOrderedMemory {
-    /// Copy with rows along x; 0 if no frame has needed it.
-    pub along_x: usize,
-    /// Copy with rows along y; 0 if no frame has needed it.
-    pub along_y: usize,
+    /// Copies for slices across x, y and z; 0 if no frame has needed it.
+    pub copies: [usize; 3],
     /// Sums of the blocks of a preview.
     pub preview_sums: usize,
     /// Intermediate images, as integers and as floats: one, plus another after the first one-off frame.
@@ -78,7 +76,7 @@ pub struct SliceOrderedMemory {
 impl SliceOrderedMemory {
     /// Total.
     pub fn total(&self) -> usize {
-        self.along_x + self.along_y + self.preview_sums + self.image
+        self.copies.iter().sum::<usize>() + self.preview_sums + self.image
     }
 }
 

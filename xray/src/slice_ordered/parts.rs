@@ -1,10 +1,15 @@
 //! Which rays share an intermediate image. One image serves a whole frame where it can. Otherwise the detector is halved until an axis
-//! suits all rays of a rectangle, and a rectangle has an image for each range of depths; their line integrals add up.
+//! suits all rays of a rectangle, and further where that saves samples. A rectangle has one image, or several for ranges of depths where
+//! that costs less; their line integrals add up.
 
 use super::plan::{Plan, Rays};
 use super::splat::Dirty;
 use crate::carm::PixelBox;
 use crate::vector::{norm, sub};
+
+/// How often a rectangle is halved only to save time, and what a half must save.
+const MAX_HALVINGS: usize = 3;
+const WORTH_HALVING: f64 = 0.9;
 
 /// What an image's line integrals do to the pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -41,17 +46,36 @@ pub(crate) fn parts_of(all: &Rays<'_>) -> Vec<Part> {
         add(&mut parts, all.pixels, vec![plan]);
         return parts;
     }
-    let mut waiting = vec![all.pixels];
-    while let Some(pixels) = waiting.pop() {
+    let mut waiting = vec![(all.pixels, 0)];
+    while let Some((pixels, depth)) = waiting.pop() {
         let rays = Rays { pixels, ..*all };
-        match (Plan::layers(&rays), halves(&rays)) {
-            (Some(plans), _) => add(&mut parts, pixels, plans),
-            (None, Some(halves)) => waiting.extend(halves),
+        let halves = halves(&rays);
+        match (Plan::layers(&rays), halves) {
+            (Some(plans), halves) => {
+                let cheaper = |halves: &[PixelBox; 2]| depth < MAX_HALVINGS && pays(&rays, &plans, halves);
+                match halves.filter(cheaper) {
+                    Some(halves) => waiting.extend(halves.map(|pixels| (pixels, depth + 1))),
+                    None => add(&mut parts, pixels, plans),
+                }
+            }
+            (None, Some(halves)) => waiting.extend(halves.map(|pixels| (pixels, depth))),
             // A ray's own best axis has a slope of at most 1: what remains is a ray that passes 1e9 samples beside the volume.
             (None, None) => add(&mut parts, pixels, vec![Plan::nothing(&rays)]),
         }
     }
     parts
+}
+
+/// True if the halves of a rectangle cost clearly less than the whole: where the detector cuts the volume askew, one half's rays end at
+/// nearer slices, which need fewer samples.
+fn pays(rays: &Rays<'_>, plans: &[Plan], halves: &[PixelBox; 2]) -> bool {
+    let cost = |pixels: &PixelBox, plans: &[Plan]| plans.iter().map(|plan| plan.cost(pixels)).sum::<f64>();
+    let apart = halves.iter().map(|pixels| {
+        let plans = Plan::layers(&Rays { pixels: *pixels, ..*rays })?;
+        Some(cost(pixels, &plans))
+    });
+    let apart: Option<f64> = apart.sum();
+    apart.is_some_and(|apart| apart < WORTH_HALVING * cost(&rays.pixels, plans))
 }
 
 fn add(parts: &mut Vec<Part>, pixels: PixelBox, plans: Vec<Plan>) {

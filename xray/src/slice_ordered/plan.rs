@@ -50,6 +50,12 @@ const MAX_PART_SLOPE: f64 = 2.0;
 const MIN_DEPTH: f64 = 1.0;
 /// The same for a part of the detector: near slices have an image of their own, and positions are exact to 2^-20 voxel.
 const MIN_PART_DEPTH: f64 = 1.0 / 64.0;
+/// Images of a part of the detector, at most.
+const MAX_LAYERS: usize = 3;
+/// Samples that take as long to sum as a pixel to read: measured.
+const SAMPLES_PER_PIXEL: f64 = 40.0;
+/// Of so many slices, one is looked at for the cost.
+const COST_STRIDE: usize = 16;
 /// Samples around the detector's footprint and the volume: two for the warp, one for sharpening, two for rounding.
 pub(crate) const MARGIN: f64 = 5.0;
 /// Maximum number of pixels of an intermediate image (1 GiB with its accumulators and floats).
@@ -60,14 +66,15 @@ pub(crate) const MAX_PIXELS: f64 = (1_u64 << 26) as f64;
 pub(crate) struct Axes {
     /// Across the slices.
     pub slow: usize,
-    /// Along the image rows; the contiguous axis of the copy being read.
+    /// Along the image rows; the contiguous axis of the copies.
     pub u: usize,
     /// Along the image's columns.
     pub v: usize,
 }
 
 impl Axes {
-    fn of(slow: usize) -> Self {
+    /// Of slices across this axis.
+    pub fn of(slow: usize) -> Self {
         match slow {
             0 => Self { slow, u: 1, v: 2 },
             1 => Self { slow, u: 0, v: 2 },
@@ -218,8 +225,8 @@ impl Plan {
         Self::of(rays, &range)
     }
 
-    /// Images for the rays to a part of the detector, each for a range of slices; at least one. `None` if no axis suits all rays, or if
-    /// an image would be too large: the part must be split.
+    /// Images for the rays to a part of the detector, each for a range of slices; at least one, and as many as cost least. `None` if no
+    /// axis suits all rays, or if an image would be too large: the part must be split.
     pub fn layers(rays: &Rays<'_>) -> Option<Vec<Self>> {
         let corners = rays.fan.corner_directions(&rays.pixels);
         let axes = best_axes(&corners, MAX_PART_SLOPE)?;
@@ -228,20 +235,35 @@ impl Plan {
         let source = rays.fan.source_index();
         let seen = (0..count).filter(|&k| is_met(rays.grid, source, &corners, axes, range.depth(source, k)));
         let Some((a, b)) = ends(seen) else { return Some(vec![Self::empty(rays, axes, range.last())]) };
-        let near_over_far = range.depth(source, a) / range.depth(source, b);
-        // Samples grow with the square of an image's depth: more layers where the nearest slice is much nearer than the farthest.
-        let layers = match near_over_far.min(1.0 / near_over_far) {
-            ratio if ratio > 0.7 => 1,
-            ratio if ratio > 0.35 => 2,
-            _ => 3,
-        };
-        let start = |n: usize| a + n * (b + 1 - a) / layers;
-        let mut plans = Vec::new();
-        for n in (0..layers).filter(|&n| start(n) < start(n + 1)) {
-            range.ends = (start(n), start(n + 1) - 1);
-            plans.push(Self::of(rays, &range)?);
+        let mut best: Option<(f64, Vec<Self>)> = None;
+        for layers in 1..=MAX_LAYERS {
+            let start = |n: usize| a + n * (b + 1 - a) / layers;
+            let mut plans = Vec::new();
+            for n in (0..layers).filter(|&n| start(n) < start(n + 1)) {
+                range.ends = (start(n), start(n + 1) - 1);
+                plans.extend(Self::of(rays, &range));
+            }
+            let cost = plans.iter().map(|plan| plan.cost(&rays.pixels)).sum();
+            if plans.len() == layers && best.as_ref().is_none_or(|(least, _)| cost < *least) {
+                best = Some((cost, plans));
+            }
         }
-        Some(plans)
+        best.map(|(_, plans)| plans)
+    }
+
+    /// What it costs to sum the image and to read it at all pixels, in samples.
+    pub fn cost(&self, pixels: &PixelBox) -> f64 {
+        let side = |(first, end): (u32, u32)| f64::from(end - first);
+        let mut samples = 0;
+        // Neighbouring slices differ little.
+        for slice in self.slices.iter().step_by(COST_STRIDE) {
+            for row in (slice.rows.0..slice.rows.1).step_by(TILE_ROWS) {
+                let (first, end) = self.summed_columns(slice, row);
+                let (first, end) = (first.max(slice.groups.0 * GROUP), end.min(slice.groups.1 * GROUP));
+                samples += end.saturating_sub(first) * TILE_ROWS * COST_STRIDE;
+            }
+        }
+        samples as f64 + SAMPLES_PER_PIXEL * side(pixels.columns) * side(pixels.rows)
     }
 
     /// An image of nothing.
@@ -330,7 +352,9 @@ impl Plan {
             groups,
             rows,
             inverse_ratio,
-            meets_detector: self.before.is_some_and(|b| b.cuts(inverse_ratio, [self.columns, self.rows])),
+            meets_detector: self
+                .before
+                .is_some_and(|b| b.cuts(inverse_ratio, (0, self.columns), (0, self.rows))),
         };
         // `div_euclid` rounds down: the first group or row may lie just outside.
         while slice.groups.0 < slice.groups.1 && slice.group(slice.groups.0).voxel < -GROUP_REACH {
@@ -347,11 +371,24 @@ impl Plan {
         self.columns * self.rows
     }
 
+    /// The columns of an image row that the detector sees, half-open.
+    #[inline(always)]
+    pub fn seen_columns(&self, row: usize) -> (usize, usize) {
+        let (first, end) = self.visible.get(row / TILE_ROWS).copied().unwrap_or((0, 0));
+        (first * GROUP, end * GROUP)
+    }
+
+    /// True if the detector's plane may cut the rays of a tile's rows before a slice.
+    #[inline(always)]
+    pub fn meets_detector(&self, slice: &Slice, first_row: usize) -> bool {
+        let Some(before) = self.before.as_ref().filter(|_| slice.meets_detector) else { return false };
+        before.cuts(slice.inverse_ratio, self.seen_columns(first_row), (first_row, first_row + TILE_ROWS))
+    }
+
     /// The columns of an image row that are summed in a slice, half-open: those that the detector sees, before it.
     #[inline(always)]
     pub fn summed_columns(&self, slice: &Slice, row: usize) -> (usize, usize) {
-        let (first, end) = self.visible.get(row / TILE_ROWS).copied().unwrap_or((0, 0));
-        let seen = (first * GROUP, end * GROUP);
+        let seen = self.seen_columns(row);
         match &self.before {
             Some(before) if slice.meets_detector => before.columns(slice.inverse_ratio, row, seen),
             _ => seen,

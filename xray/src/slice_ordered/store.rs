@@ -8,13 +8,17 @@ use super::Machine;
 use super::copies::{Copy3, Voxel, copy_elements};
 use super::instructions::Instructions;
 use super::kernel::{TILES, Work};
-use super::plan::{Plan, TILE_ROWS};
+use super::parts::Part;
+use super::plan::{Axes, TILE_ROWS};
 use super::splat::{Splatter, slices_until_flush};
 use super::standing::Standing;
 use crate::attenuation::MuTable;
 use crate::error::DrrError;
 use crate::grid::{Grid, VolumeView};
 use crate::removal::RemovedVoxels;
+
+/// The copy for slices across z, which another can serve, is made if it takes at most this part of the free memory.
+const SHARE_OF_THIRD: u64 = 4;
 
 /// A stored voxel whose value changes.
 #[derive(Debug, Clone, Copy)]
@@ -123,8 +127,8 @@ impl Store {
         }
     }
 
-    /// Creates the copy with rows along `fast` if it is missing.
-    pub fn ensure(&mut self, source: &Source<'_>, fast: usize) -> Result<(), DrrError> {
+    /// Creates what slices across `slow` are read from, if it is missing.
+    pub fn ensure(&mut self, source: &Source<'_>, slow: usize) -> Result<(), DrrError> {
         let Source { view, removed, values, fill, machine } = *source;
         match self {
             Self::Whole(copies) => {
@@ -137,7 +141,7 @@ impl Store {
                     }
                 };
                 let changed = removed.iter().map(|linear| (grid.voxel_of(linear), fill));
-                copies.ensure(machine, fast, fill_row, changed)
+                copies.ensure(machine, slow, fill_row, changed)
             }
             Self::Preview { copies, blocks } => {
                 let [nx, ny, _] = blocks.dims;
@@ -147,14 +151,14 @@ impl Store {
                         *v = u8::store(blocks.value(sum));
                     }
                 };
-                copies.ensure(machine, fast, fill_row, core::iter::empty())
+                copies.ensure(machine, slow, fill_row, core::iter::empty())
             }
         }
     }
 
-    /// Sums all slices of an image.
-    pub fn sum(&self, plan: &Plan, instructions: Instructions, sums: &mut [i64]) {
-        with_copies!(self, copies => copies.sum(plan, instructions, sums));
+    /// Sums all slices of all images; `sums` holds these one after the other.
+    pub fn sum(&self, parts: &[Part], instructions: Instructions, sums: &mut [i64]) {
+        with_copies!(self, copies => copies.sum(parts, instructions, sums));
     }
 
     /// Applies changes to the current C-arm's sums, if there are any, and to the copies.
@@ -165,8 +169,8 @@ impl Store {
         });
     }
 
-    /// Bytes of the copies with rows along x and along y.
-    pub fn copy_bytes(&self) -> [usize; 2] {
+    /// Bytes of the copies for slices across x, y and z.
+    pub fn copy_bytes(&self) -> [usize; 3] {
         with_copies!(self, copies => copies.each(Copy3::bytes).map(Option::unwrap_or_default))
     }
 
@@ -179,7 +183,7 @@ impl Store {
     }
 
     /// Fraction of occupied cells in each existing copy.
-    pub fn occupied_shares(&self) -> [Option<f64>; 2] {
+    pub fn occupied_shares(&self) -> [Option<f64>; 3] {
         with_copies!(self, copies => copies.each(Copy3::occupied_share))
     }
 }
@@ -195,21 +199,21 @@ pub(super) struct Source<'a> {
     pub machine: &'static dyn Machine,
 }
 
-/// The two copies.
+/// The copies, by the axis across which slices are read.
 pub(super) struct Copies<T: Voxel> {
     dims: [usize; 3],
-    by_fast: [Option<Copy3<T>>; 2],
+    by_slow: [Option<Copy3<T>>; 3],
     largest: i16,
 }
 
 impl<T: Voxel> Copies<T> {
     fn new(dims: [usize; 3]) -> Self {
-        Self { dims, by_fast: [None, None], largest: 0 }
+        Self { dims, by_slow: [None, None, None], largest: 0 }
     }
 
     fn set(&mut self, voxel: [usize; 3], value: i16) {
         self.largest = self.largest.max(value);
-        self.by_fast.iter_mut().flatten().for_each(|copy| copy.set(voxel, value));
+        self.by_slow.iter_mut().flatten().for_each(|copy| copy.set(voxel, value));
     }
 
     fn splat(&mut self, standing: &mut Standing, changes: &[Change]) {
@@ -219,8 +223,7 @@ impl<T: Voxel> Copies<T> {
             let voxel = self.voxel_of(linear);
             for part in parts.iter_mut() {
                 let samples = part.samples();
-                let (Some(copy), Some(sums)) = (&self.by_fast[part.plan.axes.u], sums.get_mut(samples))
-                else {
+                let (Some(copy), Some(sums)) = (self.copy(part.plan.axes.slow), sums.get_mut(samples)) else {
                     continue;
                 };
                 splatter.splat(copy, &part.plan, sums, voxel, value, &mut part.dirty);
@@ -241,51 +244,73 @@ impl<T: Voxel> Copies<T> {
         }
     }
 
-    /// Creates a copy if it is missing; `changed` lists the voxels that differ from those of `fill_row`.
+    /// What slices across `slow` are read from: those across z, without a copy of their own, from that for slices across y.
+    fn copy(&self, slow: usize) -> Option<&Copy3<T>> {
+        let other = if slow == 2 { self.by_slow[1].as_ref() } else { None };
+        self.by_slow[slow].as_ref().or(other)
+    }
+
+    /// Creates what slices across `slow` are read from, if it is missing; `changed` lists the voxels that differ from those of `fill_row`.
     fn ensure(
         &mut self,
         machine: &dyn Machine,
-        fast: usize,
+        slow: usize,
         fill_row: impl Fn(usize, usize, &mut [T]) + Sync,
         changed: impl Iterator<Item = ([usize; 3], i16)>,
     ) -> Result<(), DrrError> {
-        if self.by_fast[fast].is_some() {
+        if self.by_slow[slow].is_some() {
             return Ok(());
         }
-        let needed_bytes = copy_elements(self.dims, fast) * size_of::<T>() as u64;
-        let refused = |available_bytes: u64| {
+        let needed_bytes = |slow: usize| copy_elements(self.dims, Axes::of(slow)) * size_of::<T>() as u64;
+        let refused = |needed_bytes: u64, available_bytes: u64| {
             let (dims, bytes_each) = (self.dims, size_of::<T>());
             DrrError::Memory { dims, bytes_each, needed_bytes, available_bytes }
         };
-        if let Some(available_bytes) = machine.available_bytes().filter(|available| needed_bytes > *available)
-        {
-            return Err(refused(available_bytes));
+        let available = machine.available_bytes();
+        // The third copy only saves time.
+        let scarce = available.is_some_and(|available| available / SHARE_OF_THIRD < needed_bytes(2));
+        let slow = if slow == 2 && scarce { 1 } else { slow };
+        if self.by_slow[slow].is_some() {
+            return Ok(());
         }
-        let copy = Copy3::new(machine, self.dims, fast, fill_row);
-        let mut copy = copy.ok_or_else(|| refused(machine.available_bytes().unwrap_or(0)))?;
+        let needed_bytes = needed_bytes(slow);
+        if let Some(available_bytes) = available.filter(|available| needed_bytes > *available) {
+            return Err(refused(needed_bytes, available_bytes));
+        }
+        let copy = Copy3::new(machine, self.dims, Axes::of(slow), fill_row);
+        let mut copy = copy.ok_or_else(|| refused(needed_bytes, machine.available_bytes().unwrap_or(0)))?;
         self.largest = self.largest.max(copy.largest());
         changed.for_each(|(voxel, value)| copy.set(voxel, value));
-        self.by_fast[fast] = Some(copy);
+        self.by_slow[slow] = Some(copy);
         Ok(())
     }
 
-    fn sum(&self, plan: &Plan, instructions: Instructions, sums: &mut [i64]) {
-        let Some(copy) = &self.by_fast[plan.axes.u] else { return };
+    fn sum(&self, parts: &[Part], instructions: Instructions, sums: &mut [i64]) {
         let flush_after = slices_until_flush(self.largest * T::UNIT);
-        // One tile at a time, because those in the middle of the image take longest; finished tiles pass on their workspace.
+        let mut rest = sums;
+        let mut jobs = Vec::new();
+        for part in parts {
+            let (own, others) =
+                core::mem::take(&mut rest).split_at_mut_checked(part.plan.pixels()).unwrap_or_default();
+            rest = others;
+            let Some(copy) = self.copy(part.plan.axes.slow) else { continue };
+            let lines = (TILES * TILE_ROWS * part.plan.columns).max(1);
+            jobs.extend(own.chunks_mut(lines).enumerate().map(|(n, out)| (copy, &part.plan, n, out)));
+        }
+        // One group of tiles at a time, because those in the middle of an image take longest; finished ones pass on their workspace.
         let spare = Mutex::new(Vec::new());
         let spare = || spare.lock().unwrap_or_else(PoisonError::into_inner);
-        let tiles = sums.par_chunks_mut((TILES * TILE_ROWS * plan.columns).max(1)).enumerate();
-        tiles.with_max_len(1).for_each(|(tiles, out)| {
+        jobs.into_par_iter().with_max_len(1).for_each(|(copy, plan, tiles, out)| {
             let work = spare().pop();
-            let mut work = work.unwrap_or_else(|| Work::new(plan, copy));
+            let mut work: Work = work.unwrap_or_default();
+            work.fit(plan, copy);
             instructions.sum_tiles(copy, plan, flush_after, tiles * TILES * TILE_ROWS, &mut work, out);
             spare().push(work);
         });
     }
 
-    fn each<U>(&self, of: impl Fn(&Copy3<T>) -> U) -> [Option<U>; 2] {
-        self.by_fast.each_ref().map(|copy| copy.as_ref().map(&of))
+    fn each<U>(&self, of: impl Fn(&Copy3<T>) -> U) -> [Option<U>; 3] {
+        self.by_slow.each_ref().map(|copy| copy.as_ref().map(&of))
     }
 }
 

@@ -145,3 +145,29 @@ fn images_that_the_memory_cannot_hold_are_refused_with_both_sizes() {
     let text = refused.to_string();
     assert!(text.contains("1.00 GiB are free") && text.contains("oversampling"), "{text}");
 }
+
+#[test]
+fn slices_across_z_have_the_same_bits_with_a_copy_of_their_own_and_without() {
+    // A quarter of it does not hold a third copy (0.8 MB).
+    static SCARCE: Small = Small { free_bytes: Some(2_000_000), given_bytes: usize::MAX };
+    static PLENTY: Small = Small { free_bytes: Some(1 << 30), given_bytes: usize::MAX };
+    let (grid, hu) = volume(2500);
+    let view = VolumeView::new(grid, &hu).unwrap();
+    let table = MuTable::new(HuLaw::WaterScaling, 60.0, -900).unwrap();
+    let from_above = c_arm(5.0, 85.0, 64);
+    let results = [&SCARCE, &PLENTY].map(|machine| {
+        let options = SliceOrderedOptions::default();
+        let mut slices = SliceOrdered::new(&view, &table, 0.02, 0.0, options, machine).unwrap();
+        let mut set = RemovedVoxels::new(&grid);
+        let mut image = vec![0.0; from_above.pixels()];
+        slices.project(&view, &set, &from_above, &mut image).unwrap();
+        let before = hash(&image);
+        let batch: Vec<u32> = (0..500).map(|i| (random(i) % grid.voxels() as u64) as u32).collect();
+        remove(&mut slices, &view, &mut set, &batch);
+        let update = slices.project(&view, &set, &from_above, &mut image).unwrap();
+        assert!(matches!(update, Update::Changed(_)), "{update:?}");
+        (slices.memory().copies.map(|bytes| bytes > 0), [before, hash(&image)])
+    });
+    assert_eq!(results.map(|(copies, _)| copies), [[false, true, false], [false, false, true]]);
+    assert_eq!(results[0].1, results[1].1);
+}

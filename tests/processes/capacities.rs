@@ -1,0 +1,83 @@
+//! A capacity that is reached during a run is said: as an event, in the table at the end, in `summary.json`.
+
+use std::fs;
+
+use ipc_types::messages::{EVENT_CAPACITY_REACHED, Event};
+use recorder_proc::log_file::LogFile;
+use run_log::{MessageStream, ReadOptions, Topic};
+use serde_json::Value;
+use zerocopy::FromBytes;
+
+use crate::common::logs::assert_replays;
+use crate::common::program::Place;
+
+/// 39 spheres (32 links) inside of four balls, with the tip in bone: 156 contacts with the balls, and at least nine with the bone. The planar
+/// solver has room for 164.
+const CROWDED: &str = "
+name = \"crowded\"
+[run]
+mode = \"lockstep\"
+duration_s = 0.02
+seed = 7
+
+[volume]
+phantom = \"block\"
+spacing_mm = 1.0
+
+[manipulator]
+links = 32
+
+[tool]
+burr_start_mm = [0.0, 0.0, 0.0]
+direction = [0.0, 0.0, 1.0]
+bend_toward = [1.0, 0.0, 0.0]
+
+[[controller]]
+name = \"holder\"
+drives = [\"tendon\", \"arm\", \"burr\"]
+hold = { tension_n = 2.0 }
+";
+
+fn ball(n: usize) -> String {
+    format!(
+        "[[body]]\nname = \"ball_{n}\"\nball = {{ radius_mm = 200.0 }}\nmotion = \"fixed\"\nposition_mm = [0.0, 0.0, 0.0]\n"
+    )
+}
+
+#[test]
+fn a_capacity_that_is_reached_is_an_event_a_warning_and_a_count() {
+    let place = Place::new();
+    let scene = |balls: usize| CROWDED.to_owned() + &(0..balls).map(ball).collect::<String>();
+    let ended = place.complete(&scene(4));
+    let words = "contacts: they do not push";
+
+    let timing = LogFile::at(ended.folder.join("timing.mcap"));
+    let mut stream = MessageStream::open(&timing, ReadOptions::default()).unwrap();
+    let mut said = Vec::new();
+    while let Some(message) = stream.next_message().unwrap() {
+        if message.known == Some(Topic::Event) {
+            let (event, text) = Event::read_from_prefix(message.body).unwrap();
+            if event.code == EVENT_CAPACITY_REACHED {
+                said.push((event.tick, String::from_utf8(text.to_vec()).unwrap()));
+            }
+        }
+    }
+    // At once, then once a second: this run is shorter.
+    assert!(said.len() == 1 && said[0].0 == 0 && said[0].1.contains(words), "{said:?}");
+
+    let last = ended.out.lines().find(|line| line.starts_with("last warning")).unwrap_or_default();
+    assert!(last.contains("tick 0, physics: no room for ") && last.contains(words), "{}", ended.out);
+    let events = ended.out.lines().find(|line| line.starts_with("events")).unwrap_or_default();
+    assert!(events.contains("1 capacity_reached"), "{}", ended.out);
+
+    let summary = fs::read_to_string(ended.folder.join("summary.json")).unwrap();
+    let summary: Value = serde_json::from_str(&summary).unwrap();
+    assert_eq!(summary["events"]["capacity_reached"], 1);
+    assert!(summary["warnings"].to_string().contains(words), "{summary}");
+    assert_replays(&ended.folder);
+
+    // With room for all there is no such event.
+    let other = Place::new();
+    let ended = other.complete(&scene(1));
+    assert!(!ended.out.contains("capacity_reached"), "{}", ended.out);
+}
