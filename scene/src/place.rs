@@ -56,7 +56,6 @@ pub(crate) fn in_words(message: &str) -> String {
 mod tests {
     use std::path::Path;
 
-    use super::*;
     use crate::Scene;
 
     const TEXT: &str = "name = \"a\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[tool]\n\
