@@ -280,7 +280,7 @@ fn numbers_that_are_none_do_not_stop_the_drawing() {
 fn a_folder_that_is_not_there_costs_the_files_and_no_number() {
     let folder = tempfile::tempdir().unwrap();
     let report = super::write(&folder.path().join("missing"), &facts()).unwrap();
-    assert_eq!((report.summary.ticks, report.missing.len()), (0, 5));
+    assert_eq!((report.summary.ticks, report.missing.len()), (0, 6));
     let named = |error: &ReportError| {
         matches!(error, ReportError::Output(_)) && error.to_string().contains("missing")
     };
