@@ -115,12 +115,13 @@ fn a_scene_that_makes_no_sense_is_told_so_exactly() {
             driven_by("external = true").replace("burr_start_mm = [100.0,", "burr_start_mm = [1117.0,"),
             &["unlikely: `tool.burr_start_mm` puts the burr 996.8 mm from the nearest bone"],
         ),
+        // The foremost sphere of the tube lies 3.4 mm behind the burr.
         (
             "no pilot hole",
             changed(HOLE, ""),
             &[
                 "unlikely: `tool.burr_start_mm` puts the burr 12.0 mm inside bone; expected in front of it, or in a `[[predrill]]` hole",
-                "unlikely: `tool.burr_start_mm` puts the shaft up to 10.0 mm inside bone; expected a `[[predrill]]` hole along it",
+                "unlikely: `tool.burr_start_mm` puts the shaft up to 8.6 mm inside bone; expected a `[[predrill]]` hole along it",
             ],
         ),
         (

@@ -13,6 +13,8 @@ const METRES_MM: f64 = 1.0;
 const FAR_M: f64 = 0.1;
 /// A body may overlap the tool at the start by this much: it is pushed out, m.
 const OVERLAP_M: f64 = 1e-4;
+/// Less depth in bone is rounding: a place between two voxels lies on the face of both, m.
+const SHALLOW_M: f64 = 1e-5;
 /// Most diameter that `predrill.diameter_mm` may have, for its error.
 const WIDEST_HOLE_MM: f64 = 50.0;
 
@@ -106,7 +108,7 @@ pub(super) fn start_far_from_bone(start: &Start) -> Option<String> {
 
 pub(super) fn burr_in_bone(start: &Start) -> Option<String> {
     let depth_m =
-        start.voxels()?.distance_m(&start.burr_m(), Matter::Open).filter(|depth_m| *depth_m > 0.0)?;
+        start.voxels()?.distance_m(&start.burr_m(), Matter::Open).filter(|depth_m| *depth_m > SHALLOW_M)?;
     let depth_mm = depth_m * 1e3;
     Some(format!(
         "puts the burr {depth_mm:.1} mm inside bone; expected in front of it, or in a `[[predrill]]` hole"
@@ -117,7 +119,7 @@ pub(super) fn shaft_in_bone(start: &Start) -> Option<String> {
     let voxels = start.voxels()?;
     let depth_m = start.tube().filter_map(|sphere| voxels.distance_m(&sphere.centre_m, Matter::Open));
     let depth_mm = 1e3 * depth_m.fold(0.0, f64::max);
-    (depth_mm > 0.0).then(|| {
+    (depth_mm > SHALLOW_M * 1e3).then(|| {
         format!("puts the shaft up to {depth_mm:.1} mm inside bone; expected a `[[predrill]]` hole along it")
     })
 }
