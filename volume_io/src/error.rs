@@ -107,6 +107,18 @@ pub enum VolumeError {
         /// The limit, [`voxel_grid::MAX_VOXELS`].
         limit: usize,
     },
+    /// The machine, or the process's limit, has too little memory for the voxels.
+    #[error(
+        "{}: {voxels} voxels need {needed_bytes} bytes of memory, more than there is; crop or resample the volume", foreign_path(.path)
+    )]
+    Memory {
+        /// File.
+        path: PathBuf,
+        /// Their number.
+        voxels: usize,
+        /// Two bytes each.
+        needed_bytes: u64,
+    },
     /// Not a three-dimensional image.
     #[error(
         "{}: `{}`: given {}; expected one three-dimensional volume; extract one volume first", foreign_path(.path), foreign(.field), foreign(.given)

@@ -67,25 +67,19 @@ impl Scalar {
         if self.size() == 1 { self.name().into() } else { format!("{} {}", self.name(), endian.name()) }
     }
 
-    /// The number stored in `bytes`, which holds exactly one voxel; 64-bit integers are rounded to f64.
-    fn value(self, bytes: &[u8], endian: Endian) -> f64 {
-        let mut word = [0_u8; 8];
-        let n = self.size().min(bytes.len());
-        for (i, byte) in bytes.iter().take(n).enumerate() {
-            word[if endian == Endian::Little { i } else { n - 1 - i }] = *byte;
-        }
-        let [a, b, c, d, ..] = word;
+    /// Appends the little-endian numbers in `bytes`; 64-bit integers are rounded to f64.
+    fn append(self, bytes: &[u8], scale: Scale, sink: &mut HuSink) {
         match self {
-            Scalar::I8 => f64::from(a as i8),
-            Scalar::U8 => f64::from(a),
-            Scalar::I16 => f64::from(i16::from_le_bytes([a, b])),
-            Scalar::U16 => f64::from(u16::from_le_bytes([a, b])),
-            Scalar::I32 => f64::from(i32::from_le_bytes([a, b, c, d])),
-            Scalar::U32 => f64::from(u32::from_le_bytes([a, b, c, d])),
-            Scalar::F32 => f64::from(f32::from_le_bytes([a, b, c, d])),
-            Scalar::I64 => i64::from_le_bytes(word) as f64,
-            Scalar::U64 => u64::from_le_bytes(word) as f64,
-            Scalar::F64 => f64::from_le_bytes(word),
+            Scalar::I8 => sink.extend(bytes, scale, |b: [u8; 1]| f64::from(i8::from_le_bytes(b))),
+            Scalar::U8 => sink.extend(bytes, scale, |[byte]| f64::from(byte)),
+            Scalar::I16 => sink.extend(bytes, scale, |b| f64::from(i16::from_le_bytes(b))),
+            Scalar::U16 => sink.extend(bytes, scale, |b| f64::from(u16::from_le_bytes(b))),
+            Scalar::I32 => sink.extend(bytes, scale, |b| f64::from(i32::from_le_bytes(b))),
+            Scalar::U32 => sink.extend(bytes, scale, |b| f64::from(u32::from_le_bytes(b))),
+            Scalar::F32 => sink.extend(bytes, scale, |b| f64::from(f32::from_le_bytes(b))),
+            Scalar::I64 => sink.extend(bytes, scale, |b| i64::from_le_bytes(b) as f64),
+            Scalar::U64 => sink.extend(bytes, scale, |b| u64::from_le_bytes(b) as f64),
+            Scalar::F64 => sink.extend(bytes, scale, f64::from_le_bytes),
         }
     }
 }
@@ -127,6 +121,12 @@ impl HuSink {
     /// Appends one stored number. Halves round away from zero; NaN becomes air.
     pub fn push(&mut self, stored: f64, scale: Scale) {
         let value = if scale == Scale::IDENTITY { stored } else { scale.slope * stored + scale.intercept };
+        // Most numbers are whole HU already.
+        let direct = value as i16;
+        if f64::from(direct) == value {
+            self.hu.push(direct);
+            return;
+        }
         if value.is_nan() {
             self.not_a_number += 1;
             self.hu.push(-1000);
@@ -140,6 +140,25 @@ impl HuSink {
             self.rounded += 1;
         }
         self.hu.push(kept as i16);
+    }
+
+    /// Appends numbers of `N` bytes each.
+    fn extend<const N: usize>(&mut self, bytes: &[u8], scale: Scale, number: impl Fn([u8; N]) -> f64) {
+        for &chunk in bytes.as_chunks().0 {
+            self.push(number(chunk), scale);
+        }
+    }
+
+    /// Takes memory for `count` more voxels.
+    ///
+    /// # Errors
+    /// `Memory`: there is too little.
+    fn reserve(&mut self, path: &Path, count: usize, all: usize) -> Result<(), VolumeError> {
+        self.hu.try_reserve(count).map_err(|_| VolumeError::Memory {
+            path: path.into(),
+            voxels: all,
+            needed_bytes: (all * size_of::<i16>()) as u64,
+        })
     }
 
     /// The voxels; adds a note for each kind of change made.
@@ -182,7 +201,7 @@ impl Layout {
         let size = self.scalar.size();
         // A raw file's length has been checked already; a compressed stream may still hold less than its upper bound.
         if codec == Codec::Raw.name() {
-            sink.hu.reserve_exact(count);
+            sink.reserve(path, count, count)?;
         }
         let mut buffer = vec![0_u8; 1 << 16];
         let mut left = count;
@@ -197,9 +216,11 @@ impl Layout {
                     expected_bytes: self.byte_count(count),
                 });
             }
-            for bytes in buffer[..wanted].chunks_exact(size) {
-                sink.push(self.scalar.value(bytes, self.endian), self.scale);
+            if self.endian == Endian::Big && size > 1 {
+                buffer[..wanted].chunks_exact_mut(size).for_each(<[u8]>::reverse);
             }
+            sink.reserve(path, wanted / size, count)?;
+            self.scalar.append(&buffer[..wanted], self.scale, sink);
             left -= wanted / size;
         }
         Ok(())
