@@ -265,12 +265,7 @@ impl Running<'_> {
             self.hub.serve_late_joiners()?;
             self.subscriptions.poll()?;
             show(&self.subscriptions.snapshot(self.hub.folder(), &awaited, &self.parts));
-            if self.first_tick.is_none()
-                && self
-                    .subscriptions
-                    .status
-                    .is_some_and(|status| status.phase().is_ok_and(|phase| phase >= Phase::Running))
-            {
+            if self.first_tick.is_none() && self.subscriptions.status.is_some_and(has_started) {
                 self.first_tick = Some(Instant::now());
             }
             self.parts.iter_mut().for_each(Part::measure);
@@ -333,6 +328,15 @@ impl Running<'_> {
             Outcome::Completed if self.subscriptions.status.is_some_and(cut) => Outcome::Stopped,
             other => other,
         }
+    }
+}
+
+/// Whether every part had connected. A run that ends before that has made no tick.
+fn has_started(status: RunStatus) -> bool {
+    match status.phase() {
+        Ok(Phase::Running | Phase::Paused) => true,
+        Ok(Phase::Ended) => status.tick > 0,
+        Ok(Phase::Connecting) | Err(_) => false,
     }
 }
 
