@@ -8,5 +8,6 @@ pub mod part;
 pub mod progress;
 mod replacements;
 pub mod run;
+mod subscriptions;
 pub mod suspicions;
 pub mod volume_source;

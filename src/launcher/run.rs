@@ -4,14 +4,11 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use foreign_text::foreign_line;
-use ipc_types::messages::{
-    Event, EventCode, Frame, Part as HubPart, Participant, Phase, RunStatus, State, Tick, TickTiming,
-};
-use ipc_types::ports::{PortError, Subscriber};
+use ipc_types::messages::{EventCode, Phase, RunStatus, State, Tick, TickTiming};
+use ipc_types::ports::PortError;
 use ipc_types::process::{EXIT_GAP, EndRequest, ProcessorTime};
 use ipc_types::scene::{Controller, Scene};
-use ipc_types::services;
-use ipc_types::session::{Blame, Session, SessionError};
+use ipc_types::session::{Blame, SessionError};
 use recorder_proc::process::OUTPUT_FILE;
 use volume_io::Volume;
 
@@ -20,6 +17,7 @@ use super::hub::{DRR, Hub, HubError, LAUNCHER, PHYSICS, RECORDER, Recording, Vie
 use super::log_watch::LogWatch;
 use super::part::{Memory, Part};
 use super::replacements::Replacements;
+use super::subscriptions::Subscriptions;
 use super::volume_source::{self, VolumeFiles};
 use crate::report::{NOT_SHARED, RunFacts};
 
@@ -403,92 +401,6 @@ fn awaited(scene: &Scene, hub: &Hub) -> Vec<String> {
 /// Whether the recorder has finished its log with messages missing.
 pub(super) fn has_gap(part: &mut Part) -> bool {
     part.name == RECORDER && part.ended().and_then(|status| status.code()) == Some(i32::from(EXIT_GAP))
-}
-
-/// The launcher's subscriptions.
-struct Subscriptions {
-    states: Subscriber<State>,
-    statuses: Subscriber<RunStatus>,
-    tick_timings: Subscriber<TickTiming>,
-    frame_messages: Option<Subscriber<Frame>>,
-    events: Subscriber<Event>,
-    state: Option<Box<State>>,
-    status: Option<RunStatus>,
-    timings: Vec<TickTiming>,
-    frames: u64,
-    /// For whom the run has been waiting, since the last update.
-    waiting: Option<String>,
-}
-
-impl Subscriptions {
-    /// Whether the physics has said that the run is over.
-    fn has_ended(&self) -> bool {
-        self.status.is_some_and(|status| status.phase() == Ok(Phase::Ended))
-    }
-
-    fn open(session: &Session) -> Result<Subscriptions, SessionError> {
-        let has_frames = session.announcement().frame_bytes > 0;
-        Ok(Subscriptions {
-            states: session.newest_subscriber(&services::STATE)?,
-            statuses: session.subscriber(&services::RUN_STATUS)?,
-            tick_timings: session.subscriber(&services::TICK_TIMING)?,
-            frame_messages: has_frames.then(|| session.subscriber(&services::FRAME)).transpose()?,
-            state: None,
-            status: None,
-            events: session.subscriber(&services::EVENT)?,
-            timings: Vec::new(),
-            frames: 0,
-            waiting: None,
-        })
-    }
-
-    fn poll(&mut self) -> Result<(), PortError> {
-        if let Some(state) = self.states.receive_newest()? {
-            self.state = Some(Box::new(*state.message()));
-        }
-        if let Some(status) = self.statuses.receive_newest()? {
-            self.status = Some(*status.message());
-        }
-        self.timings.clear();
-        while let Some(timing) = self.tick_timings.receive()? {
-            self.timings.push(*timing.message());
-        }
-        self.waiting = None;
-        while let Some(event) = self.events.receive_valid(|_| {})? {
-            let message = event.message();
-            if message.code() == Ok(EventCode::Waiting)
-                && message.sender() == Some(Participant::Part(HubPart::Physics))
-            {
-                let text = event.tail();
-                let text = String::from_utf8_lossy(text.strip_suffix(&[0]).unwrap_or(text));
-                self.waiting = Some(foreign_line(&text).to_string());
-            }
-        }
-        if let Some(frames) = &self.frame_messages {
-            while let Some(frame) = frames.receive()? {
-                self.frames = frame.message().sequence;
-            }
-        }
-        Ok(())
-    }
-
-    fn snapshot<'a>(
-        &'a self,
-        session: &'a Path,
-        awaited: &'a [String],
-        parts: &'a [Part],
-    ) -> RunSnapshot<'a> {
-        RunSnapshot {
-            session,
-            awaited,
-            state: self.state.as_deref(),
-            status: self.status.as_ref(),
-            timings: &self.timings,
-            frames: self.frames,
-            waiting: self.waiting.as_deref(),
-            parts,
-        }
-    }
 }
 
 /// Creates a fresh folder `<scene>-<date-time>` below `parent`.

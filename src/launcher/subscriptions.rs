@@ -1,0 +1,100 @@
+//! What the launcher hears of its run.
+
+use std::path::Path;
+
+use foreign_text::foreign_line;
+use ipc_types::messages::{
+    Event, EventCode, Frame, Part as HubPart, Participant, Phase, RunStatus, State, TickTiming,
+};
+use ipc_types::ports::{PortError, Subscriber};
+use ipc_types::services;
+use ipc_types::session::{Session, SessionError};
+
+use super::part::Part;
+use super::run::RunSnapshot;
+
+/// The launcher's subscriptions.
+pub(super) struct Subscriptions {
+    states: Subscriber<State>,
+    statuses: Subscriber<RunStatus>,
+    tick_timings: Subscriber<TickTiming>,
+    frame_messages: Option<Subscriber<Frame>>,
+    events: Subscriber<Event>,
+    pub(super) state: Option<Box<State>>,
+    pub(super) status: Option<RunStatus>,
+    timings: Vec<TickTiming>,
+    frames: u64,
+    /// For whom the run has been waiting, since the last update.
+    waiting: Option<String>,
+}
+
+impl Subscriptions {
+    /// Whether the physics has said that the run is over.
+    pub(super) fn has_ended(&self) -> bool {
+        self.status.is_some_and(|status| status.phase() == Ok(Phase::Ended))
+    }
+
+    pub(super) fn open(session: &Session) -> Result<Subscriptions, SessionError> {
+        let has_frames = session.announcement().frame_bytes > 0;
+        Ok(Subscriptions {
+            states: session.newest_subscriber(&services::STATE)?,
+            statuses: session.subscriber(&services::RUN_STATUS)?,
+            tick_timings: session.subscriber(&services::TICK_TIMING)?,
+            frame_messages: has_frames.then(|| session.subscriber(&services::FRAME)).transpose()?,
+            state: None,
+            status: None,
+            events: session.subscriber(&services::EVENT)?,
+            timings: Vec::new(),
+            frames: 0,
+            waiting: None,
+        })
+    }
+
+    pub(super) fn poll(&mut self) -> Result<(), PortError> {
+        if let Some(state) = self.states.receive_newest()? {
+            self.state = Some(Box::new(*state.message()));
+        }
+        if let Some(status) = self.statuses.receive_newest()? {
+            self.status = Some(*status.message());
+        }
+        self.timings.clear();
+        while let Some(timing) = self.tick_timings.receive()? {
+            self.timings.push(*timing.message());
+        }
+        self.waiting = None;
+        while let Some(event) = self.events.receive_valid(|_| {})? {
+            let message = event.message();
+            if message.code() == Ok(EventCode::Waiting)
+                && message.sender() == Some(Participant::Part(HubPart::Physics))
+            {
+                let text = event.tail();
+                let text = String::from_utf8_lossy(text.strip_suffix(&[0]).unwrap_or(text));
+                self.waiting = Some(foreign_line(&text).to_string());
+            }
+        }
+        if let Some(frames) = &self.frame_messages {
+            while let Some(frame) = frames.receive()? {
+                self.frames = frame.message().sequence;
+            }
+        }
+        Ok(())
+    }
+
+    pub(super) fn snapshot<'a>(
+        &'a self,
+        session: &'a Path,
+        awaited: &'a [String],
+        parts: &'a [Part],
+    ) -> RunSnapshot<'a> {
+        RunSnapshot {
+            session,
+            awaited,
+            state: self.state.as_deref(),
+            status: self.status.as_ref(),
+            timings: &self.timings,
+            frames: self.frames,
+            waiting: self.waiting.as_deref(),
+            parts,
+        }
+    }
+}
