@@ -6,6 +6,7 @@ use messages::layout::{Description, Element, Tail};
 use messages::{ALL, Tick, TickRange};
 use serde_json::{Map, Value, json};
 
+use crate::Topic;
 use crate::error::LogError;
 use crate::fields::{Place, Scalar, element_size, find};
 use crate::source::LogSource;
@@ -48,7 +49,7 @@ impl CatOptions {
 /// [`LogError::NoSuchField`]; [`LogError::NoSuchTopic`], after the messages of the other topics; a log that cannot be
 /// read.
 pub fn cat(log: &dyn LogSource, options: &CatOptions, out: &mut dyn Write) -> Result<Verdict, LogError> {
-    check_fields(&options.fields)?;
+    check_fields(&options.fields, &options.topics)?;
     let mut stream = match options.topics.as_slice() {
         [] => MessageStream::open(log, options.read)?,
         topics => MessageStream::open_topics(log, topics, options.read)?,
@@ -75,13 +76,15 @@ pub fn cat(log: &dyn LogSource, options: &CatOptions, out: &mut dyn Write) -> Re
     }
 }
 
-/// A field that exists in no message is a user error, not an empty result.
-pub(crate) fn check_fields(fields: &[String]) -> Result<(), LogError> {
+/// A field that exists in no message is a user error, not an empty result. `topics` are those whose messages are printed.
+fn check_fields(fields: &[String], topics: &[String]) -> Result<(), LogError> {
+    let first_chosen = topics.iter().find_map(|topic| Topic::of_name(topic)).map(Topic::description);
     for field in fields {
         let mut attempts = ALL.iter().map(|description| find(description, field));
         if attempts.all(|attempt| attempt.is_err()) {
             let name = field.split(['.', '[']).next().unwrap_or_default();
-            let closest = ALL.iter().find(|description| description.fields.iter().any(|f| f.name == name));
+            let with_name = ALL.iter().find(|description| description.fields.iter().any(|f| f.name == name));
+            let closest = with_name.copied().or(first_chosen);
             let reason = closest.and_then(|description| find(description, field).err());
             let reason = reason.unwrap_or_else(|| format!("no message has a field '{name}'"));
             return Err(LogError::NoSuchField { field: field.clone(), reason });

@@ -83,7 +83,7 @@ impl Header {
 }
 
 impl<W: Write> Sink<W> {
-    /// Writes the header.
+    /// Writes and flushes the header.
     pub fn create(
         w: W,
         path: &Path,
@@ -95,6 +95,8 @@ impl<W: Write> Sink<W> {
         let mut writer = McapWriter::create(w, index, PROFILE, LIBRARY).map_err(fail)?;
         let second = Header { header: header.clone(), entries: header.to_metadata(lane) };
         second.write(&mut writer).map_err(fail)?;
+        // A log says what it is of even if its writer is killed before the first chunk.
+        writer.flush_output().map_err(fail)?;
         let dt_ns = header.dt_ns.max(1);
         Ok(Sink {
             writer,

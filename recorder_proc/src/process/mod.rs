@@ -126,8 +126,6 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
         ports,
     };
     // From the first tick on, the files identify themselves, even if this process is killed.
-    recorder.run.close_chunk()?;
-    recorder.timing.flush()?;
     for (written, path) in [(run_written, run), (timing_written, timing)] {
         written.wait().map_err(|source| LogError::Write { path, source })?;
     }

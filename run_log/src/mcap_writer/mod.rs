@@ -150,6 +150,11 @@ impl<W: Write> McapWriter<W> {
         self.out.inner.flush()
     }
 
+    /// Flushes the output; the open chunk stays open.
+    pub fn flush_output(&mut self) -> Result<()> {
+        self.out.inner.flush()
+    }
+
     fn close_chunk(&mut self) -> Result<()> {
         let Some(chunk) = self.chunk.take() else { return Ok(()) };
         let (header, data, messages) = chunk.finish()?;
