@@ -20,9 +20,7 @@ namespace trabecula {
 class Error : public std::runtime_error {
 public:
     explicit Error(int status)
-        : std::runtime_error(status < 0             ? trb_last_error()
-                             : status == TRB_ENDED ? "the run has ended"
-                                                   : "nothing came in time"),
+        : std::runtime_error(status == TRB_TIMEOUT ? "nothing came in time" : trb_last_error()),
           status_(status) {}
     // One of the TRB_ statuses; TRB_TIMEOUT if nothing came in time, TRB_ENDED if the run is over.
     int status() const noexcept { return status_; }

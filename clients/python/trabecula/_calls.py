@@ -24,7 +24,7 @@ def check(status: int) -> None:
     if status == g.TIMEOUT:
         raise TimeoutError("nothing came in time")
     if status == g.ENDED:
-        raise Ended("the run has ended")
+        raise Ended(library.trb_last_error().decode())
     raise Error(status, library.trb_last_error().decode())
 
 

@@ -38,7 +38,7 @@ class Client:
 
     Args:
         session: The session's folder or name; None uses the folder in the environment variable `TRABECULA_SESSION`, or
-            else this user's session that was announced last.
+            else this user's only session; with several running, one must be named.
         controller: Name of the controller in the scene; "" joins as an observer, which sends no commands; None uses
             the name in `TRABECULA_CONTROLLER`, or else the scene's only external controller.
         timeout_s: How long to wait for the session.

@@ -107,21 +107,31 @@ class _Started:
 
     def __init__(self, words: list[str]) -> None:
         self._process = subprocess.Popen(
-            words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+            words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
         self._said: list[str] = []
         self._session: Optional[str] = None
         self._heard = threading.Condition()
-        assert self._process.stderr is not None  # a pipe
-        self._listener = threading.Thread(target=self._listen, args=(self._process.stderr,), daemon=True)
-        self._listener.start()
+        assert self._process.stdout is not None and self._process.stderr is not None  # pipes
+        self._listeners = [
+            threading.Thread(target=self._hear, args=(self._process.stdout,), daemon=True),
+            threading.Thread(target=self._listen, args=(self._process.stderr,), daemon=True),
+        ]
+        for listener in self._listeners:
+            listener.start()
+
+    def _hear(self, figures: IO[str]) -> None:
+        """Takes the session from the first line, and reads the rest so that the program never waits."""
+        for line in figures:
+            if self._session is None:
+                with self._heard:
+                    self._session = json.loads(line).get("session")
+                    self._heard.notify_all()
 
     def _listen(self, words: IO[str]) -> None:
         for line in words:
             with self._heard:
                 self._said = [*self._said[-19:], line.rstrip()]
-                if line.startswith("session ") and self._session is None:
-                    self._session = line[len("session ") :].rstrip("\n")
                 self._heard.notify_all()
 
     def __enter__(self) -> _Started:
@@ -134,14 +144,18 @@ class _Started:
                 end()
                 with suppress(subprocess.TimeoutExpired):
                     self._process.wait(_SIGNAL_LIMIT_S)
-        self._listener.join(_SIGNAL_LIMIT_S)
+        self._join()
+
+    def _join(self) -> None:
+        for listener in self._listeners:
+            listener.join(_SIGNAL_LIMIT_S)
 
     def session(self, timeout_s: float) -> str:
         """The session's folder, once it is announced."""
         deadline = time.monotonic() + timeout_s
         with self._heard:
             while self._session is None:
-                if not self._listener.is_alive() and self._process.poll() is not None:
+                if self._process.poll() is not None and not any(it.is_alive() for it in self._listeners):
                     raise self._failure()
                 if time.monotonic() > deadline:
                     raise TimeoutError(f"no session within {timeout_s} s; the program said: {self._last_words()}")
@@ -156,7 +170,7 @@ class _Started:
         """
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(_END_LIMIT_S)
-        self._listener.join(_SIGNAL_LIMIT_S)
+        self._join()
         if self._process.poll() != 0:
             raise self._failure()
 
