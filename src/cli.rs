@@ -142,7 +142,7 @@ mod tests {
     use test_support::grammar;
 
     /// Commands that print no figures: their answer is text for another program, a picture or a page, or files alone.
-    const WITHOUT_FIGURES: [&str; 14] = [
+    const WITHOUT_FIGURES: [&str; 18] = [
         "bridge igtl",
         "docs completions",
         "docs install",
@@ -156,6 +156,10 @@ mod tests {
         "plot",
         "scene init",
         "scene schema",
+        "session env",
+        "session pause",
+        "session resume",
+        "session stop",
         "view",
     ];
 

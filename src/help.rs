@@ -98,7 +98,7 @@ pub const EXAMPLES: &[Examples] = &[
     ("session stop", &["trabecula session stop"]),
     ("session pause", &["trabecula session pause"]),
     ("session resume", &["trabecula session resume"]),
-    ("session env", &["eval \"$(trabecula session env)\""]),
+    ("session env", &["trabecula session env"]),
     ("tool show", &["trabecula tool show", "trabecula tool show scene.toml --json"]),
     ("doctor", &["trabecula doctor", "trabecula doctor --json --seconds 5"]),
 ];

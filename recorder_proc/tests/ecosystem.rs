@@ -68,9 +68,9 @@ fn parquet_is_read_by_pyarrow(python: &Path, folder: &Path, log: &Path, rows: us
     read_rows(&LogFile::at(log), "/state", &columns, TickRange::ALL, &mut table).unwrap();
     table.finish().unwrap();
     let script = "import sys, pyarrow.parquet as p; t = p.read_table(sys.argv[1]); \
-                  print(t.num_rows, t.column_names, t['tick'][9].as_py())";
+                  print(t.num_rows, t.column_names, t['log_tick'][9].as_py())";
     let printed = text(Command::new(python).args(["-c", script]).arg(&out).limited_output().unwrap());
-    let names = "['tick', 'log_time_ns', 't_world_tip.position_m[0]', 't_world_tip.position_m[1]', \
+    let names = "['log_tick', 'log_time_ns', 't_world_tip.position_m[0]', 't_world_tip.position_m[1]', \
                  't_world_tip.position_m[2]', 'hash[0]', 'hash[1]']";
     assert_eq!(printed.trim_end(), format!("{rows} {names} 9"));
 }

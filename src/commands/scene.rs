@@ -80,7 +80,9 @@ fn check(file: &Path, volume_files: VolumeFiles, figures: Figures) -> Result<(),
     let loaded = volume_source::load_with_notes(&scene, volume_files)?;
     notes.extend(loaded.iter().flat_map(|loaded| loaded.notes.clone()));
     let volume = loaded.map(|loaded| (loaded.volume, loaded.sha256));
-    notes.extend(feasibility::check(&scene, &file.display(), volume.as_ref())?);
+    let warnings = feasibility::check(&scene, &file.display(), volume.as_ref())
+        .inspect_err(|_| notes.iter().for_each(|note| tell!("{note}")))?;
+    notes.extend(warnings);
     let calibrations = scene.controller.iter().filter_map(|controller| controller.curved_drilling.as_ref());
     for path in calibrations.filter_map(|drilling| drilling.calibration.as_ref()) {
         Calibration::load(path, &ipc_types::text_file::read)

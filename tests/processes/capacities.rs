@@ -11,8 +11,8 @@ use zerocopy::FromBytes;
 use crate::common::logs::assert_replays;
 use crate::common::program::Place;
 
-/// 39 spheres (32 links) inside of four balls, with the tip in bone: 156 contacts with the balls, and at least nine with the bone. The planar
-/// solver has room for 164.
+/// 39 spheres (32 links) of 6 mm between four walls, with the tip in bone: 156 contacts with the walls, and at least nine with the bone. The
+/// planar solver has room for 164.
 const CROWDED: &str = "
 name = \"crowded\"
 [run]
@@ -26,6 +26,7 @@ spacing_mm = 1.0
 
 [manipulator]
 links = 32
+burr_diameter_mm = 6.0
 
 [tool]
 burr_start_mm = [0.0, 0.0, 0.0]
@@ -38,16 +39,19 @@ drives = [\"tendon\", \"arm\", \"burr\"]
 hold = { tension_n = 2.0 }
 ";
 
-fn ball(n: usize) -> String {
+/// A wall that touches the tool on one of its sides.
+fn wall(side: usize) -> String {
+    let position_mm = [[23, 0, 0], [-23, 0, 0], [0, 23, 0], [0, -23, 0]][side];
     format!(
-        "[[body]]\nname = \"ball_{n}\"\nball = {{ radius_mm = 200.0 }}\nmotion = \"fixed\"\nposition_mm = [0.0, 0.0, 0.0]\n"
+        "[[body]]\nname = \"wall_{side}\"\ncuboid = {{ half_extents_mm = [20.0, 20.0, 500.0] }}\nmotion = \"fixed\"\n\
+         position_mm = {position_mm:?}\n"
     )
 }
 
 #[test]
 fn a_capacity_that_is_reached_is_an_event_a_warning_and_a_count() {
     let place = Place::new();
-    let scene = |balls: usize| CROWDED.to_owned() + &(0..balls).map(ball).collect::<String>();
+    let scene = |walls: usize| CROWDED.to_owned() + &(0..walls).map(wall).collect::<String>();
     let ended = place.complete(&scene(4));
     let words = "contacts: they do not push";
 

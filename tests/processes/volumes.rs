@@ -48,7 +48,7 @@ fn a_start_with_the_signs_of_another_program_is_named() {
         let line = text.lines().find(|line| line.starts_with("burr_start_mm")).unwrap().to_owned();
         let scene = place.scene(&text.replace(&line, &format!("burr_start_mm = [{x}, {x}, -25.0]")));
         let done = trabecula(&[&"scene", &"check", &scene]);
-        (done.code, done.out)
+        (done.code, format!("{}{}", done.out, done.err))
     };
     let (code, said) = start("-40.0");
     assert_eq!(code, Some(2), "the feed ends before the bone");
