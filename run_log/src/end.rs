@@ -23,8 +23,11 @@ const PART_DIED: &str = "part died: ";
 const CONTROLLER_MISSING: &str = "controller missing: ";
 const CONTROLLER_LATE: &str = "controller late: ";
 
+/// A reason that names a part or controller: its word, and how it is made.
+type NamedReason = (&'static str, fn(String) -> EndReason);
+
 /// The reasons that name who caused the end, by what their text begins with.
-const NAMED: [(&str, fn(String) -> EndReason); 3] = [
+const NAMED: [NamedReason; 3] = [
     (PART_DIED, EndReason::PartDied),
     (CONTROLLER_MISSING, EndReason::ControllerMissing),
     (CONTROLLER_LATE, EndReason::ControllerLate),
