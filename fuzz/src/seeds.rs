@@ -19,6 +19,7 @@ mod log_bytes;
 #[allow(missing_docs, dead_code)]
 mod nifti_bytes;
 
+use dicom_bytes::jpeg_2000;
 pub(crate) use dicom_bytes::{DicomSlice, LOSSLESS_JPEG};
 pub(crate) use log_bytes::Toy;
 use log_bytes::{Step, feed, header, run_messages, write_log};
@@ -27,7 +28,7 @@ use nifti_bytes::NiftiBytes;
 /// Transfer syntaxes of JPEG: baseline, extended, lossless twice.
 pub(crate) const JPEG_SYNTAXES: [&str; 4] =
     ["1.2.840.10008.1.2.4.50", "1.2.840.10008.1.2.4.51", "1.2.840.10008.1.2.4.57", "1.2.840.10008.1.2.4.70"];
-/// Transfer syntaxes of JPEG-LS lossless, and of JPEG 2000, which is refused.
+/// Transfer syntaxes of JPEG-LS and JPEG 2000, lossless.
 pub(crate) const LATER_SYNTAXES: [&str; 2] = ["1.2.840.10008.1.2.4.80", "1.2.840.10008.1.2.4.90"];
 /// Data set packed by deflate.
 pub(crate) const DEFLATED_SYNTAX: &str = "1.2.840.10008.1.2.1.99";
@@ -258,7 +259,35 @@ pub fn dicom() -> Vec<Vec<u8>> {
         slice("1.2.840.10008.1.2.1", None).bytes()[132..].to_vec(),
         [&[3, 4, 5], jpeg.as_slice()].concat(),
         [&[0, 4, 5], jpeg.as_slice()].concat(),
+        slice(LATER_SYNTAXES[1], Some(jpeg_2000(4, 5))).bytes(),
+        [&[6, 4, 5], jpeg_2000(4, 5).as_slice()].concat(),
+        [&[6, 100, 130], jpeg_2000_tiles().as_slice()].concat(),
     ]
+}
+
+/// A JPEG 2000 codestream of 130 x 100 pixels (ITU-T T.800) with what [`jpeg_2000`] lacks: four tiles, two decompositions by the irreversible
+/// transform, three layers, precincts, code-blocks of 16 x 16 in several passes' segments, and packets of arbitrary bits.
+fn jpeg_2000_tiles() -> Vec<u8> {
+    let whole = jpeg_2000(100, 130);
+    let [siz, main] = [whole[..45].to_vec(), whole[45..].to_vec()];
+    let mut data = siz;
+    data[24..28].copy_from_slice(&65_u32.to_be_bytes());
+    data[28..32].copy_from_slice(&50_u32.to_be_bytes());
+    // By position, markers of packets, three layers; blocks of 16 x 16, terminated and bypassing the arithmetic coder.
+    data.extend([0xff, 0x52, 0, 15, 7, 2, 0, 3, 0, 2, 2, 2, 0x2d, 0, 0x44, 0x55, 0x66]);
+    // Two guard bits, the exponents and mantissas of 7 subbands.
+    data.extend([0xff, 0x5c, 0, 17, 0x42]);
+    data.extend((0..7_u16).flat_map(|band| (((16 - band) << 11) | (100 * band)).to_be_bytes()));
+    let sot = &main[20..34];
+    for tile in 0..4_u8 {
+        let packets: Vec<u8> = (0..200_u32).map(|n| ((n * 97 + u32::from(tile) * 31) >> 2) as u8).collect();
+        let mut part = sot.to_vec();
+        part[5] = tile;
+        part[6..10].copy_from_slice(&(14 + packets.len() as u32).to_be_bytes());
+        data.extend([part, packets].concat());
+    }
+    data.extend([0xff, 0xd9]);
+    data
 }
 
 /// A JPEG-LS frame of 5 x 4 pixels (ITU-T T.87): headers, and a scan of arbitrary bits.

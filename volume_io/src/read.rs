@@ -19,8 +19,9 @@ pub fn read(path: impl AsRef<Path>) -> Result<Volume, VolumeError> {
 ///
 /// Reads NIfTI-1/2 (.nii, .hdr/.img, plain or gzip), NRRD (attached or detached, one data file or several; raw, gzip, bzip2, hex, text),
 /// MetaImage (.mha, .mhd; raw, zlib, text) and DICOM CT (a folder, or any one file of a series; classic and enhanced; uncompressed,
-/// deflated, RLE, JPEG, JPEG-LS). Geometry is converted to LPS and metres; voxels stay in their order. Slope and intercept are applied; fractions are rounded (halves away from zero) and values beyond `i16` clamped,
-/// both counted in the notes. A file without units is read as millimetres.
+/// deflated, RLE, JPEG, JPEG-LS, JPEG 2000). Geometry is converted to LPS and metres; voxels stay in their order. Slope and intercept are
+/// applied; fractions are rounded (halves away from zero) and values beyond `i16` clamped, both counted in the notes. A file
+/// without units is read as millimetres.
 ///
 /// # Errors
 /// Every cause is a variant of [`VolumeError`], and names the file, the field, the value found and what is expected.

@@ -100,3 +100,28 @@ fn a_deflated_data_set_that_grows_without_end_is_refused() {
     // Zeros are no data set; it is enough that they are unpacked no further than the file may be long.
     refuse(&deflated(&vec![0; 64 << 20]));
 }
+
+/// Slices of an MR in a CT's series were taken for Hounsfield units if the first slice was of the CT.
+#[test]
+fn a_series_of_two_modalities_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut slices = stack(&[0.0, 2.0, 4.0]);
+    slices[2].modality = "MR";
+    write_series(folder.path(), &slices);
+    let error = read(folder.path()).unwrap_err();
+    let said = error.to_string();
+    assert!(matches!(error, VolumeError::MixedSeries { .. }), "{said}");
+    assert!(said.contains("Modality") && said.contains("002.dcm"), "{said}");
+}
+
+/// `volume info` named the slope of the first slice alone.
+#[test]
+fn slices_of_several_slopes_are_each_scaled_by_their_own_and_it_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut slices = stack(&[0.0, 2.0]);
+    slices[1].slope = "2";
+    write_series(folder.path(), &slices);
+    let (volume, info) = read_as(folder.path(), &ReadOptions::default()).unwrap();
+    assert_eq!((volume.hu[0], volume.hu[20]), (0, 1024));
+    assert!(info.to_string().contains("slope and intercept of each slice"), "{info}");
+}

@@ -251,14 +251,9 @@ fn dicom_encodings() {
     for name in ["MR_small_bigendian.dcm", "MR_small_implicit.dcm"] {
         assert_eq!(read(folder_copy(name).path()).unwrap().hu, explicit.hu, "{name}");
     }
-    let name = "MR_small_jpeg_ls_lossless.dcm";
-    assert_eq!(read(folder_copy(name).path()).unwrap().hu, explicit.hu, "{name}");
-    // No decoder of JPEG 2000 is built in: those in plain safe Rust compute in f32 and are a grey value off in this lossless file.
-    let packed = read(folder_copy("MR_small_jp2klossless.dcm").path()).unwrap_err();
-    assert!(
-        matches!(&packed, VolumeError::Unsupported { given, .. } if given.contains("JPEG 2000")),
-        "{packed}"
-    );
+    for name in ["MR_small_jpeg_ls_lossless.dcm", "MR_small_jp2klossless.dcm"] {
+        assert_eq!(read(folder_copy(name).path()).unwrap().hu, explicit.hu, "{name}");
+    }
     let truncated = read(folder.join("MR_truncated.dcm")).unwrap_err();
     println!("{truncated}");
     assert!(matches!(truncated, VolumeError::Truncated { .. }));

@@ -17,7 +17,7 @@ const JPEG_LS_FRAME: u8 = 0xf7;
 const JPEG_LS_PRESETS: u8 = 0xf8;
 const EXTENDED_SEQUENTIAL: u8 = 0xc1;
 
-fn corrupt(path: &Path, codec: &'static str, reason: impl Into<String>) -> VolumeError {
+pub(super) fn corrupt(path: &Path, codec: &'static str, reason: impl Into<String>) -> VolumeError {
     VolumeError::Corrupt { path: path.into(), codec, reason: reason.into() }
 }
 
@@ -77,13 +77,13 @@ fn is_ended(data: &[u8]) -> bool {
 }
 
 /// Size of a frame as its own header states it.
-struct StatedSize {
-    rows: usize,
-    columns: usize,
+pub(super) struct StatedSize {
+    pub rows: usize,
+    pub columns: usize,
 }
 
 /// Checks that the data are whole and can hold as many pixels as `shape` says, of a frame whose own header says `stated`.
-fn check_frame(
+pub(super) fn check_frame(
     path: &Path,
     codec: &'static str,
     data: &[u8],

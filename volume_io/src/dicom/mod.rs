@@ -4,6 +4,7 @@ mod codec;
 mod fields;
 mod file;
 mod folder;
+mod jpeg2000;
 mod pixels;
 mod scan;
 mod series;

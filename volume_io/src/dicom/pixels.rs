@@ -3,6 +3,7 @@
 use super::codec;
 use super::fields::Fields;
 use super::file::DicomFile;
+use super::jpeg2000;
 use super::scan::{PixelCodec, Pixels};
 use super::slice::Slice;
 use crate::error::VolumeError;
@@ -32,9 +33,9 @@ impl Shape {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Bits {
     pub allocated: u32,
-    stored: u32,
+    pub stored: u32,
     high: u32,
-    signed: bool,
+    pub signed: bool,
 }
 
 impl Bits {
@@ -127,6 +128,10 @@ pub(super) fn append(slice: &Slice, file: &DicomFile, sink: &mut HuSink) -> Resu
         }
         Pixels::Fragments { offsets, fragments } => {
             let parts: Vec<&[u8]> = fragments.iter().map(bytes).collect();
+            if file.transfer.codec == PixelCodec::Jpeg2000 {
+                let packed = parts.iter().map(|part| part.len() as u64).sum();
+                jpeg2000::check_file(path, slice.frames, shape, packed)?;
+            }
             let frame = packed_frame(path, slice, bytes(offsets), &parts)?;
             for sample in unpacked(slice, file, &frame, shape)? {
                 sink.push(slice.bits.value(sample), slice.scale);
@@ -221,6 +226,7 @@ fn unpacked(slice: &Slice, file: &DicomFile, data: &[u8], shape: Shape) -> Resul
         PixelCodec::Rle => codec::rle(path, data, shape),
         PixelCodec::Jpeg => codec::jpeg(path, data, shape),
         PixelCodec::JpegLs => codec::jpeg_ls(path, data, shape),
+        PixelCodec::Jpeg2000 => jpeg2000::jpeg_2000(path, data, shape, slice.bits),
     }?;
     if samples.len() < shape.count() {
         return Err(VolumeError::Truncated {

@@ -26,6 +26,7 @@ pub(crate) enum PixelCodec {
     Rle,
     Jpeg,
     JpegLs,
+    Jpeg2000,
 }
 
 /// Where the pixels stand in the bytes that were scanned.
@@ -74,7 +75,9 @@ fn transfer(path: &Path, uid: &str) -> Result<Transfer, VolumeError> {
         }
         "1.2.840.10008.1.2.4.80" => return packed(PixelCodec::JpegLs, "JPEG-LS lossless"),
         "1.2.840.10008.1.2.4.81" => return packed(PixelCodec::JpegLs, "JPEG-LS near-lossless"),
-        "1.2.840.10008.1.2.4.90" | "1.2.840.10008.1.2.4.91" => "JPEG 2000",
+        "1.2.840.10008.1.2.4.90" => return packed(PixelCodec::Jpeg2000, "JPEG 2000 lossless"),
+        "1.2.840.10008.1.2.4.91" => return packed(PixelCodec::Jpeg2000, "JPEG 2000"),
+        "1.2.840.10008.1.2.4.92" | "1.2.840.10008.1.2.4.93" => "JPEG 2000 part 2, several components",
         "1.2.840.10008.1.2.4.201" | "1.2.840.10008.1.2.4.202" | "1.2.840.10008.1.2.4.203" => {
             "high-throughput JPEG 2000"
         }
@@ -85,7 +88,7 @@ fn transfer(path: &Path, uid: &str) -> Result<Transfer, VolumeError> {
         path: path.into(),
         field: "(0002,0010) TransferSyntaxUID".into(),
         given: format!("{uid} ({refused})"),
-        expected: "an uncompressed, deflated, RLE, JPEG or JPEG-LS file; convert it, for example with `gdcmconv --raw`"
+        expected: "an uncompressed, deflated, RLE, JPEG, JPEG-LS or JPEG 2000 file; convert it, for example with `gdcmconv --raw`"
             .into(),
     })
 }

@@ -137,7 +137,12 @@ fn described(volume: Volume, slices: &[Slice], mut notes: Vec<String>) -> (Volum
     files.dedup();
     let frames = if first.frames > 1 { format!(", {} frames", slices.len()) } else { String::new() };
     let format = format!("DICOM series of {} files ({}{frames})", files.len(), first.transfer.name);
-    let stored_as = format!("slope {}, intercept {}", first.scale.slope, first.scale.intercept);
+    let one_scale = slices.iter().all(|slice| slice.scale == first.scale);
+    let stored_as = if one_scale {
+        format!("slope {}, intercept {}", first.scale.slope, first.scale.intercept)
+    } else {
+        "slope and intercept of each slice".to_owned()
+    };
     let info = VolumeInfo::new(&volume, format, stored_as, "mm".into(), notes);
     (volume, info)
 }
@@ -168,6 +173,11 @@ fn check_same(path: &Path, slices: &[Slice]) -> Result<(), VolumeError> {
     let close =
         |a: &[f64], b: &[f64], tolerance: f64| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= tolerance);
     for other in &slices[1..] {
+        // Values of another modality are no Hounsfield units, or others are none.
+        if other.modality != first.modality {
+            let modality = |s: &Slice| format!("{:?}", s.modality);
+            return mixed("(0008,0060) Modality", other, modality(first), modality(other));
+        }
         if !close(&first.orientation, &other.orientation, SAME_DIRECTION) {
             return mixed(
                 ORIENTATION,

@@ -8,6 +8,17 @@ use super::noise::value_noise;
 use super::shapes::{add_scaled, ellipsoid, smooth_union, smoothstep, sphere, sub, table, tapered_capsule};
 use crate::volume::{cross, dot, norm};
 
+/// What a block of voxels around bones can contain.
+#[derive(Clone, Copy, PartialEq)]
+pub enum Tissue {
+    /// Air.
+    Air,
+    /// Soft tissue, air, or both.
+    SoftOrAir,
+    /// Anything.
+    Any,
+}
+
 /// Radius of the femoral head, mm.
 pub const HEAD_RADIUS: f64 = 23.0;
 /// Distance from the shaft axis to the head centre along the neck axis, mm.

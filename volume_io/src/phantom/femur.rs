@@ -1,7 +1,7 @@
 //! The femur phantom: specification, landmarks, and the volume.
 
-use super::anatomy::{Anatomy, HEAD_RADIUS, NECK_LENGTH, coverage};
-use super::fill::{Field, Grid, fill};
+use super::anatomy::{Anatomy, HEAD_RADIUS, NECK_LENGTH, Tissue, coverage};
+use super::fill::{Field, Grid, check_placement, fill};
 use super::shapes::add_scaled;
 use crate::error::VolumeError;
 use crate::volume::Volume;
@@ -135,16 +135,7 @@ fn check(spec: &FemurSpec) -> Result<(), VolumeError> {
     let refuse = |field: &'static str, given: String, expected: &str| {
         Err(VolumeError::Argument { field, given, expected: expected.into() })
     };
-    if !(0.249e-3..=2.001e-3).contains(&spec.spacing_m) {
-        return refuse("spacing_m", format!("{} m", spec.spacing_m), "0.25e-3 to 2e-3 m");
-    }
-    if !spec.head_center_m.iter().all(|c| c.abs() <= 10.0) {
-        return refuse(
-            "head_center_m",
-            format!("{:?} m", spec.head_center_m),
-            "within 10 m of the world origin",
-        );
-    }
+    check_placement(spec.spacing_m, "head_center_m", spec.head_center_m)?;
     let angle_deg = spec.neck_shaft_angle_rad.to_degrees();
     if !(115.0..=140.0).contains(&angle_deg) {
         return refuse("neck_shaft_angle_rad", format!("{angle_deg} degrees"), "115 to 140 degrees");
@@ -161,14 +152,6 @@ struct FemurField {
     head_center_m: [f64; 3],
     /// Width over which surfaces are blended, mm.
     blur: f64,
-}
-
-/// What a block of voxels can contain.
-#[derive(Clone, Copy, PartialEq)]
-enum Tissue {
-    Air,
-    SoftOrAir,
-    Any,
 }
 
 impl FemurField {
@@ -217,6 +200,7 @@ impl Field for FemurField {
 
 #[cfg(test)]
 mod tests {
+    use super::super::fill::assert_filled_by;
     use super::*;
 
     /// Skipping blocks must not change any voxel: compares the volume with the field evaluated without skipping.
@@ -230,13 +214,7 @@ mod tests {
                 head_center_m: spec.head_center_m,
                 blur: spacing_m * 1e3,
             };
-            for (index, &hu) in volume.hu.iter().enumerate().step_by(7) {
-                let i = index % volume.dims[0];
-                let j = index / volume.dims[0] % volume.dims[1];
-                let k = index / (volume.dims[0] * volume.dims[1]);
-                let p = volume.voxel_to_world_m([i as f64, j as f64, k as f64]);
-                assert_eq!(super::super::fill::to_hu(field.hu(Tissue::Any, p)), hu, "voxel {i} {j} {k}");
-            }
+            assert_filled_by(&volume, &field, Tissue::Any, 7);
         }
     }
 }

@@ -93,8 +93,37 @@ fn fill_slab<F: Field>(grid: Grid, field: &F, slab: usize, voxels: &mut [i16]) {
     }
 }
 
+/// Checks the edge of the voxels of an anatomical phantom, and the point that it is built around; `point` is that field's name.
+///
+/// # Errors
+/// [`VolumeError::Argument`]: one is out of range.
+pub fn check_placement(spacing_m: f64, point: &'static str, point_m: [f64; 3]) -> Result<(), VolumeError> {
+    let refuse = |field: &'static str, given: String, expected: &str| {
+        Err(VolumeError::Argument { field, given, expected: expected.into() })
+    };
+    if !(0.249e-3..=2.001e-3).contains(&spacing_m) {
+        return refuse("spacing_m", format!("{spacing_m} m"), "0.25e-3 to 2e-3 m");
+    }
+    if !point_m.iter().all(|c| c.abs() <= 10.0) {
+        return refuse(point, format!("{point_m:?} m"), "within 10 m of the world origin");
+    }
+    Ok(())
+}
+
 /// The nearest whole number, halves upward, clamped to `i16`.
 pub fn to_hu(value: f64) -> i16 {
     // Shifted to be positive, so that the cast rounds down.
     ((value.clamp(-32768.0, 32767.0) + 32768.5) as i64 - 32768) as i16
+}
+
+/// Every so many voxels are those of the field where nothing is skipped, that is, in this region.
+#[cfg(test)]
+pub fn assert_filled_by<F: Field>(volume: &Volume, field: &F, everywhere: F::Region, stride: usize) {
+    for (index, &hu) in volume.hu.iter().enumerate().step_by(stride) {
+        let i = index % volume.dims[0];
+        let j = index / volume.dims[0] % volume.dims[1];
+        let k = index / (volume.dims[0] * volume.dims[1]);
+        let p = volume.voxel_to_world_m([i as f64, j as f64, k as f64]);
+        assert_eq!(to_hu(field.hu(everywhere, p)), hu, "voxel {i} {j} {k}");
+    }
 }

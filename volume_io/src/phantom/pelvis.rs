@@ -3,8 +3,8 @@
 //! It stands in for a patient's CT where none is at hand: it has joints, thin plates and a second side, which the femur phantom has not.
 //! Frame of the shape: millimetres, origin midway between the femoral heads, axes LPS. The left side mirrors the right one.
 
-use super::anatomy::{AIR_HU, Anatomy, HEAD_RADIUS, coverage};
-use super::fill::{Field, Grid, fill};
+use super::anatomy::{AIR_HU, Anatomy, HEAD_RADIUS, Tissue, coverage};
+use super::fill::{Field, Grid, check_placement, fill};
 use super::noise::value_noise;
 use super::shapes::{add_scaled, ellipsoid, smooth_union, sphere, sub, tapered_capsule, triangle};
 use crate::error::VolumeError;
@@ -30,7 +30,7 @@ const CANCELLOUS_HU: f64 = 220.0;
 /// Parameters of the pelvis phantom. The anatomy is the same at every spacing.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PelvisSpec {
-    /// Edge of the cubic voxels, metres; 0.25e-3 to 2e-3.
+    /// Edge of the cubic voxels, metres; 0.34e-3 (finer ones are more than a volume may have) to 2e-3.
     pub spacing_m: f64,
     /// The middle between the femoral heads, world LPS, metres.
     pub center_m: [f64; 3],
@@ -52,15 +52,7 @@ impl Default for PelvisSpec {
 /// # Errors
 /// [`VolumeError::Argument`] for a value outside the ranges of [`PelvisSpec`].
 pub fn pelvis(spec: &PelvisSpec) -> Result<Volume, VolumeError> {
-    let refuse = |field: &'static str, given: String, expected: &str| {
-        Err(VolumeError::Argument { field, given, expected: expected.into() })
-    };
-    if !(0.249e-3..=2.001e-3).contains(&spec.spacing_m) {
-        return refuse("spacing_m", format!("{} m", spec.spacing_m), "0.25e-3 to 2e-3 m");
-    }
-    if !spec.center_m.iter().all(|c| c.abs() <= 10.0) {
-        return refuse("center_m", format!("{:?} m", spec.center_m), "within 10 m of the world origin");
-    }
+    check_placement(spec.spacing_m, "center_m", spec.center_m)?;
     let spacing_mm = spec.spacing_m * 1e3;
     let dims = BOX_SIZE_MM.map(|size| libm::round(size / spacing_mm) as usize);
     let origin_m = [0, 1, 2].map(|axis| spec.center_m[axis] + (BOX_LOW_MM[axis] + 0.5 * spacing_mm) * 1e-3);
@@ -103,14 +95,6 @@ struct PelvisField {
     center_m: [f64; 3],
     /// Width over which surfaces are blended, mm.
     blur: f64,
-}
-
-/// What a block of voxels can contain.
-#[derive(Clone, Copy, PartialEq)]
-enum Tissue {
-    Air,
-    SoftOrAir,
-    Any,
 }
 
 impl PelvisField {
@@ -170,6 +154,7 @@ impl Field for PelvisField {
 
 #[cfg(test)]
 mod tests {
+    use super::super::fill::assert_filled_by;
     use super::*;
 
     /// Skipping blocks must not change any voxel.
@@ -179,13 +164,7 @@ mod tests {
         let volume = pelvis(&spec).unwrap();
         let femur = Anatomy::new(125.0_f64.to_radians(), 15.0_f64.to_radians(), 1);
         let field = PelvisField { femur, center_m: spec.center_m, blur: 2.0 };
-        for (index, &hu) in volume.hu.iter().enumerate().step_by(11) {
-            let i = index % volume.dims[0];
-            let j = index / volume.dims[0] % volume.dims[1];
-            let k = index / (volume.dims[0] * volume.dims[1]);
-            let p = volume.voxel_to_world_m([i as f64, j as f64, k as f64]);
-            assert_eq!(super::super::fill::to_hu(field.hu(Tissue::Any, p)), hu, "voxel {i} {j} {k}");
-        }
+        assert_filled_by(&volume, &field, Tissue::Any, 11);
     }
 
     /// Along the line that `configs/pelvis_ct.toml` drills: soft tissue, the femur's lateral cortex, cancellous bone in the head, the joint

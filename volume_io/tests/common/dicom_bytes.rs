@@ -6,6 +6,8 @@ use std::path::Path;
 #[derive(Clone)]
 pub struct DicomSlice {
     pub series_uid: &'static str,
+    pub modality: &'static str,
+    pub slope: &'static str,
     pub position_mm: [f64; 3],
     pub orientation: &'static str,
     pub pixel_spacing: &'static str,
@@ -25,6 +27,8 @@ impl Default for DicomSlice {
     fn default() -> Self {
         Self {
             series_uid: "1.2.3",
+            modality: "CT",
+            slope: "1",
             position_mm: [0.0; 3],
             orientation: "1\\0\\0\\0\\1\\0",
             pixel_spacing: "2\\3",
@@ -50,7 +54,7 @@ impl DicomSlice {
         out.extend(b"DICM");
         element(&mut out, (0x0002, 0x0000), b"UL", &(meta.len() as u32).to_le_bytes());
         out.extend(meta);
-        text(&mut out, (0x0008, 0x0060), b"CS", "CT");
+        text(&mut out, (0x0008, 0x0060), b"CS", self.modality);
         text(&mut out, (0x0018, 0x0050), b"DS", "5");
         if let Some(tilt) = self.gantry_tilt {
             text(&mut out, (0x0018, 0x1120), b"DS", tilt);
@@ -73,7 +77,7 @@ impl DicomSlice {
             element(&mut out, (0x0028, tag), b"US", &value.to_le_bytes());
         }
         text(&mut out, (0x0028, 0x1052), b"DS", "-1024");
-        text(&mut out, (0x0028, 0x1053), b"DS", "1");
+        text(&mut out, (0x0028, 0x1053), b"DS", self.slope);
         match &self.fragment {
             None => {
                 let count = usize::from(self.rows) * usize::from(self.columns);
@@ -98,6 +102,7 @@ impl DicomSlice {
 }
 
 /// Writes slices as 000.dcm, 001.dcm, … into a folder.
+#[allow(dead_code, reason = "each test file uses a part of this")]
 pub fn write_series(folder: &Path, slices: &[DicomSlice]) {
     for (i, slice) in slices.iter().enumerate() {
         std::fs::write(folder.join(format!("{i:03}.dcm")), slice.bytes()).unwrap();
@@ -136,3 +141,36 @@ pub const LOSSLESS_JPEG: [u8; 54] = [
     0xff, 0xd8, 0xff, 0xc3, 0, 11, 11, 0, 4, 0, 5, 1, 1, 0x11, 0, 0xff, 0xc4, 0, 20, 0, 1, 0, 0, 0, 0, 0, 0,
     0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0xff, 0xda, 0, 8, 1, 1, 0, 1, 0, 0, 0, 0, 0x0f, 0xff, 0xd9, 0, 0,
 ];
+
+/// Transfer syntaxes of JPEG 2000: lossless, and either.
+#[allow(dead_code, reason = "each test file uses a part of this")]
+pub const JPEG_2000_SYNTAXES: [&str; 2] = ["1.2.840.10008.1.2.4.90", "1.2.840.10008.1.2.4.91"];
+
+/// A JPEG 2000 codestream (ITU-T T.800 annex A) of signed 16 bits: one tile, one code-block, one packet of arbitrary bits. Bytes of the
+/// headers: SIZ from 2 on, COD from 45 on, QCD from 59 on, SOT from 65 on, the packet from 79 on.
+#[allow(dead_code, reason = "each test file uses a part of this")]
+pub fn jpeg_2000(rows: u16, columns: u16) -> Vec<u8> {
+    // Its header: present, block included, 6 empty bit-planes, 31 coding passes, 20 bytes.
+    let packet =
+        [[0xc0, 0xfe, 0x45, 0].as_slice(), &std::array::from_fn::<u8, 20, _>(|n| (n * 37 + 11) as u8 & 0x7f)];
+    jpeg_2000_of(rows, columns, &packet.concat())
+}
+
+/// The same of a packet.
+#[allow(dead_code, reason = "each test file uses a part of this")]
+pub fn jpeg_2000_of(rows: u16, columns: u16, packet: &[u8]) -> Vec<u8> {
+    let size = [columns, rows].map(|extent| u32::from(extent).to_be_bytes()).concat();
+    let offset = [0; 8];
+    let mut data = vec![0xff, 0x4f, 0xff, 0x51, 0, 41, 0, 0];
+    data.extend([&size[..], &offset, &size, &offset, &[0, 1, 0x8f, 1, 1]].concat());
+    // No precincts, one layer, no decomposition, blocks of 64 x 64, reversible.
+    data.extend([0xff, 0x52, 0, 12, 0, 0, 0, 1, 0, 0, 4, 4, 0, 1]);
+    // Two guard bits, 16 bits a sample.
+    data.extend([0xff, 0x5c, 0, 4, 0x40, 16 << 3]);
+    data.extend([0xff, 0x90, 0, 10, 0, 0]);
+    data.extend((14 + packet.len() as u32).to_be_bytes());
+    data.extend([0, 1, 0xff, 0x93]);
+    data.extend(packet);
+    data.extend([0xff, 0xd9]);
+    data
+}

@@ -41,7 +41,7 @@ fn every_variant_is_what_two_other_readers_make_of_it() {
     assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
     let cases = std::fs::read_to_string(folder.path().join("cases.json")).unwrap();
     let cases: Vec<Value> = serde_json::from_str(&cases).unwrap();
-    assert!(cases.len() >= 56, "{}", cases.len());
+    assert!(cases.len() >= 68, "{}", cases.len());
     let (mut rows, mut wrong) = (Vec::new(), Vec::new());
     for case in &cases {
         match verdict(case) {

@@ -25,6 +25,8 @@ from pydicom.uid import (
     ExplicitVRBigEndian,
     ExplicitVRLittleEndian,
     ImplicitVRLittleEndian,
+    JPEG2000,
+    JPEG2000Lossless,
     JPEGLSLossless,
     JPEGLSNearLossless,
     RLELossless,
@@ -237,12 +239,42 @@ dicom_case("dicom_rle", "RLE lossless", packed(RLELossless, True))
 dicom_case("dicom_jls", "JPEG-LS lossless, signed 16 bits", packed(JPEGLSLossless, True))
 dicom_case("dicom_jls_12", "JPEG-LS lossless, unsigned 12 bits", packed(JPEGLSLossless, False))
 dicom_case("dicom_jls_near", "JPEG-LS near-lossless, 12 bits", packed(JPEGLSNearLossless, False, jls_error=3))
+# JPEG 2000: pydicom and GDCM both unpack it with OpenJPEG, so what was written is the second reader where nothing is lost. Where it is,
+# OpenJPEG's 9-7 transform scales one band by 1.625732 for the 1.625786 of T.800 (2/K), and rounding differs: 1 HU.
+BYTES = (UNSIGNED >> 4).astype(np.uint8)
+J2K_AFFINE = np.diag([*SPACING, 1.0])
+J2K_AFFINE[:3, 3] = ORIGIN
+
+
+def j2k_lossless(name, feature, voxels, **header):
+    def make(k):
+        d = ct_slice(k, voxels[k], **header)
+        d.compress(JPEG2000Lossless, generate_instance_uid=False)
+        return d
+    where, paths = series_of(name, make)
+    written = (voxels.astype(int) + header.get("intercept", 0), J2K_AFFINE)
+    case(name, where, "DICOM", f"JPEG 2000 lossless, {feature}", "pydicom", {
+        "pydicom": by_pydicom(paths), "SimpleITK (GDCM)": by_sitk_series(paths), "numpy (what was written)": written})
+
+
+j2k_lossless("dicom_j2k", "signed 16 bits", HU)
+j2k_lossless("dicom_j2k_12", "unsigned 12 bits", UNSIGNED, signed=False, stored=12, intercept=-1024)
+j2k_lossless("dicom_j2k_s12", "signed 12 bits", HU.clip(-2048, 2047), bits=12)
+j2k_lossless("dicom_j2k_8", "unsigned 8 bits", BYTES, bits=8, signed=False, intercept=-1024)
+NOISE = RNG.integers(-32768, 32768, HU.shape).astype(np.int16)
+j2k_lossless("dicom_j2k_noise", "signed 16 bits, noise of all values", NOISE)
+for name, feature, syntax, options in [
+    ("dicom_j2k_lossy", "JPEG 2000, 12 bits, a tenth of the bytes", JPEG2000, dict(j2k_cr=[10])),
+    ("dicom_j2k_layers", "JPEG 2000, 12 bits, three layers", JPEG2000, dict(j2k_cr=[40, 20, 10])),
+]:
+    dicom_case(name, feature, packed(syntax, False, **options), tolerance=1)
+dicom_case("dicom_j2k_lossy_signed", "JPEG 2000, signed 16 bits", packed(JPEG2000, True, j2k_psnr=[80]), tolerance=1)
 dicom_case(
     "dicom_32", "32 bits allocated", lambda k: ct_slice(k, HU[k].astype(np.int32), bits=32),
 )
 
 
-def by_gdcm(paths, where, syntax):
+def by_gdcm(paths, where, syntax, codec=None):
     """The files again, packed by GDCM."""
     import gdcm
     for path in paths:
@@ -251,6 +283,8 @@ def by_gdcm(paths, where, syntax):
         assert reader.Read()
         change = gdcm.ImageChangeTransferSyntax()
         change.SetTransferSyntax(gdcm.TransferSyntax(syntax))
+        if codec:
+            change.SetUserCodec(codec)
         change.SetInput(reader.GetImage())
         assert change.Change(), syntax
         writer = gdcm.ImageWriter()
@@ -261,11 +295,11 @@ def by_gdcm(paths, where, syntax):
     return sorted(where.glob("*.dcm"))
 
 
-def gdcm_case(name, feature, syntax, signed, tolerance=0):
+def gdcm_case(name, feature, syntax, signed, tolerance=0, codec=None):
     make = plain if signed else (lambda k: ct_slice(k, UNSIGNED[k], signed=False, stored=12, intercept=-1024))
     _, paths = series_of(f"{name}_source", make)
     where = folder(name)
-    paths = by_gdcm(paths, where, syntax)
+    paths = by_gdcm(paths, where, syntax, codec)
     readers = {"pydicom": by_pydicom(paths), "SimpleITK (GDCM)": by_sitk_series(paths)}
     case(name, where, "DICOM", feature, "GDCM", readers, None, tolerance)
 
@@ -275,6 +309,15 @@ import gdcm  # noqa: E402
 gdcm_case("gdcm_lossless", "JPEG lossless (process 14, SV1)", gdcm.TransferSyntax.JPEGLosslessProcess14_1, False)
 gdcm_case("gdcm_rle", "RLE lossless", gdcm.TransferSyntax.RLELossless, True)
 gdcm_case("gdcm_jls", "JPEG-LS lossless", gdcm.TransferSyntax.JPEGLSLossless, True)
+gdcm_case("gdcm_j2k", "JPEG 2000 lossless", gdcm.TransferSyntax.JPEG2000Lossless, True)
+tiled = gdcm.JPEG2000Codec()
+tiled.SetTileSize(16, 16)
+tiled.SetNumberOfResolutions(3)
+gdcm_case("gdcm_j2k_tiles", "JPEG 2000 lossless, tiles of 16 x 16", gdcm.TransferSyntax.JPEG2000Lossless, True, codec=tiled)
+lossy = gdcm.JPEG2000Codec()
+lossy.SetReversible(False)
+lossy.SetRate(0, 8.0)
+gdcm_case("gdcm_j2k_lossy", "JPEG 2000, an eighth of the bytes", gdcm.TransferSyntax.JPEG2000, False, 1, lossy)
 # 12-bit JPEG is written by dcmtk alone, a Debian package. pydicom's decoder transforms in another precision than libjpeg, which dcmtk has.
 if shutil.which("dcmcjpeg"):
     make = lambda k: ct_slice(k, UNSIGNED[k], signed=False, stored=12, intercept=-1024)
@@ -401,6 +444,7 @@ for name, feature, order, syntax in [
     ("enhanced_shuffled", "enhanced multi-frame, frames in another order", [3, 0, 6, 1, 5, 2, 4], None),
     ("enhanced_jls", "enhanced multi-frame, JPEG-LS", list(range(K)), JPEGLSLossless),
     ("enhanced_rle", "enhanced multi-frame, RLE", list(range(K)), RLELossless),
+    ("enhanced_j2k", "enhanced multi-frame, JPEG 2000 lossless", list(range(K)), JPEG2000Lossless),
 ]:
     d = enhanced(order, name == "enhanced_jls")
     if syntax:

@@ -46,19 +46,21 @@ pub(crate) fn parts_of(all: &Rays<'_>) -> Vec<Part> {
         add(&mut parts, all.pixels, vec![plan]);
         return parts;
     }
-    let mut waiting = vec![(all.pixels, 0)];
-    while let Some((pixels, depth)) = waiting.pop() {
+    let layers = |pixels: PixelBox| Plan::layers(&Rays { pixels, ..*all });
+    let mut waiting = vec![(all.pixels, 0, layers(all.pixels))];
+    while let Some((pixels, depth, plans)) = waiting.pop() {
         let rays = Rays { pixels, ..*all };
-        let halves = halves(&rays);
-        match (Plan::layers(&rays), halves) {
+        match (plans, halves(&rays)) {
             (Some(plans), halves) => {
-                let cheaper = |halves: &[PixelBox; 2]| depth < MAX_HALVINGS && pays(&rays, &plans, halves);
-                match halves.filter(cheaper) {
-                    Some(halves) => waiting.extend(halves.map(|pixels| (pixels, depth + 1))),
+                let halves = halves.filter(|_| depth < MAX_HALVINGS);
+                match halves.and_then(|halves| cheaper(&rays, &plans, halves)) {
+                    Some(halves) => {
+                        waiting.extend(halves.map(|(pixels, plans)| (pixels, depth + 1, Some(plans))));
+                    }
                     None => add(&mut parts, pixels, plans),
                 }
             }
-            (None, Some(halves)) => waiting.extend(halves.map(|pixels| (pixels, depth))),
+            (None, Some(halves)) => waiting.extend(halves.map(|pixels| (pixels, depth, layers(pixels)))),
             // A ray's own best axis has a slope of at most 1: what remains is a ray that passes 1e9 samples beside the volume.
             (None, None) => add(&mut parts, pixels, vec![Plan::nothing(&rays)]),
         }
@@ -66,16 +68,15 @@ pub(crate) fn parts_of(all: &Rays<'_>) -> Vec<Part> {
     parts
 }
 
-/// True if the halves of a rectangle cost clearly less than the whole: where the detector cuts the volume askew, one half's rays end at
-/// nearer slices, which need fewer samples.
-fn pays(rays: &Rays<'_>, plans: &[Plan], halves: &[PixelBox; 2]) -> bool {
+/// The halves of a rectangle with their plans, if they cost clearly less than the whole: where the detector cuts the volume askew, one
+/// half's rays end at nearer slices, which need fewer samples.
+fn cheaper(rays: &Rays<'_>, plans: &[Plan], halves: [PixelBox; 2]) -> Option<[(PixelBox, Vec<Plan>); 2]> {
     let cost = |pixels: &PixelBox, plans: &[Plan]| plans.iter().map(|plan| plan.cost(pixels)).sum::<f64>();
-    let apart = halves.iter().map(|pixels| {
-        let plans = Plan::layers(&Rays { pixels: *pixels, ..*rays })?;
-        Some(cost(pixels, &plans))
-    });
-    let apart: Option<f64> = apart.sum();
-    apart.is_some_and(|apart| apart < WORTH_HALVING * cost(&rays.pixels, plans))
+    let planned = |pixels: PixelBox| Some((pixels, Plan::layers(&Rays { pixels, ..*rays })?));
+    let [first, second] = halves.map(planned);
+    let halves = [first?, second?];
+    let apart: f64 = halves.iter().map(|(pixels, plans)| cost(pixels, plans)).sum();
+    (apart < WORTH_HALVING * cost(&rays.pixels, plans)).then_some(halves)
 }
 
 fn add(parts: &mut Vec<Part>, pixels: PixelBox, plans: Vec<Plan>) {
