@@ -13,6 +13,7 @@ mod commands;
 mod effort;
 mod random;
 mod reproduce;
+mod sheet;
 mod stress;
 
 use std::process::ExitCode;
@@ -129,6 +130,14 @@ mod tests {
     #[test]
     fn every_output_is_named_by_o_and_output() {
         grammar::assert_outputs(&crate::command_line());
+    }
+
+    /// Commands whose figures are tables in the CSV files that they write.
+    const WITHOUT_FIGURES: [&str; 4] = ["chart drr", "chart physics", "chart stability", "reproduce"];
+
+    #[test]
+    fn every_command_that_prints_figures_and_writes_no_table_of_them_has_json() {
+        assert_eq!(grammar::without_json(&crate::command_line(), &[]), WITHOUT_FIGURES);
     }
 
     /// Commands with an output, and the argument that names it. All are in the table of `tests/processes/outputs.rs`,

@@ -4,7 +4,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
 use ipc_types::scene::Scene;
-use simulation::{CtView, Verdict, ct_geometry, findings};
+use simulation::{Verdict, findings};
 use volume_io::Volume;
 
 use crate::failure::Failure;
@@ -20,8 +20,7 @@ pub fn check(
     source: &dyn std::fmt::Display,
     volume: Option<&(Volume, [u8; 32])>,
 ) -> Result<Vec<String>, Failure> {
-    let volume = volume.map(|(volume, sha256)| (volume_source::message(volume, *sha256), &volume.hu));
-    let ct = volume.as_ref().map(|(message, hu)| CtView { geometry: ct_geometry(message), hu });
+    let ct = volume.map(volume_source::ct_view);
     let found =
         findings(scene, ct, &is_program).map_err(|cause| Failure::bad_input(format!("{source}: {cause}")))?;
     let of = |verdict| found.iter().filter(move |finding| finding.verdict == verdict);

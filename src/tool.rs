@@ -25,11 +25,8 @@ pub struct Dimension {
 /// Bad input: no such tool.
 pub fn dimensions(scene: &Scene) -> Result<Vec<Dimension>, Failure> {
     let tool = manipulator_parameters(scene).map_err(Failure::bad_input)?;
-    let (first_m, last_m) = (
-        tool.joint_positions_m.first().copied().unwrap_or(0.0),
-        tool.joint_positions_m.last().copied().unwrap_or(0.0),
-    );
-    let burr_m = last_m + tool.tip_offset_m;
+    let first_m = tool.joint_positions_m.first().copied().unwrap_or(0.0);
+    let burr_m = tool.burr_centre_m();
     let joints = tool.joint_positions_m.len();
     let dimension = |name, value: f64, text| Dimension { name, value, text };
     Ok(vec![
@@ -46,7 +43,7 @@ pub fn dimensions(scene: &Scene) -> Result<Vec<Dimension>, Failure> {
         ),
         dimension(
             "flexible_mm",
-            1e3 * (burr_m - first_m),
+            1e3 * tool.flexible_length_m(),
             "from the first flexure to the burr's centre: this part bends",
         ),
         dimension(

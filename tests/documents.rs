@@ -212,6 +212,7 @@ const NO_CAPACITIES: &[(&str, &str)] = &[
     ("MAX_EVALUATIONS", "simulation/src/rigid/coupling.rs"),
     ("MAX_FILE_BYTES", "volume_io/src/dicom/file.rs"),
     ("MAX_FREEDOMS", "simulation/src/manipulator/pressing.rs"),
+    ("MOST_PLANES", "simulation/src/bone/yielding.rs"),
     ("MAX_GROUPS", "physics_proc/src/process/held_back.rs"),
     ("MAX_HALVINGS", "xray/src/slice_ordered/parts.rs"),
     ("MAX_LAYERS", "xray/src/slice_ordered/plan.rs"),

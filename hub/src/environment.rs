@@ -5,6 +5,7 @@ use messages::{
     RunStatus, Severity, State, Tick, TickTiming,
 };
 
+use crate::machine::ControllerFault;
 use crate::pacing::Start;
 use crate::rate_limit::Connection;
 
@@ -127,6 +128,9 @@ pub trait Environment: Outputs {
     /// # Errors
     /// As [`Outputs::send_latched`].
     fn send_event(&mut self, note: &Note<'_>) -> Result<(), Self::Error>;
+
+    /// Leaves word of why the run ends early, before the end is told: whoever hears of the end finds the reason.
+    fn leave_blame(&mut self, fault: &ControllerFault);
 
     /// Wakes sleeping controllers.
     fn wake_controllers(&mut self);

@@ -11,7 +11,10 @@ use xray::removal::{AttenuationField, BlockMap, RemovedVoxels};
 use xray::slice_ordered::{Instructions, SliceOrdered, SliceOrderedOptions, Update};
 use xray::{CArm, DetectorFormat, DrrError, Grid, HuLaw, Material, PositionerAngles, VolumeView, siddon};
 
-use super::{failed, row};
+use serde_json::json;
+
+use super::failed;
+use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::machine::Machine;
 
@@ -49,6 +52,10 @@ impl Times {
         super::samples::median(&ratios)
     }
 
+    pub(super) fn figures(&self) -> serde_json::Value {
+        json!({"least_ms": self.least(), "median_ms": super::samples::median(&self.0)})
+    }
+
     pub(super) fn text(&self) -> String {
         format!("{:8.3} ({:.3})", self.least(), super::samples::median(&self.0))
     }
@@ -68,7 +75,7 @@ pub(super) fn pose(primary: f64, secondary: f64, side: u32) -> Result<CArm, DrrE
 ///
 /// # Errors
 /// A volume too large for memory.
-pub fn run(dimensions: [usize; 3], rounds: usize) -> Result<(), Failure> {
+pub fn run(dimensions: [usize; 3], rounds: usize, sheet: &mut Sheet) -> Result<(), Failure> {
     let longest = dimensions.into_iter().max().unwrap_or(1);
     let spacing_m = SPACING_M * (512.0 / longest as f64).min(1.0);
     let grid = Grid::centred(dimensions, [spacing_m; 3]).map_err(Failure::bad_input)?;
@@ -78,22 +85,24 @@ pub fn run(dimensions: [usize; 3], rounds: usize) -> Result<(), Failure> {
     let hu = Phantom { solids }.voxelise(&grid, 2);
     let view = VolumeView::new(grid, &hu).map_err(failed)?;
     let machine = Machine::watch();
-    say!("volume {dimensions:?}, {spacing_m} m; ms as least (median) of {rounds} interleaved rounds\n");
-    let bandwidth = bandwidth(&hu, rounds)?;
+    sheet.line(&format!(
+        "volume {dimensions:?}, {spacing_m} m; ms as least (median) of {rounds} interleaved rounds\n"
+    ));
+    let bandwidth = bandwidth(&hu, rounds, sheet)?;
     for instructions in Instructions::available() {
         // Scalar code is the reference for correctness, not speed.
         let rounds = if instructions == Instructions::SCALAR { rounds.min(3) } else { rounds };
-        frames(&view, instructions, rounds, bandwidth)?;
+        frames(&view, instructions, rounds, bandwidth, sheet)?;
     }
-    errors(&view)?;
-    removals(&view)?;
-    super::drr_layers::run(&view, rounds)?;
-    super::print_machine(&machine);
+    errors(&view, sheet)?;
+    removals(&view, sheet)?;
+    super::drr_layers::run(&view, rounds, sheet)?;
+    sheet.machine(&machine);
     Ok(())
 }
 
 /// Sequential read bandwidth of one and two threads, bytes per second.
-fn bandwidth(hu: &[i16], rounds: usize) -> Result<[f64; 2], Failure> {
+fn bandwidth(hu: &[i16], rounds: usize, sheet: &mut Sheet) -> Result<[f64; 2], Failure> {
     let mut rates = [0.0; 2];
     for (rate, threads) in rates.iter_mut().zip([1, 2]) {
         let (pool, mut times) = (pool(threads)?, Times::default());
@@ -102,7 +111,8 @@ fn bandwidth(hu: &[i16], rounds: usize) -> Result<[f64; 2], Failure> {
             std::hint::black_box(times.add(|| pool.install(read)));
         }
         *rate = size_of_val(hu) as f64 / times.least() * 1e3;
-        row(&format!("streaming read, {threads} threads"), &format!("{:.1} GB/s", *rate * 1e-9));
+        sheet.line(&format!("{:<46} {:.1} GB/s", format!("streaming read, {threads} threads"), *rate * 1e-9));
+        sheet.push("streaming_read", json!({"threads": threads, "bytes_per_s": *rate}));
     }
     Ok(rates)
 }
@@ -122,6 +132,7 @@ fn frames(
     instructions: Instructions,
     rounds: usize,
     bandwidth: [f64; 2],
+    sheet: &mut Sheet,
 ) -> Result<(), Failure> {
     let removed = RemovedVoxels::new(view.grid());
     let options = SliceOrderedOptions { instructions, ..SliceOrderedOptions::default() };
@@ -152,35 +163,43 @@ fn frames(
         }
     }
     let memory = slices.memory();
-    row(
-        &format!("{}: memory with the intermediate image", instructions.name()),
-        &format!("{:.1} MB", memory.total() as f64 * 1e-6),
+    let name = instructions.name();
+    let figures = json!({"total_bytes": memory.total(), "copies_bytes": memory.copies});
+    let text = format!("{:.1} MB", memory.total() as f64 * 1e-6);
+    sheet.row(
+        &format!("{name}: memory with the intermediate image"),
+        &text,
+        &format!("memory_{name}"),
+        figures,
     );
-    row(
-        &format!("{}: copies across x, y, z, MB", instructions.name()),
-        &memory.copies.map(|bytes| format!("{:.1}", bytes as f64 * 1e-6)).join(" + "),
-    );
+    let copies = memory.copies.map(|bytes| format!("{:.1}", bytes as f64 * 1e-6)).join(" + ");
+    sheet.line(&format!("{:<46} {copies}", format!("{name}: copies across x, y, z, MB")));
     let occupied = slices.occupied_shares().map(|share| share.unwrap_or(0.0));
-    for ((name, ..), times) in POSES.iter().zip(times.chunks(4)) {
+    for ((pose, ..), times) in POSES.iter().zip(times.chunks(4)) {
         let [one, two, one_large, two_large] = times else { continue };
         // Across x from the side, otherwise across y.
-        let slow = usize::from(*name != "lateral");
+        let slow = usize::from(*pose != "lateral");
         let bytes = memory.copies[slow] as f64 * occupied[slow];
         let share = |times: &Times, rate: f64| 100.0 * bytes / rate / (times.least() * 1e-3);
-        row(
-            &format!("{} {name}: 512, 1 and 2 threads; 1024", instructions.name()),
-            &format!("{} {}; {} {}", one.text(), two.text(), one_large.text(), two_large.text()),
-        );
-        row(
-            "  of the streaming rate over what is not skipped",
-            &format!("{:.0} %, {:.0} % (512)", share(one, bandwidth[0]), share(two, bandwidth[1])),
+        let text = format!("{} {}; {} {}", one.text(), two.text(), one_large.text(), two_large.text());
+        sheet.line(&format!("{:<46} {text}", format!("{name} {pose}: 512, 1 and 2 threads; 1024")));
+        let shares = [share(one, bandwidth[0]), share(two, bandwidth[1])];
+        let text = format!("{:.0} %, {:.0} % (512)", shares[0], shares[1]);
+        sheet.line(&format!("{:<46} {text}", "  of the streaming rate over what is not skipped"));
+        sheet.push(
+            "frames",
+            json!({
+                "instructions": name, "pose": pose, "side_512_by_threads": [one.figures(), two.figures()],
+                "side_1024_by_threads": [one_large.figures(), two_large.figures()],
+                "streaming_percent_by_threads": shares,
+            }),
         );
     }
     Ok(())
 }
 
 /// Errors against Siddon's method on the same voxels.
-fn errors(view: &VolumeView<'_>) -> Result<(), Failure> {
+fn errors(view: &VolumeView<'_>, sheet: &mut Sheet) -> Result<(), Failure> {
     let (removed, pool) = (RemovedVoxels::new(view.grid()), pool(2)?);
     let table = MuTable::new(HuLaw::WaterScaling, ENERGY_KEV, -900).map_err(failed)?;
     let blocks = BlockMap::new(view, &table);
@@ -202,7 +221,7 @@ fn errors(view: &VolumeView<'_>) -> Result<(), Failure> {
     for (name, options) in rungs {
         let mut slices = projector(view, options)?;
         let mut text = String::new();
-        for (_, primary, secondary) in POSES {
+        for (pose_name, primary, secondary) in POSES {
             let c_arm = pose(primary, secondary, 512).map_err(failed)?;
             let fan = RayFan::new(view.grid(), &c_arm);
             let mut image = vec![0.0; c_arm.pixels()];
@@ -222,15 +241,20 @@ fn errors(view: &VolumeView<'_>) -> Result<(), Failure> {
                 some.par_iter().map(trace).collect()
             });
             let got: Vec<f64> = some.iter().map(|&(c, r)| image[(r * 512 + c) as usize]).collect();
-            text.push_str(&format!("{:.2e} ({:.1} ms)  ", relative_rms(&got, &exact), times.least()));
+            let error_rel = relative_rms(&got, &exact);
+            text.push_str(&format!("{error_rel:.2e} ({:.1} ms)  ", times.least()));
+            let frame_ms = times.least();
+            let figures =
+                json!({"rung": name, "pose": pose_name, "error_rel": error_rel, "frame_ms": frame_ms});
+            sheet.push("errors_from_siddon", figures);
         }
-        row(&format!("rel. rms from Siddon, {name}"), &text);
+        sheet.line(&format!("{:<46} {text}", format!("rel. rms from Siddon, {name}")));
     }
     Ok(())
 }
 
 /// Times updates after removals around the middle of the bone, and scattered over the volume.
-fn removals(view: &VolumeView<'_>) -> Result<(), Failure> {
+fn removals(view: &VolumeView<'_>, sheet: &mut Sheet) -> Result<(), Failure> {
     let (pool, c_arm) = (pool(2)?, pose(37.0, 18.0, 512).map_err(failed)?);
     let mut image = vec![0.0; c_arm.pixels()];
     let mut removed = RemovedVoxels::new(view.grid());
@@ -261,7 +285,9 @@ fn removals(view: &VolumeView<'_>) -> Result<(), Failure> {
             })?;
         }
         let how = if kind == Update::Full { "full" } else { "incremental" };
-        row(&format!("update after {count} neighbouring removals, ms"), &format!("{} {how}", times.text()));
+        let name = format!("update after {count} neighbouring removals, ms");
+        sheet.line(&format!("{name:<46} {} {how}", times.text()));
+        sheet.push("updates", json!({"removals": count, "times": times.figures(), "how": how}));
     }
     Ok(())
 }

@@ -7,7 +7,10 @@ use xray::{
 };
 
 use super::drr::{Times, pose};
-use super::{failed, row};
+use serde_json::json;
+
+use super::failed;
+use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 
 /// Number of links of the tool.
@@ -36,7 +39,7 @@ fn tool() -> Tool {
 
 /// Renders frames from a stationary C-arm with cached anatomy: alone, with the tool, with noise, and with a window
 /// computed from the image's own grey values.
-pub(super) fn run(view: &VolumeView<'_>, rounds: usize) -> Result<(), Failure> {
+pub(super) fn run(view: &VolumeView<'_>, rounds: usize, sheet: &mut Sheet) -> Result<(), Failure> {
     let c_arm = pose(37.0, 18.0, 512).map_err(failed)?;
     let (nothing, tool) = (Tool::default(), tool());
     let fixed = Window::Fixed { low: 0.0, high: 6.0 };
@@ -68,11 +71,14 @@ pub(super) fn run(view: &VolumeView<'_>, rounds: usize) -> Result<(), Failure> {
             let report = if frame == 0 { render() } else { times.add(render) };
             covered = report.map_err(failed)?.tool_pixels;
         }
-        row(&format!("{name}, ms (512, 2 threads)"), &format!("{}; {covered} pixels of tool", times.text()));
+        let text = format!("{}; {covered} pixels of tool", times.text());
+        sheet.line(&format!("{:<46} {text}", format!("{name}, ms (512, 2 threads)")));
+        sheet.push("layers", json!({"what": name, "times": times.figures(), "tool_pixels": covered}));
         all.push(times.least());
     }
     if let [alone, tool, ..] = all.as_slice() {
-        row("  of that the tool of 29 parts", &format!("{:8.3}", tool - alone));
+        let tool_ms = tool - alone;
+        sheet.row("  of that the tool of 29 parts", &format!("{tool_ms:8.3}"), "tool_ms", json!(tool_ms));
     }
     Ok(())
 }

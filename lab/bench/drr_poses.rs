@@ -10,8 +10,11 @@ use xray::removal::{AttenuationField, BlockMap, RemovedVoxels};
 use xray::slice_ordered::{SliceOrdered, SliceOrderedOptions, Update};
 use xray::{CArm, DetectorFormat, DrrError, Grid, HuLaw, Material, PositionerAngles, VolumeView, joseph};
 
+use serde_json::json;
+
 use super::drr::Times;
-use super::{failed, row};
+use super::failed;
+use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::machine::Machine;
 
@@ -46,24 +49,24 @@ impl Pose {
 ///
 /// # Errors
 /// A volume too large for memory.
-pub fn run(dimensions: [usize; 3], count: usize, rounds: usize) -> Result<(), Failure> {
+pub fn run(dimensions: [usize; 3], count: usize, rounds: usize, sheet: &mut Sheet) -> Result<(), Failure> {
     let grid =
         Grid::centred(dimensions, dimensions.map(|n| FIELD_M / n as f64)).map_err(Failure::bad_input)?;
     // At size 1 the thigh is 190 x 160 mm thick; at this size 396 x 333 mm, and longer than the volume.
     let thigh = reference::thigh(FIELD_M / 0.24).into_iter().map(Solid::Ellipsoid).collect();
     let machine = Machine::watch();
-    say!(
+    sheet.line(&format!(
         "volume {dimensions:?}, {FIELD_M} m; {SIDE} x {SIDE} pixels, {THREADS} threads; ms as least (median) of {rounds} rounds, ratios to the frontal frame just before"
-    );
-    for (name, hu) in [
-        ("tissue in every voxel", vec![100; grid.voxels()]),
-        ("thigh of 396 x 333 mm", Phantom { solids: thigh }.voxelise(&grid, 2)),
+    ));
+    for (name, key, hu) in [
+        ("tissue in every voxel", "tissue", vec![100; grid.voxels()]),
+        ("thigh of 396 x 333 mm", "thigh", Phantom { solids: thigh }.voxelise(&grid, 2)),
     ] {
-        say!("\n{name}:");
+        sheet.line(&format!("\n{name}:"));
         let view = VolumeView::new(grid, &hu).map_err(failed)?;
-        from_all_sides(&view, count, rounds)?;
+        sheet.within(key, |sheet| from_all_sides(&view, count, rounds, sheet))?;
     }
-    super::print_machine(&machine);
+    sheet.machine(&machine);
     Ok(())
 }
 
@@ -86,7 +89,12 @@ fn poses(count: usize) -> Result<Vec<Pose>, DrrError> {
     (0..count).map(pose).collect()
 }
 
-fn from_all_sides(view: &VolumeView<'_>, count: usize, rounds: usize) -> Result<(), Failure> {
+fn from_all_sides(
+    view: &VolumeView<'_>,
+    count: usize,
+    rounds: usize,
+    sheet: &mut Sheet,
+) -> Result<(), Failure> {
     let removed = RemovedVoxels::new(view.grid());
     let table = MuTable::new(HuLaw::WaterScaling, ENERGY_KEV, -900).map_err(failed)?;
     let unit_per_m = Material::Water.mu_per_m(ENERGY_KEV).map_err(failed)? / 1000.0;
@@ -114,30 +122,37 @@ fn from_all_sides(view: &VolumeView<'_>, count: usize, rounds: usize) -> Result<
             project(&pose.c_arm, &mut pose.times)?;
         }
     }
-    row("frontal", &poses[0].frontal.text());
+    let frontal = &poses[0].frontal;
+    sheet.row("frontal", &frontal.text(), "frontal", frontal.figures());
     for distances_m in C_ARMS {
-        print_ratios(&poses, distances_m);
+        tell_ratios(&poses, distances_m, sheet);
     }
     let by_ray = ray_by_ray(view, &table, &poses[0], &pool)?;
-    row("the first pose ray by ray (joseph), once", &by_ray.text());
+    sheet.row("the first pose ray by ray (joseph), once", &by_ray.text(), "ray_by_ray", by_ray.figures());
     Ok(())
 }
 
-fn print_ratios(poses: &[Pose], distances_m: (f64, f64)) {
+fn tell_ratios(poses: &[Pose], distances_m: (f64, f64), sheet: &mut Sheet) {
     let mut of: Vec<&Pose> = poses.iter().filter(|pose| pose.distances_m == distances_m).collect();
     of.sort_by(|a, b| a.ratio().total_cmp(&b.ratio()));
     let (Some(least), Some(worst)) = (of.first(), of.last()) else { return };
     let (source_mm, detector_mm) = (distances_m.0 * 1e3, distances_m.1 * 1e3);
     let (primary, secondary) = worst.degrees;
-    row(
-        &format!("{} poses, source {source_mm} mm, detector {detector_mm} mm", of.len()),
-        &format!(
-            "{:.2} least, {:.2} median, {:.2} worst (at {primary:.0}, {secondary:.0} degrees: {})",
-            least.ratio(),
-            of[of.len() / 2].ratio(),
-            worst.ratio(),
-            worst.times.text()
-        ),
+    let median = of[of.len() / 2].ratio();
+    let text = format!(
+        "{:.2} least, {median:.2} median, {:.2} worst (at {primary:.0}, {secondary:.0} degrees: {})",
+        least.ratio(),
+        worst.ratio(),
+        worst.times.text()
+    );
+    let name = format!("{} poses, source {source_mm} mm, detector {detector_mm} mm", of.len());
+    sheet.line(&format!("{name:<46} {text}"));
+    sheet.push(
+        "ratios_to_frontal",
+        json!({
+            "poses": of.len(), "source_mm": source_mm, "detector_mm": detector_mm, "least": least.ratio(),
+            "median": median, "worst": worst.ratio(), "worst_angles_deg": [primary, secondary],
+        }),
     );
 }
 

@@ -2,7 +2,10 @@
 
 use std::process::Command;
 
+use serde_json::json;
+
 use super::failed;
+use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::scenes::SceneSource;
 
@@ -13,7 +16,7 @@ const COUNTED: &str = "*one_step*";
 ///
 /// # Errors
 /// valgrind is not on the path, or fails.
-pub fn run(scene: &SceneSource, ticks: Option<u64>) -> Result<(), Failure> {
+pub fn run(scene: &SceneSource, ticks: Option<u64>, sheet: &mut Sheet) -> Result<(), Failure> {
     let program = std::env::current_exe().map_err(failed)?;
     let folder = tempfile::tempdir().map_err(failed)?;
     let mut valgrind = Command::new("valgrind");
@@ -35,7 +38,14 @@ pub fn run(scene: &SceneSource, ticks: Option<u64>) -> Result<(), Failure> {
     let steps = number_after(&table, " us   (").filter(|_| output.status.success());
     match (counted, steps) {
         (Some(counted), Some(steps)) if steps > 0 => {
-            super::row("instructions a step, mean", &format!("{} ({steps} steps)", counted / steps));
+            let mean = counted / steps;
+            let figures = json!({"mean": mean, "steps": steps});
+            sheet.row(
+                "instructions a step, mean",
+                &format!("{mean} ({steps} steps)"),
+                "instructions",
+                figures,
+            );
             Ok(())
         }
         _ => Err(Failure::failed(format!("valgrind ended with {}: {}", output.status, report.trim()))),

@@ -7,9 +7,11 @@ use ipc_types::process::EndRequest;
 use ipc_types::scene::{Mode, Scene};
 use recorder_proc::log_file::LogFile;
 use run_log::{LogReader, SegmentOptions, verify_segments};
-use simulation::{CtView, Simulation, ct_geometry};
+use serde_json::json;
+use simulation::Simulation;
 
-use super::{complete_run, cut, failed, row};
+use super::{complete_run, cut, failed};
+use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::launcher::run::RunPlan;
 use trabecula::launcher::volume_source;
@@ -22,7 +24,7 @@ use trabecula::scenes::SceneSource;
 ///
 /// # Errors
 /// An invalid scene (2); a run that fails.
-pub fn run(scene: &SceneSource, ticks: Option<u64>) -> Result<(), Failure> {
+pub fn run(scene: &SceneSource, ticks: Option<u64>, sheet: &mut Sheet) -> Result<(), Failure> {
     let mut scene = scene.load()?;
     scene.run.mode = Mode::Lockstep;
     cut(&mut scene, ticks);
@@ -38,27 +40,25 @@ pub fn run(scene: &SceneSource, ticks: Option<u64>) -> Result<(), Failure> {
     let result = complete_run(&plan, &end, |_| {})?;
     let simulated_s = plan.scene.run.duration_s;
     let wall_s = result.running.as_secs_f64();
-    say!("scene {}, {simulated_s} s simulated in lockstep over processes, recorded\n", plan.scene.name);
-    row("run", &format!("{wall_s:.2} s, {:.1} times real time", simulated_s / wall_s));
-    for lane in ["run.mcap", "timing.mcap"] {
+    sheet.line(&format!(
+        "scene {}, {simulated_s} s simulated in lockstep over processes, recorded\n",
+        plan.scene.name
+    ));
+    sheet.set("simulated_s", json!(simulated_s));
+    let times = |wall_s: f64| format!("{wall_s:.2} s, {:.1} times real time", simulated_s / wall_s);
+    sheet.row("run", &times(wall_s), "run_s", json!(wall_s));
+    for (lane, key) in [("run.mcap", "run_mcap_bytes"), ("timing.mcap", "timing_mcap_bytes")] {
         let bytes = std::fs::metadata(folder.path().join(lane)).map_err(failed)?.len();
-        row(
-            lane,
-            &format!(
-                "{:.0} kB per simulated second ({:.1} MB)",
-                bytes as f64 * 1e-3 / simulated_s,
-                bytes as f64 * 1e-6
-            ),
-        );
+        let per_second_kb = bytes as f64 * 1e-3 / simulated_s;
+        let text = format!("{per_second_kb:.0} kB per simulated second ({:.1} MB)", bytes as f64 * 1e-6);
+        sheet.row(lane, &text, key, json!(bytes));
     }
     let replay_s = replay(&plan.scene, &folder.path().join("run.mcap"))?;
-    row("replay without frames", &format!("{replay_s:.2} s, {:.1} times real time", simulated_s / replay_s));
+    sheet.row("replay without frames", &times(replay_s), "replay_s", json!(replay_s));
     let (verify_s, threads) = verify(&folder.path().join("run.mcap"))?;
-    row(
-        &format!("replay --verify, {threads} threads"),
-        &format!("{verify_s:.2} s, {:.1} times real time", simulated_s / verify_s),
-    );
-    super::print_machine(&machine);
+    let figures = json!({"threads": threads, "wall_s": verify_s});
+    sheet.row(&format!("replay --verify, {threads} threads"), &times(verify_s), "verify", figures);
+    sheet.machine(&machine);
     Ok(())
 }
 
@@ -88,10 +88,7 @@ pub fn verify(log: &Path) -> Result<(f64, usize), Failure> {
 /// A log that cannot be read, or a tick with a different hash.
 pub(super) fn replay(scene: &Scene, log: &Path) -> Result<f64, Failure> {
     let volume = volume_source::load(scene, VolumeFiles::default()).map_err(failed)?;
-    let ct = volume.as_ref().map(|(volume, hash)| {
-        let geometry = ct_geometry(&volume_source::message(volume, *hash));
-        CtView { geometry, hu: &volume.hu }
-    });
+    let ct = volume.as_ref().map(volume_source::ct_view);
     let mut simulation = Simulation::new(scene, ct).map_err(failed)?;
     let began = Instant::now();
     for record in LogReader::open(&LogFile::at(log)).map_err(failed)? {

@@ -8,10 +8,12 @@ use std::path::Path;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Volume as SceneVolume;
 use ipc_types::session::SessionId;
+use serde_json::json;
 use volume_io::Volume;
 use zerocopy::IntoBytes;
 
-use super::{complete_run, cut, failed, row};
+use super::{complete_run, cut, failed};
+use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::launcher::part::Memory;
 use trabecula::launcher::run::RunPlan;
@@ -39,7 +41,12 @@ pub fn parse_dimensions(text: &str) -> Result<[usize; 3], String> {
 ///
 /// # Errors
 /// An invalid scene, or one without a volume (2); a run that fails.
-pub fn run(scene: &SceneSource, dimensions: [usize; 3], ticks: u64) -> Result<(), Failure> {
+pub fn run(
+    scene: &SceneSource,
+    dimensions: [usize; 3],
+    ticks: u64,
+    sheet: &mut Sheet,
+) -> Result<(), Failure> {
     let mut scene = scene.load()?;
     cut(&mut scene, Some(ticks));
     let folder = tempfile::tempdir().map_err(failed)?;
@@ -68,16 +75,29 @@ pub fn run(scene: &SceneSource, dimensions: [usize; 3], ticks: u64) -> Result<()
         }
     })?;
     let [i, j, k] = dimensions;
-    say!("scene {}, {ticks} ticks, CT of {i} x {j} x {k} voxels: {}\n", plan.scene.name, mebibytes(ct_bytes));
-    say!("{:<46} {:>14} {:>14}", "process", "peak resident", "its own");
+    let name = &plan.scene.name;
+    sheet.line(&format!(
+        "scene {name}, {ticks} ticks, CT of {i} x {j} x {k} voxels: {}\n",
+        mebibytes(ct_bytes)
+    ));
+    sheet.set("ct_bytes", json!(ct_bytes));
+    let columns = |name: &str, resident: &str, own: &str| format!("{name:<46} {resident:>14} {own:>14}");
+    sheet.line(&columns("process", "peak resident", "its own"));
     for (name, memory) in &result.memory {
-        say!("{name:<46} {:>14} {:>14}", mebibytes(memory.peak_resident), mebibytes(memory.peak_private));
+        let (resident_bytes, own_bytes) = (memory.peak_resident, memory.peak_private);
+        sheet.line(&columns(name, &mebibytes(resident_bytes), &mebibytes(own_bytes)));
+        sheet.push(
+            "processes",
+            json!({"name": name, "peak_resident_bytes": resident_bytes, "peak_own_bytes": own_bytes}),
+        );
     }
     // At its peak the launcher holds both the volume that it read and the one that it shares.
-    say!("{:<46} {:>14} {:>14}", "launcher, once the parts run", "", mebibytes(running.peak_private));
+    sheet.line(&columns("launcher, once the parts run", "", &mebibytes(running.peak_private)));
+    sheet.set("launcher_running_own_bytes", json!(running.peak_private));
     let sizes: Vec<String> = segments.iter().map(|bytes| mebibytes(*bytes)).collect();
-    row("shared segments as large as the CT", &format!("{} ({})", segments.len(), sizes.join(", ")));
-    super::print_machine(&machine);
+    let text = format!("{} ({})", segments.len(), sizes.join(", "));
+    sheet.row("shared segments as large as the CT", &text, "shared_segment_bytes", json!(segments));
+    sheet.machine(&machine);
     Ok(())
 }
 

@@ -1,4 +1,4 @@
-//! What the hub costs: measurements that print tables. Times depend on the machine, so nothing here asserts one.
+//! What the hub costs: measurements, printed as tables or figures. Times depend on the machine, so nothing here asserts one.
 
 pub mod drr;
 mod drr_layers;
@@ -23,21 +23,10 @@ use ipc_types::scene::Scene;
 
 use trabecula::failure::Failure;
 use trabecula::launcher::run::{Outcome, RunPlan, RunResult, RunSnapshot, run as run_scene};
-use trabecula::machine::Machine;
 
 /// Wraps an error that ends a measurement.
 fn failed(cause: impl ToString) -> Failure {
     Failure::failed(cause.to_string())
-}
-
-/// Prints one line of a table.
-fn row(name: &str, value: &str) {
-    say!("{name:<46} {value}");
-}
-
-/// Prints what the machine did during a finished measurement.
-fn print_machine(machine: &Machine) {
-    row("machine during the measurement", &machine.summary());
 }
 
 /// Runs a scene with all its processes; a run that does not complete is an error.
@@ -49,7 +38,7 @@ fn complete_run(
     let result = run_scene(plan, end, show).map_err(failed)?;
     match &result.outcome {
         Outcome::Completed => Ok(result),
-        Outcome::Stopped | Outcome::Interrupted | Outcome::LogGone(_) | Outcome::ControllerFailed { .. } => {
+        Outcome::Stopped | Outcome::Interrupted | Outcome::LogGone(_) | Outcome::ControllerFailed(_) => {
             Err(Failure::failed(result.outcome.text()))
         }
         Outcome::PartDied { name, how, last_words } => {

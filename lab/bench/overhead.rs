@@ -4,9 +4,12 @@ use ipc_types::messages::TickTiming;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Mode, Scene};
 
+use serde_json::json;
+
 use super::ping_pong::{self, Wait};
 use super::samples::{Samples, median};
-use super::{complete_run, failed, row};
+use super::{complete_run, failed};
+use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::launcher::run::RunPlan;
 use trabecula::launcher::volume_source::VolumeFiles;
@@ -56,7 +59,7 @@ impl Ticks {
 ///
 /// # Errors
 /// An invalid scene (2); a run that fails.
-pub fn run(scene: &SceneSource, ticks: u64, rounds: usize) -> Result<(), Failure> {
+pub fn run(scene: &SceneSource, ticks: u64, rounds: usize, sheet: &mut Sheet) -> Result<(), Failure> {
     let mut scene = scene.load()?;
     scene.run.mode = Mode::Lockstep;
     scene.run.duration_s = ticks as f64 * scene.dt_s();
@@ -75,21 +78,24 @@ pub fn run(scene: &SceneSource, ticks: u64, rounds: usize) -> Result<(), Failure
         hybrid.append(&bare_hybrid);
         yielding.append(&bare_yield);
     }
-    say!(
+    sheet.line(&format!(
         "scene {}, {rounds} rounds of {ticks} ticks in lockstep, each followed by bare ping-pongs\n",
         scene.name
-    );
-    row("lockstep tick over processes", &all.whole.line());
-    row("  latch and publish u_k", &all.latch.line());
-    row("  physics step", &all.step.line());
-    row("  publish x_k+1", &all.publish.line());
-    row("  state published to command received", &all.answer.line());
-    row("overhead: tick less physics step", &all.overhead.line());
-    row("bare ping-pong, waiting as the hub does", &hybrid.line());
-    row("bare ping-pong, yielding for ever", &yielding.line());
-    row("overhead / ping-pong waiting as the hub does", &ratio_line(&to_hybrid));
-    row("overhead / ping-pong yielding for ever", &ratio_line(&to_yield));
-    super::print_machine(&machine);
+    ));
+    sheet.set("scene", json!(scene.name));
+    sheet.samples("lockstep tick over processes", "tick", &all.whole);
+    sheet.samples("  latch and publish u_k", "latch", &all.latch);
+    sheet.samples("  physics step", "step", &all.step);
+    sheet.samples("  publish x_k+1", "publish", &all.publish);
+    sheet.samples("  state published to command received", "answer", &all.answer);
+    sheet.samples("overhead: tick less physics step", "overhead", &all.overhead);
+    sheet.samples("bare ping-pong, waiting as the hub does", "ping_pong_hybrid", &hybrid);
+    sheet.samples("bare ping-pong, yielding for ever", "ping_pong_yield", &yielding);
+    let name = "overhead / ping-pong waiting as the hub does";
+    sheet.row(name, &ratio_line(&to_hybrid), "overhead_to_hybrid_by_round", json!(to_hybrid));
+    let name = "overhead / ping-pong yielding for ever";
+    sheet.row(name, &ratio_line(&to_yield), "overhead_to_yield_by_round", json!(to_yield));
+    sheet.machine(&machine);
     Ok(())
 }
 

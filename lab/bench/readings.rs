@@ -5,12 +5,12 @@ use std::time::{Duration, Instant};
 use ipc_types::messages::TickTiming;
 use physics_proc::process::{Disturbances, Sample};
 
-use super::row;
 use super::samples::Samples;
+use crate::sheet::Sheet;
 use trabecula::machine::Machine;
 
 /// Samples the counters of `ticks` ticks, each after a short sleep, as in a run, and without one.
-pub fn run(ticks: u64) {
+pub fn run(ticks: u64, sheet: &mut Sheet) {
     let machine = Machine::watch();
     let (mut slept, mut awake, mut late) = (Samples::default(), Samples::default(), Samples::default());
     let mut readings = Disturbances::new();
@@ -19,11 +19,11 @@ pub fn run(ticks: u64) {
         awake.add(one(&mut readings, Duration::ZERO, Sample::InTime));
         late.add(one(&mut readings, Duration::from_micros(20), Sample::Late));
     }
-    say!("readings of {ticks} ticks of each kind, both looks of a tick together\n");
-    row("a tick in time, after a sleep", &slept.line());
-    row("a tick in time, never off its core", &awake.line());
-    row("a late tick, with the machine's steal", &late.line());
-    super::print_machine(&machine);
+    sheet.line(&format!("readings of {ticks} ticks of each kind, both looks of a tick together\n"));
+    sheet.samples("a tick in time, after a sleep", "slept", &slept);
+    sheet.samples("a tick in time, never off its core", "awake", &awake);
+    sheet.samples("a late tick, with the machine's steal", "late", &late);
+    sheet.machine(&machine);
 }
 
 /// Nanoseconds of both samples of a tick.

@@ -6,8 +6,11 @@ use ipc_types::messages::TickTiming;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Mode, Scene};
 
+use serde_json::json;
+
 use super::samples::{Samples, median};
-use super::{complete_run, failed, row};
+use super::{complete_run, failed};
+use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::launcher::hub::View;
 use trabecula::launcher::run::RunPlan;
@@ -37,11 +40,15 @@ impl Physics {
         self.missed += u64::from(timing.missed);
     }
 
-    fn print(&self, name: &str) {
-        row(&format!("{name}: physics step"), &self.step.line());
-        row(&format!("{name}: hash and publish"), &self.publish.line());
-        row(&format!("{name}: wake-up behind the deadline"), &self.late.line());
-        row(&format!("{name}: missed ticks"), &format!("{} of {}", self.missed, self.ticks));
+    /// `name` is `with` or `without`, and begins the keys.
+    fn tell(&self, name: &str, sheet: &mut Sheet) {
+        let key = |of: &str| format!("{name}_{of}");
+        sheet.samples(&format!("{name}: physics step"), &key("step"), &self.step);
+        sheet.samples(&format!("{name}: hash and publish"), &key("publish"), &self.publish);
+        sheet.samples(&format!("{name}: wake-up behind the deadline"), &key("lateness"), &self.late);
+        let (missed, ticks) = (self.missed, self.ticks);
+        let figures = json!({"missed": missed, "ticks": ticks});
+        sheet.row(&format!("{name}: missed ticks"), &format!("{missed} of {ticks}"), &key("ticks"), figures);
     }
 }
 
@@ -49,21 +56,22 @@ impl Physics {
 ///
 /// # Errors
 /// An invalid scene (2); a run that fails.
-pub fn run(scene: &SceneSource, seconds: f64, rounds: usize) -> Result<(), Failure> {
+pub fn run(scene: &SceneSource, seconds: f64, rounds: usize, sheet: &mut Sheet) -> Result<(), Failure> {
     let recorded = |scene: &Scene, end: &EndRequest, with: &mut Physics| {
         let folder = tempfile::tempdir_in(".").map_err(failed)?;
         one(scene, Some(folder.path()), None, end, with)?;
         Ok(std::fs::metadata(folder.path().join("run.mcap")).map_err(failed)?.len())
     };
     let scene = scene.load()?;
-    in_turn("a recorder", [scene.clone(), scene], seconds, rounds, recorded, |bytes| {
-        let megabytes = bytes * 1e-6;
-        row("run.mcap", &format!("{megabytes:.1} MB a run, {:.2} MB/s", megabytes / seconds));
-    })
+    let bytes = in_turn("a recorder", [scene.clone(), scene], seconds, rounds, recorded, sheet)?;
+    let megabytes = bytes * 1e-6;
+    let text = format!("{megabytes:.1} MB a run, {:.2} MB/s", megabytes / seconds);
+    sheet.row("run.mcap", &text, "run_mcap_bytes", json!(bytes));
+    Ok(())
 }
 
 /// Runs two scenes in real time, alternating, without and with something, and prints both and their ratios. `run_with`
-/// makes one run of the second and returns a count; `tell` prints the mean count per run.
+/// makes one run of the second and returns a count; returns the mean count of a run.
 ///
 /// # Errors
 /// A run that fails.
@@ -73,8 +81,8 @@ pub(super) fn in_turn(
     seconds: f64,
     rounds: usize,
     mut run_with: impl FnMut(&Scene, &EndRequest, &mut Physics) -> Result<u64, Failure>,
-    tell: impl FnOnce(f64),
-) -> Result<(), Failure> {
+    sheet: &mut Sheet,
+) -> Result<f64, Failure> {
     for scene in &mut scenes {
         scene.run.mode = Mode::Realtime;
         scene.run.duration_s = seconds;
@@ -88,18 +96,23 @@ pub(super) fn in_turn(
         one(&scene, None, None, &end, &mut without)?;
         count += run_with(&scene_with, &end, &mut with)?;
     }
-    say!("scene {}, {rounds} rounds of {seconds} s in real time, each without and with {what}\n", scene.name);
-    without.print("without");
-    with.print("with");
+    sheet.line(&format!(
+        "scene {}, {rounds} rounds of {seconds} s in real time, each without and with {what}\n",
+        scene.name
+    ));
+    sheet.set("scene", json!(scene.name));
+    without.tell("without", sheet);
+    with.tell("with", sheet);
     let ratio =
         |a: &[f64], b: &[f64]| median(&a.iter().zip(b).map(|(a, b)| a / b.max(1e-9)).collect::<Vec<f64>>());
-    let line = format!("{:.3}", ratio(&with.step_p50_us, &without.step_p50_us));
-    row("step, with / without (median of p50 ratios)", &line);
-    let line = format!("{:.3}", ratio(&with.late_p50_us, &without.late_p50_us));
-    row("wake-up, with / without (median of p50 ratios)", &line);
-    tell(count as f64 / rounds.max(1) as f64);
-    super::print_machine(&machine);
-    Ok(())
+    let step = ratio(&with.step_p50_us, &without.step_p50_us);
+    let name = "step, with / without (median of p50 ratios)";
+    sheet.row(name, &format!("{step:.3}"), "step_ratio", json!(step));
+    let late = ratio(&with.late_p50_us, &without.late_p50_us);
+    let name = "wake-up, with / without (median of p50 ratios)";
+    sheet.row(name, &format!("{late:.3}"), "lateness_ratio", json!(late));
+    sheet.machine(&machine);
+    Ok(count as f64 / rounds.max(1) as f64)
 }
 
 /// One run, optionally recorded into a folder and shown at a port; returns the number of X-ray frames.

@@ -35,6 +35,12 @@ impl Samples {
         sorted.get(rank).map_or(0.0, |nanoseconds| *nanoseconds as f64 * 1e-3)
     }
 
+    /// Quantiles as figures.
+    pub fn figures(&self) -> serde_json::Value {
+        let [p50_us, p99_us, p99_9_us] = [0.5, 0.99, 0.999].map(|fraction| self.quantile_us(fraction));
+        serde_json::json!({"p50_us": p50_us, "p99_us": p99_us, "p99_9_us": p99_9_us, "samples": self.count()})
+    }
+
     /// Quantiles as a table line.
     pub fn line(&self) -> String {
         let [p50, p99, p999] = [0.5, 0.99, 0.999].map(|fraction| self.quantile_us(fraction));

@@ -8,9 +8,11 @@ use ipc_types::process::{EndRequest, Role, prioritise};
 use ipc_types::scene::{Mode, Policy, Scene};
 use recorder_proc::log_file::LogFile;
 use run_log::{MessageStream, ReadOptions, frames};
+use serde_json::json;
 
 use super::growth::Growth;
-use super::{failed, log, row};
+use super::{failed, log};
+use crate::sheet::Sheet;
 use trabecula::failure::{EXIT_INTERRUPTED, Failure};
 use trabecula::launcher::part::Memory;
 use trabecula::launcher::run::{Outcome, RunPlan, RunResult, RunSnapshot, run as run_scene};
@@ -47,6 +49,7 @@ pub fn run(
     minutes: f64,
     policy: Option<Policy>,
     output: Option<&Path>,
+    sheet: &mut Sheet,
 ) -> Result<(), Failure> {
     let mut scene = scene.load()?;
     if let Some(folder) = output {
@@ -74,14 +77,18 @@ pub fn run(
     let result = run_scene(&plan, &end, |snapshot| watch.observe(snapshot)).map_err(failed)?;
     let facts = result.facts(String::new());
     let report::Report { summary, missing } = report::write(folder, &facts)?;
-    say!("scene {}, {minutes} minutes in real time, recorded; {}", plan.scene.name, facts.outcome);
-    slowed.iter().for_each(|line| say!("{line}"));
-    say!();
-    print_run(&result, &summary);
-    let grown = print_memory(&watch.growth);
-    super::print_machine(&machine);
-    let mut problems = check(&plan.scene, folder, &result)?;
+    let (name, outcome) = (&plan.scene.name, &facts.outcome);
+    sheet.line(&format!("scene {name}, {minutes} minutes in real time, recorded; {outcome}"));
+    slowed.iter().for_each(|line| sheet.line(line));
+    sheet.line("");
+    tell_run(&result, &summary, sheet);
+    sheet.set("outcome", json!(outcome));
+    sheet.set("summary", json!(summary));
+    let grown = tell_memory(&watch.growth, sheet);
+    sheet.machine(&machine);
+    let mut problems = check(&plan.scene, folder, &result, sheet)?;
     problems.extend(missing.iter().map(ToString::to_string));
+    sheet.set("problems", json!(problems.iter().chain(&grown).collect::<Vec<_>>()));
     match (&result.outcome, problems.first().or(grown.first())) {
         (_, Some(problem)) => Err(Failure::failed(problem)),
         (Outcome::Interrupted, None) => {
@@ -164,7 +171,8 @@ impl Watch {
     }
 }
 
-fn print_run(result: &RunResult, summary: &Summary) {
+fn tell_run(result: &RunResult, summary: &Summary, sheet: &Sheet) {
+    let row = |name: &str, text: &str| sheet.line(&format!("{name:<46} {text}"));
     let share = 100.0 * summary.timing.missed_ticks as f64 / summary.ticks.max(1) as f64;
     row("run", &format!("{:.2} s wall, {} ticks", result.running.as_secs_f64(), summary.ticks));
     row("ticks missed", &format!("{} ({share:.3} %)", summary.timing.missed_ticks));
@@ -212,26 +220,42 @@ fn print_run(result: &RunResult, summary: &Summary) {
     }
 }
 
-/// Prints the table of private memory; returns the processes that have grown.
-fn print_memory(growth: &Growth) -> Vec<String> {
-    say!("\n{:<22} {:>12} {:>12} {:>12} {:>16}", "own memory", "start", "middle", "end", "growth a minute");
+/// Tells the table of private memory; returns the processes that have grown.
+fn tell_memory(growth: &Growth, sheet: &mut Sheet) -> Vec<String> {
+    let head = ["own memory", "start", "middle", "end", "growth a minute"];
+    let columns = |cells: [&str; 5]| {
+        let [name, start, middle, end, rate] = cells;
+        format!("{name:<22} {start:>12} {middle:>12} {end:>12} {rate:>16}")
+    };
+    sheet.line(&format!("\n{}", columns(head)));
     let mut grown = Vec::new();
     for (name, curve) in growth.curves() {
         let [start, middle, end] = curve.bytes.map(|bytes| format!("{:.2} MiB", bytes as f64 / MEBIBYTE));
         let rate = format!("{:.1} KiB", curve.bytes_per_minute / 1024.0);
-        say!("{name:<22} {start:>12} {middle:>12} {end:>12} {rate:>16}");
+        sheet.line(&columns([name, &start, &middle, &end, &rate]));
+        sheet.push(
+            "own_memory",
+            json!({"name": name, "start_middle_end_bytes": curve.bytes, "growth_bytes_per_min": curve.bytes_per_minute}),
+        );
         if curve.growth_bytes() > FLAT_BYTES {
             grown.push(format!("the memory of `{name}` grows by {rate} a minute, from {start} to {end}"));
         }
     }
-    say!("start: after a tenth of the run; growth: the median slope of all pairs of samples from there on\n");
+    sheet.line(
+        "start: after a tenth of the run; growth: the median slope of all pairs of samples from there on\n",
+    );
     grown
 }
 
 /// What is wrong with the logs; reads them to their ends and replays every tick.
-fn check(scene: &Scene, folder: &Path, result: &RunResult) -> Result<Vec<String>, Failure> {
+fn check(
+    scene: &Scene,
+    folder: &Path,
+    result: &RunResult,
+    sheet: &mut Sheet,
+) -> Result<Vec<String>, Failure> {
     let mut problems = Vec::new();
-    if matches!(result.outcome, Outcome::PartDied { .. } | Outcome::ControllerFailed { .. }) {
+    if matches!(result.outcome, Outcome::PartDied { .. } | Outcome::ControllerFailed(_)) {
         problems.push(result.outcome.text());
     }
     let mut simulated_s = 0.0;
@@ -242,7 +266,9 @@ fn check(scene: &Scene, folder: &Path, result: &RunResult) -> Result<Vec<String>
                 simulated_s = end_s;
                 let megabytes = std::fs::metadata(&path).map_err(failed)?.len() as f64 * 1e-6;
                 let rate = megabytes / end_s.max(1e-3);
-                row(lane, &format!("{megabytes:.1} MB, {rate:.2} MB/s, {messages} messages, none lost"));
+                let text = format!("{megabytes:.1} MB, {rate:.2} MB/s, {messages} messages, none lost");
+                sheet.line(&format!("{lane:<46} {text}"));
+                sheet.push("logs", json!({"file": lane, "megabytes": megabytes, "messages": messages}));
             }
             Err(problem) => problems.push(problem),
         }
@@ -251,19 +277,18 @@ fn check(scene: &Scene, folder: &Path, result: &RunResult) -> Result<Vec<String>
     let shown = frames(&LogFile::at(&run_log), ReadOptions::default()).map_err(failed)?;
     let missing = shown.filter_map(Result::err).next().map(|error| error.to_string());
     if scene.drr.is_some() {
-        row("every frame in the log", missing.as_deref().unwrap_or("yes"));
+        let text = missing.as_deref().unwrap_or("yes");
+        sheet.row("every frame in the log", text, "has_every_frame", json!(missing.is_none()));
     }
     problems.extend(missing);
     match log::verify(&run_log) {
         Ok((verify_s, threads)) => {
             let speed = simulated_s / verify_s;
-            row(
-                "verified by replay",
-                &format!("yes; {verify_s:.1} s, {speed:.1} times real time, {threads} threads"),
-            );
+            let text = format!("yes; {verify_s:.1} s, {speed:.1} times real time, {threads} threads");
+            sheet.row("verified by replay", &text, "replays", json!(true));
         }
         Err(failure) => {
-            row("verified by replay", "no");
+            sheet.row("verified by replay", "no", "replays", json!(false));
             problems.push(failure.message);
         }
     }

@@ -9,15 +9,18 @@ use hub::in_process::{Answer, InProcess};
 use ipc_types::messages::{Latched, Restores, State, Volume as VolumeMessage};
 use ipc_types::scene::{Drr, Mode, Notch, Scene, ToolRadii};
 use ipc_types::services::MAX_KEYFRAME_BYTES;
-use simulation::{CtView, Simulation, ct_geometry};
+use simulation::{CtView, Simulation};
 use xray::frame::{Cache, Job, Rendered, render_job};
 use xray::from_scene::{renderer_parameters, scene_c_arm};
 use xray::message::volume_view;
 use xray::{CArm, DrrRenderer, VolumeView};
 use zerocopy::IntoBytes;
 
+use serde_json::json;
+
 use super::samples::Samples;
-use super::{cut, failed, row};
+use super::{cut, failed};
+use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::launcher::volume_source;
 use trabecula::machine::Machine;
@@ -32,14 +35,14 @@ const FULL_FRAMES: usize = 9;
 ///
 /// # Errors
 /// An invalid scene, or one whose controllers are not built in (2).
-pub fn run(scene: &SceneSource, ticks: Option<u64>, rounds: usize) -> Result<(), Failure> {
+pub fn run(scene: &SceneSource, ticks: Option<u64>, rounds: usize, sheet: &mut Sheet) -> Result<(), Failure> {
     let mut scene = scene.load()?;
     scene.run.mode = Mode::Lockstep;
     cut(&mut scene, ticks);
     let volume =
         volume_source::load(&scene, volume_source::VolumeFiles::default()).map_err(Failure::bad_input)?;
     let volume = volume.map(|(volume, hash)| (volume_source::message(&volume, hash), volume.hu));
-    let ct = volume.as_ref().map(|(message, hu)| CtView { geometry: ct_geometry(message), hu });
+    let ct = volume.as_ref().map(|(message, hu)| CtView::new(message, hu));
     let prepare = || -> Result<Bench, Failure> {
         let simulation = Simulation::new(&scene, ct).map_err(failed)?;
         let x_ray = match (&scene.drr, &volume) {
@@ -66,20 +69,26 @@ pub fn run(scene: &SceneSource, ticks: Option<u64>, rounds: usize) -> Result<(),
         again.play(&scene)?;
         least.keep_least(&again.steps);
     }
-    say!("scene {}, {} ticks of {} ms in one process\n", scene.name, scene.tick_count(), scene.run.dt_ms);
-    row("physics step", &bench.steps.line());
+    let ticks = scene.tick_count();
+    sheet.line(&format!("scene {}, {ticks} ticks of {} ms in one process\n", scene.name, scene.run.dt_ms));
+    sheet.set("scene", json!(scene.name));
+    sheet.set("ticks", json!(ticks));
+    sheet.samples("physics step", "step", &bench.steps);
     if rounds > 1 {
-        row(&format!("physics step, each tick's least of {rounds} rounds"), &least.line());
+        let name = format!("physics step, each tick's least of {rounds} rounds");
+        sheet.samples(&name, "step_least", &least);
     }
-    row(&format!("keyframe, {} bytes at the end", bench.keyframe_bytes), &bench.keyframes.line());
+    sheet.set("keyframe_bytes", json!(bench.keyframe_bytes));
+    let name = format!("keyframe, {} bytes at the end", bench.keyframe_bytes);
+    sheet.samples(&name, "keyframe", &bench.keyframes);
     if let Some(mut x_ray) = bench.x_ray.take() {
         x_ray.render_from_elsewhere(bench.run.plant().state())?;
         let what =
             format!("{} x {} pixels, {} threads", x_ray.c_arm.columns, x_ray.c_arm.rows, x_ray.threads);
-        row(&format!("DRR, full ({what})"), &x_ray.full.line());
-        row("DRR, C-arm at rest: what has changed", &x_ray.changed.line());
+        sheet.samples(&format!("DRR, full ({what})"), "drr_full", &x_ray.full);
+        sheet.samples("DRR, C-arm at rest: what has changed", "drr_changed", &x_ray.changed);
     }
-    super::print_machine(&machine);
+    sheet.machine(&machine);
     Ok(())
 }
 

@@ -8,9 +8,11 @@ use std::time::Duration;
 
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
+use serde_json::json;
 
+use super::failed;
 use super::recorder::{Physics, in_turn, one};
-use super::{failed, row};
+use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::launcher::hub::View;
 use trabecula::scenes::SceneSource;
@@ -19,7 +21,7 @@ use trabecula::scenes::SceneSource;
 ///
 /// # Errors
 /// An invalid scene (2); a run that fails.
-pub fn run(scene: &SceneSource, seconds: f64, rounds: usize) -> Result<(), Failure> {
+pub fn run(scene: &SceneSource, seconds: f64, rounds: usize, sheet: &mut Sheet) -> Result<(), Failure> {
     let viewed = |scene: &Scene, end: &EndRequest, with: &mut Physics| {
         // A port that was free a moment ago.
         let port = TcpListener::bind("127.0.0.1:0").and_then(|l| l.local_addr()).map_err(failed)?.port();
@@ -33,9 +35,10 @@ pub fn run(scene: &SceneSource, seconds: f64, rounds: usize) -> Result<(), Failu
         })
     };
     let scene = scene.load()?;
-    in_turn("a viewer", [scene.clone(), scene], seconds, rounds, viewed, |bytes| {
-        row("taken by the viewer's client", &format!("{:.1} MB a run", bytes * 1e-6));
-    })
+    let bytes = in_turn("a viewer", [scene.clone(), scene], seconds, rounds, viewed, sheet)?;
+    let text = format!("{:.1} MB a run", bytes * 1e-6);
+    sheet.row("taken by the viewer's client", &text, "client_bytes", json!(bytes));
+    Ok(())
 }
 
 /// At least the number of channels; the server refuses subscriptions to channels that do not exist.

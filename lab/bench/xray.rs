@@ -2,9 +2,10 @@
 
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Feedback, Scene};
+use serde_json::json;
 
 use super::recorder::{Physics, in_turn, one};
-use super::row;
+use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::scenes::SceneSource;
 
@@ -14,7 +15,13 @@ use trabecula::scenes::SceneSource;
 ///
 /// # Errors
 /// An invalid scene, or one without X-ray (2); a run that fails.
-pub fn run(scene: &SceneSource, seconds: f64, rounds: usize, rate_hz: Option<f64>) -> Result<(), Failure> {
+pub fn run(
+    scene: &SceneSource,
+    seconds: f64,
+    rounds: usize,
+    rate_hz: Option<f64>,
+    sheet: &mut Sheet,
+) -> Result<(), Failure> {
     let mut with = scene.load()?;
     for drilling in with.controller.iter_mut().filter_map(|controller| controller.curved_drilling.as_mut()) {
         if drilling.feedback == Feedback::Image {
@@ -29,7 +36,9 @@ pub fn run(scene: &SceneSource, seconds: f64, rounds: usize, rate_hz: Option<f64
     drr.rate_hz = rate_hz.unwrap_or(drr.rate_hz);
     let wanted_hz = drr.rate_hz;
     let x_rayed = |scene: &Scene, end: &EndRequest, with: &mut Physics| one(scene, None, None, end, with);
-    in_turn("X-ray", [without, with], seconds, rounds, x_rayed, |frames| {
-        row("frames a second", &format!("{:.1} of {wanted_hz} wanted", frames / seconds));
-    })
+    let frames = in_turn("X-ray", [without, with], seconds, rounds, x_rayed, sheet)?;
+    let rate_hz = frames / seconds;
+    let figures = json!({"frames_per_s": rate_hz, "wanted_hz": wanted_hz});
+    sheet.row("frames a second", &format!("{rate_hz:.1} of {wanted_hz} wanted"), "frames", figures);
+    Ok(())
 }

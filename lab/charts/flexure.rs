@@ -6,6 +6,7 @@ use serde_json::json;
 use simulation::manipulator::{ManipulatorParameters, Notch, UnitStiffness};
 
 use super::peers::{new_input, run as run_script, scripts};
+use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 
 /// Flexures of the standard tool that are compared: the first, one in the middle and the last.
@@ -25,7 +26,7 @@ struct Sample {
 ///
 /// # Errors
 /// Bad input: a mesh size out of range, or no script. A script that cannot be run, or a formula that is off by more than 10 %.
-pub fn run(out: &Path, peers: &Path, size_mm: f64) -> Result<(), Failure> {
+pub fn run(out: &Path, peers: &Path, size_mm: f64, sheet: &mut Sheet) -> Result<(), Failure> {
     if !(0.05..=0.5).contains(&size_mm) {
         return Err(Failure::bad_input(format!("--size-mm is {size_mm}, allowed is 0.05 to 0.5")));
     }
@@ -55,9 +56,20 @@ pub fn run(out: &Path, peers: &Path, size_mm: f64) -> Result<(), Failure> {
                 .map_err(|cause| Failure::failed(format!("{name}: {cause}")))?;
             let samples: Vec<Sample> = printed.lines().filter_map(sample).collect();
             let implied_gpa = tool.joint_stiffness_nm_per_rad[flexure] / own.bending_nm_per_rad * 1e-9;
-            say!("flexure {}, pitch {:.4} mm, {name}", flexure + 1, pitch_m * 1e3);
-            worst = worst.max(print(&own, &samples));
-            say!("modulus at which the formula gives the table's bending stiffness: {implied_gpa:.1} GPa\n");
+            sheet.line(&format!("flexure {}, pitch {:.4} mm, {name}", flexure + 1, pitch_m * 1e3));
+            worst = worst.max(tell(&own, &samples, sheet));
+            sheet.line(&format!(
+                "modulus at which the formula gives the table's bending stiffness: {implied_gpa:.1} GPa\n"
+            ));
+            let listed_samples: Vec<_> = samples
+                .iter()
+                .map(|sample| json!({"name": sample.name, "stiffness_for_1_pa": sample.stiffness}))
+                .collect();
+            let figures = json!({
+                "flexure": flexure + 1, "pitch_m": pitch_m, "script": name, "formula_for_1_pa": listed(&own),
+                "samples": listed_samples, "implied_modulus_gpa": implied_gpa,
+            });
+            sheet.push("flexures", figures);
         }
     }
     if worst > ALLOWED {
@@ -81,10 +93,10 @@ fn listed(stiffness: &UnitStiffness) -> [f64; 6] {
     ]
 }
 
-/// Prints the table for 1 GPa; returns the largest difference from the middle one of three flexures.
-fn print(own: &UnitStiffness, samples: &[Sample]) -> f64 {
+/// Tells the table for 1 GPa; returns the largest difference from the middle one of three flexures.
+fn tell(own: &UnitStiffness, samples: &[Sample], sheet: &Sheet) -> f64 {
     let head: String = samples.iter().map(|sample| format!("{:>24}", sample.name)).collect();
-    say!("{:<14}{:>12}{head}", "for 1 GPa", "formula");
+    sheet.line(&format!("{:<14}{:>12}{head}", "for 1 GPa", "formula"));
     let mut worst: f64 = 0.0;
     for (place, (name, own)) in NAMES.into_iter().zip(listed(own)).enumerate() {
         let mut line = format!("{name:<14}{:>12.4e}", own * 1e9);
@@ -95,7 +107,7 @@ fn print(own: &UnitStiffness, samples: &[Sample]) -> f64 {
                 worst = worst.max(off.abs());
             }
         }
-        say!("{line}");
+        sheet.line(&line);
     }
     worst
 }

@@ -10,8 +10,10 @@ use crate::bench::{
     drr, drr_poses, instructions, latency, log, memory, overhead, ping_pong, readings, recorder, soak, step,
     viewer, xray,
 };
+use crate::sheet::Sheet;
 use trabecula::commands::run::PolicyArgument;
 use trabecula::failure::Failure;
+use trabecula::say::Figures;
 use trabecula::scenes::{BuiltIn, SceneSource};
 /// Real-time runs of a scene, alternating without and with the measured part.
 #[derive(Debug, Args)]
@@ -24,6 +26,8 @@ pub struct InTurn {
     /// Number of rounds, 1 to 1000.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=1000))]
     rounds: u64,
+    #[command(flatten)]
+    figures: Figures,
 }
 
 impl InTurn {
@@ -47,6 +51,8 @@ pub enum BenchCommand {
         /// Number of rounds, 1 to 1000.
         #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=1000))]
         rounds: u64,
+        #[command(flatten)]
+        figures: Figures,
     },
     /// Time the physics step and the DRR in one process, then the log size and replay speed of a recorded lockstep run.
     Step {
@@ -64,6 +70,8 @@ pub enum BenchCommand {
         /// Rounds in one process, 1 to 100; the minimum time of each tick is printed too.
         #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100))]
         rounds: u64,
+        #[command(flatten)]
+        figures: Figures,
     },
     /// Measure the memory of each process with a large volume.
     Memory {
@@ -75,6 +83,8 @@ pub enum BenchCommand {
         /// Length of the run in ticks.
         #[arg(long, default_value_t = 500, value_parser = clap::value_parser!(u64).range(10..=100_000))]
         ticks: u64,
+        #[command(flatten)]
+        figures: Figures,
     },
     /// Measure X-ray projectors: time, error and updates after voxel removal, next to the memory bandwidth.
     Drr {
@@ -87,6 +97,8 @@ pub enum BenchCommand {
         /// Instead, time this many poses about a field of 500 mm in turn with the frontal one, 4 to 10000.
         #[arg(long, value_parser = clap::value_parser!(u64).range(4..=10_000))]
         poses: Option<u64>,
+        #[command(flatten)]
+        figures: Figures,
     },
     /// Measure the state-to-command round trip by language and wait strategy, next to bare iceoryx2 and sockets.
     Latency {
@@ -99,6 +111,8 @@ pub enum BenchCommand {
         /// Python interpreter that has NumPy.
         #[arg(long, default_value = "python3")]
         python: PathBuf,
+        #[command(flatten)]
+        figures: Figures,
     },
     /// The answering side of a latency measurement.
     #[command(hide = true)]
@@ -121,6 +135,8 @@ pub enum BenchCommand {
         /// Number of ticks, 100 to 1000000.
         #[arg(long, default_value_t = 5000, value_parser = clap::value_parser!(u64).range(100..=1_000_000))]
         ticks: u64,
+        #[command(flatten)]
+        figures: Figures,
     },
     /// Measure how much the recorder slows the physics: real-time runs, alternating without and with it.
     Recorder(InTurn),
@@ -147,6 +163,8 @@ pub enum BenchCommand {
         /// Keep the logs in this folder; default: remove them.
         #[arg(short, long)]
         output: Option<PathBuf>,
+        #[command(flatten)]
+        figures: Figures,
     },
     /// The answering side of a ping-pong.
     #[command(hide = true)]
@@ -163,62 +181,93 @@ pub enum BenchCommand {
     },
 }
 
+impl BenchCommand {
+    /// How its figures are printed; none of the answering sides.
+    fn figures(&self) -> Figures {
+        match self {
+            BenchCommand::Overhead { figures, .. }
+            | BenchCommand::Step { figures, .. }
+            | BenchCommand::Memory { figures, .. }
+            | BenchCommand::Drr { figures, .. }
+            | BenchCommand::Latency { figures, .. }
+            | BenchCommand::Readings { figures, .. }
+            | BenchCommand::Soak { figures, .. } => *figures,
+            BenchCommand::Recorder(plan)
+            | BenchCommand::Viewer(plan)
+            | BenchCommand::Xray { in_turn: plan, .. } => plan.figures,
+            BenchCommand::Echo { .. } | BenchCommand::Pong { .. } => Figures::default(),
+        }
+    }
+}
+
 /// Runs the command.
 ///
 /// # Errors
 /// An invalid scene (2); a run that fails (1).
 pub fn run(command: &BenchCommand) -> Result<(), Failure> {
+    let mut sheet = Sheet::new(command.figures());
+    let done = measure(command, &mut sheet);
+    // A soak that fails has found figures all the same; bad input has found none.
+    if done.is_ok() || sheet.has_figures() {
+        sheet.end();
+    }
+    done
+}
+
+fn measure(command: &BenchCommand, sheet: &mut Sheet) -> Result<(), Failure> {
     match command {
-        BenchCommand::Overhead { scene, ticks, rounds } => {
+        BenchCommand::Overhead { scene, ticks, rounds, .. } => {
             let scene = SceneSource::new(scene.as_deref(), BuiltIn::FreeSpace);
-            overhead::run(&scene, *ticks, *rounds as usize)
+            overhead::run(&scene, *ticks, *rounds as usize, sheet)
         }
         BenchCommand::Step { scene, ticks, instructions: true, .. } => {
-            instructions::run(&femur_or(scene.as_deref()), *ticks)
+            instructions::run(&femur_or(scene.as_deref()), *ticks, sheet)
         }
         BenchCommand::Step { scene, ticks, in_process, rounds, .. } => {
             let scene = femur_or(scene.as_deref());
-            step::run(&scene, *ticks, *rounds as usize)?;
+            step::run(&scene, *ticks, *rounds as usize, sheet)?;
             if *in_process {
                 return Ok(());
             }
-            say!();
-            log::run(&scene, *ticks)
+            sheet.line("");
+            sheet.within("recorded_run", |sheet| log::run(&scene, *ticks, sheet))
         }
-        BenchCommand::Memory { scene, dimensions, ticks } => {
-            memory::run(&femur_or(scene.as_deref()), *dimensions, *ticks)
+        BenchCommand::Memory { scene, dimensions, ticks, .. } => {
+            memory::run(&femur_or(scene.as_deref()), *dimensions, *ticks, sheet)
         }
-        BenchCommand::Drr { dimensions, rounds, poses: None } => drr::run(*dimensions, *rounds as usize),
-        BenchCommand::Drr { dimensions, rounds, poses: Some(count) } => {
-            drr_poses::run(*dimensions, *count as usize, *rounds as usize)
+        BenchCommand::Drr { dimensions, rounds, poses: None, .. } => {
+            drr::run(*dimensions, *rounds as usize, sheet)
         }
-        BenchCommand::Latency { rounds, turns, python } => {
-            latency::run(*rounds as usize, *turns as usize, python.clone())
+        BenchCommand::Drr { dimensions, rounds, poses: Some(count), .. } => {
+            drr_poses::run(*dimensions, *count as usize, *rounds as usize, sheet)
+        }
+        BenchCommand::Latency { rounds, turns, python, .. } => {
+            latency::run(*rounds as usize, *turns as usize, python.clone(), sheet)
         }
         BenchCommand::Echo { peer, wait, rounds, address } => latency::answer(*peer, *wait, *rounds, address),
-        BenchCommand::Readings { ticks } => {
-            readings::run(*ticks);
+        BenchCommand::Readings { ticks, .. } => {
+            readings::run(*ticks, sheet);
             Ok(())
         }
         BenchCommand::Recorder(plan) => {
             let (scene, seconds, rounds) = plan.checked()?;
-            recorder::run(&scene, seconds, rounds)
+            recorder::run(&scene, seconds, rounds, sheet)
         }
         BenchCommand::Viewer(plan) => {
             let (scene, seconds, rounds) = plan.checked()?;
-            viewer::run(&scene, seconds, rounds)
+            viewer::run(&scene, seconds, rounds, sheet)
         }
         BenchCommand::Xray { in_turn, rate_hz } => {
             let (scene, seconds, rounds) = in_turn.checked()?;
             if let Some(rate_hz) = rate_hz {
                 in_range("--rate-hz", *rate_hz, 1.0, 200.0)?;
             }
-            xray::run(&scene, seconds, rounds, *rate_hz)
+            xray::run(&scene, seconds, rounds, *rate_hz, sheet)
         }
-        BenchCommand::Soak { scene, minutes, policy, output } => {
+        BenchCommand::Soak { scene, minutes, policy, output, .. } => {
             in_range("--minutes", *minutes, 0.05, 60.0)?;
             let scene = femur_or(scene.as_deref());
-            soak::run(&scene, *minutes, policy.map(Policy::from), output.as_deref())
+            soak::run(&scene, *minutes, policy.map(Policy::from), output.as_deref(), sheet)
         }
         BenchCommand::Pong { session, wait, rounds } => ping_pong::answer(session, *wait, *rounds),
     }

@@ -6,7 +6,9 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 
 use crate::charts::{drr, flexure, physics, stability};
+use crate::sheet::Sheet;
 use trabecula::failure::Failure;
+use trabecula::say::Figures;
 
 /// What to measure.
 #[derive(Debug, Subcommand)]
@@ -77,6 +79,9 @@ pub struct FlexureChartArguments {
     /// Mesh size at the webs, 0.05 to 0.5 mm.
     #[arg(long, default_value_t = 0.15)]
     size_mm: f64,
+    /// How its figures are printed.
+    #[command(flatten)]
+    figures: Figures,
 }
 
 /// How many scenes, and which.
@@ -91,6 +96,9 @@ pub struct PromiseArguments {
     /// Seed of the first scene; the others follow.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(0..=1_000_000_000))]
     seed: u64,
+    /// How its figures are printed.
+    #[command(flatten)]
+    figures: Figures,
 }
 
 /// Runs the command.
@@ -116,12 +124,18 @@ pub fn run(command: &ChartCommand) -> Result<(), Failure> {
             })
         }
         ChartCommand::Flexure(arguments) => {
-            flexure::run(&arguments.output, &arguments.peers, arguments.size_mm)
+            let mut sheet = Sheet::new(arguments.figures);
+            let done = flexure::run(&arguments.output, &arguments.peers, arguments.size_mm, &mut sheet);
+            sheet.end();
+            done
         }
         ChartCommand::Promise(arguments) => {
             let plan =
                 physics::promise::Plan { free: arguments.free, bone: arguments.bone, seed: arguments.seed };
-            match physics::promise::run(&plan)? {
+            let mut sheet = Sheet::new(arguments.figures);
+            let exceeded = physics::promise::run(&plan, &mut sheet)?;
+            sheet.end();
+            match exceeded {
                 0 => Ok(()),
                 exceeded => Err(Failure::failed(format!("{exceeded} scenes exceeded their tolerance"))),
             }

@@ -1,7 +1,7 @@
 //! `trabecula stress SCENE`, and the competing processes that it starts.
 
 use crate::stress::KeptLogs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
@@ -16,6 +16,7 @@ use trabecula::failure::{EXIT_INTERRUPTED, Failure};
 use trabecula::launcher::run::output_folder;
 use trabecula::launcher::volume_source::VolumeFiles;
 use trabecula::machine::allowed;
+use trabecula::say::Figures;
 use trabecula::scenes::{BuiltIn, SceneSource};
 
 /// Arguments of `stress`.
@@ -58,6 +59,9 @@ pub struct StressArguments {
     pub keep_logs: bool,
     #[command(flatten)]
     pub volume_files: VolumeFiles,
+    /// How its figures are printed.
+    #[command(flatten)]
+    pub figures: Figures,
 }
 
 /// Runs a stress test.
@@ -70,15 +74,11 @@ pub fn run(arguments: &StressArguments) -> Result<(), Failure> {
     let end = EndRequest::install()
         .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
     let (report, interrupted) = stress::run(&plan, &end)?;
-    say!("{}", table(&report));
-    if let Some(old) = &plan.compare {
-        say!("since {}: late p50, late p99, step p50, round trip p50, missed", old.began);
-        comparison(old, &report).iter().for_each(|row| say!("  {}", row.join(" | ")));
-    }
-    if let Some(share) = report.explained() {
-        say!("{share}");
-    }
-    say!("report       {}", plan.output.join("index.html").display());
+    let page = plan.output.join("index.html");
+    arguments.figures.say(
+        || told(&report, plan.compare.as_ref(), &page),
+        || serde_json::json!({"page": page, "report": report}),
+    );
     let done = report.tested.len();
     if interrupted {
         let message = format!("interrupted after {done} of {} combinations", report.planned);
@@ -92,6 +92,18 @@ pub fn run(arguments: &StressArguments) -> Result<(), Failure> {
             Err(Failure::failed(format!("{}: {why}", tested.combination)))
         }
     }
+}
+
+/// The table, what has changed since an earlier test, and where the report is.
+fn told(report: &StressReport, compare: Option<&StressReport>, page: &Path) -> String {
+    let mut lines = vec![table(report)];
+    if let Some(old) = compare {
+        lines.push(format!("since {}: late p50, late p99, step p50, round trip p50, missed", old.began));
+        lines.extend(comparison(old, report).iter().map(|row| format!("  {}", row.join(" | "))));
+    }
+    lines.extend(report.explained().map(|share| share.to_string()));
+    lines.push(format!("report       {}", page.display()));
+    lines.join("\n")
 }
 
 fn plan_of(arguments: &StressArguments) -> Result<StressPlan, Failure> {

@@ -153,13 +153,15 @@ mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
 
-    /// Regression: `full` gave each flexure the axial stiffness of a tube as soft as its notches and ended 4 mm from the others.
+    /// Regression: `full` gave each flexure the axial stiffness of a tube as soft as its notches and ended 4 mm from the others. The walls
+    /// are hard here: 10 N is about where foam yields, and what is crushed first then decides where the tool goes by another 0.3 mm.
     #[test]
     fn every_chain_ends_the_tunnel_of_10_newton_at_the_same_place() {
         let experiment = Experiment::Tunnel;
         let block = experiment.block(1.0, Effort::Full);
         let end = |rung| {
-            let outcome = Trial { rung, ..experiment.trial() }.play(&block, |_, _| {}).unwrap();
+            let trial = Trial { rung, strength_mpa: Some(1e5), ..experiment.trial() };
+            let outcome = trial.play(&block, |_, _| {}).unwrap();
             outcome.burr_m() * 1e3
         };
         let [planar, spatial, full] = ["planar", "spatial", "full"].map(end);

@@ -84,6 +84,8 @@ pub struct Trial {
     pub burr_rpm: f64,
     /// Specific cutting energy in J/mm³ at 1900 kg/m³, and the exponent of the density, instead of the standard law's.
     pub cutting_law: Option<[f64; 2]>,
+    /// Compressive strength of cortical bone, MPa, instead of the standard law's.
+    pub strength_mpa: Option<f64>,
     /// Whether the scene drills a pilot hole for the flexible part.
     pub pilot: bool,
 }
@@ -103,6 +105,7 @@ impl Trial {
             insertion_mm,
             burr_rpm: 2250.0,
             cutting_law: None,
+            strength_mpa: None,
             pilot: true,
         }
     }
@@ -116,11 +119,12 @@ impl Trial {
         let law = self.cutting_law.map_or_else(String::new, |[energy, exponent]| {
             format!("specific_energy_j_per_mm3 = {energy:?}\ndensity_exponent = {exponent:?}\n")
         });
+        let strength = self.strength_mpa.map_or_else(String::new, |mpa| format!("strength_mpa = {mpa:?}\n"));
         let text = format!(
             "name = \"reproduce\"\n[run]\nmode = \"lockstep\"\ndt_ms = {:?}\nduration_s = 10.0\n\
              [volume]\nphantom = \"block\"\nbone_threshold_hu = {THRESHOLD_HU}\n{pilot}\
              [manipulator]\nmodel = \"{}\"\ntendon_friction = {:?}\nstiffness_scale = {:?}\n\
-             [contact]\nfriction = {:?}\n[drilling]\nremoval = \"{}\"\n{law}\
+             [contact]\nfriction = {:?}\n{strength}[drilling]\nremoval = \"{}\"\n{law}\
              [tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
              [[controller]]\nname = \"feed\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nexternal = true\n",
             self.dt_ms, self.rung, self.tendon_friction, self.stiffness, self.contact_friction, self.removal
@@ -201,6 +205,13 @@ pub struct Outcome {
     pub mean_force_n: f64,
     /// Deepest penetration of any sphere into the bone, m.
     pub deepest_m: f64,
+    /// Largest sum of the walls' forces, and largest force on the flange, N.
+    pub most_wall_n: f64,
+    pub most_flange_n: f64,
+    /// Largest share of a contact's strength that it carried.
+    pub most_share: f64,
+    /// Farthest that a flexure was past its stop, rad.
+    pub past_stop_rad: f64,
     /// Highest flexure speed during the feed, rad/s.
     pub fastest_rad_per_s: f64,
     /// Maximum number of loaded contacts in a tick.
@@ -215,6 +226,10 @@ impl Outcome {
             most_force_n: 0.0,
             mean_force_n: 0.0,
             deepest_m: 0.0,
+            most_wall_n: 0.0,
+            most_flange_n: 0.0,
+            most_share: 0.0,
+            past_stop_rad: 0.0,
             fastest_rad_per_s: 0.0,
             most_contacts: 0,
             samples: 0,
@@ -225,6 +240,10 @@ impl Outcome {
         let contacts = state.contacts.iter().take(state.contact_count as usize);
         self.deepest_m = contacts.map(|contact| -contact.gap_m).fold(self.deepest_m, f64::max);
         self.most_contacts = self.most_contacts.max(state.contact_count);
+        self.most_wall_n = self.most_wall_n.max(state.wall_force_n);
+        self.most_flange_n = self.most_flange_n.max(Vector3::from(state.flange_wrench.force_n).norm());
+        self.most_share = self.most_share.max(state.strength_share);
+        self.past_stop_rad = self.past_stop_rad.max(state.stop_excess_rad);
     }
 
     /// A state during the feed.

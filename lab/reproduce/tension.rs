@@ -103,9 +103,7 @@ fn curvature_per_mm(tool: &Manipulator) -> f64 {
 
 /// Length along the tool from the first flexure to the burr's centre, mm.
 fn arc_mm() -> f64 {
-    let p = ManipulatorParameters::jhu_27();
-    let ends = p.joint_positions_m.first().zip(p.joint_positions_m.last());
-    ends.map_or(f64::NAN, |(first, last)| (last - first + p.tip_offset_m) * 1e3)
+    ManipulatorParameters::jhu_27().flexible_length_m() * 1e3
 }
 
 /// Bend at the nearest tension of the sweep.

@@ -306,7 +306,7 @@ codes! {
         SafeCommand = EVENT_SAFE_COMMAND, 3, "safe_command";
         /// Messages were lost; `text` says which and how many.
         MessagesLost = EVENT_MESSAGES_LOST, 4, "messages_lost";
-        /// A part of the run connected, paused, resumed, was reset or stopped.
+        /// A part of the run connected, or the run was paused, resumed or stopped.
         Run = EVENT_RUN, 5, "run";
         /// A controller's own message.
         Controller = EVENT_CONTROLLER, 6, "controller";
@@ -320,6 +320,8 @@ codes! {
         ControllerMissing = EVENT_CONTROLLER_MISSING, 10, "controller_missing";
         /// The run ends: in lockstep, a controller did not answer in time.
         ControllerLate = EVENT_CONTROLLER_LATE, 11, "controller_late";
+        /// The simulation was reset before this tick; `text` says which tick began from the initial state.
+        Reset = EVENT_RESET, 12, "reset";
     }
 }
 

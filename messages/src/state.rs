@@ -44,7 +44,7 @@ message! {
         sim_time_s: f64,
         /// Chained hash h_k of every latched command, state and removal so far (XXH3-128, low word first).
         hash: [u64; 2],
-        /// Voxels drilled since the start or the last reset.
+        /// Voxels drilled or crushed since the start or the last reset.
         removed_total: u64,
         /// Voxels removed in this tick.
         removed_in_tick: u32,
@@ -60,8 +60,8 @@ message! {
         controller_count: u32,
         /// Number of used entries of `t_world_body`.
         body_count: u32,
-        /// Always 0.
-        reserved_bodies: u32,
+        /// Iterations of the contact solver in this tick.
+        contact_iterations: u32,
         /// The arm's current mode, coded as the command's `arm_mode`; 5 while it stops or is at rest.
         arm_mode: u32,
         /// 0 moving, 1 at its goal and at rest, 2 motion aborted or a joint stopped at the end of its range.
@@ -76,8 +76,19 @@ message! {
         burr_speed_rad_per_s: f64,
         /// Normal force between burr and bone.
         burr_force_n: f64,
+        /// Sum of the normal forces on the tool, without the burr's.
+        wall_force_n: f64,
+        /// Largest force of a contact as a share of what the bone there bears; 1 where bone yields, 0 while no contact carries more than any
+        /// bone bears.
+        strength_share: f64,
+        /// Farthest that a flexure is past its stop; 0 if none is.
+        stop_excess_rad: f64,
+        /// Largest speed by which a contact (m/s) or a stop (rad/s) misses its law after the solver's iterations.
+        contact_residual_m_per_s: f64,
         /// Energy spent on cutting since the start.
         cutting_energy_j: f64,
+        /// Energy that bone absorbed where it was crushed, since the start.
+        crushing_energy_j: f64,
         /// Tension at the proximal end of each tendon.
         tendon_tension_n: [f64; MAX_TENDONS],
         /// Displacement of each tendon from its straight, unloaded length; positive when pulled.

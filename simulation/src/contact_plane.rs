@@ -13,11 +13,14 @@ pub struct ContactPlane {
     pub normal: Unit<Vector3<f64>>,
     /// Distance between the sphere and the plane, negative when they overlap, m.
     pub gap_m: f64,
+    /// Most normal force that the obstacle bears before it yields, N; infinite if it does not yield.
+    pub strength_n: f64,
 }
 
 impl ContactPlane {
-    /// True if the gap is finite and the normal has unit length, which `Unit::new_unchecked` does not guarantee.
+    /// True if the gap is finite, the normal has unit length, which `Unit::new_unchecked` does not guarantee, and the strength is not
+    /// negative.
     pub(crate) fn is_usable(&self) -> bool {
-        self.gap_m.is_finite() && (self.normal.norm_squared() - 1.0).abs() < 1e-6
+        self.gap_m.is_finite() && (self.normal.norm_squared() - 1.0).abs() < 1e-6 && self.strength_n >= 0.0
     }
 }

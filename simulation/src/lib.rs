@@ -67,5 +67,5 @@ mod world;
 
 pub use world::{
     CtView, Finding, KeyframeError, Simulation, SimulationError, SimulationSnapshot, Verdict, contact_kind,
-    ct_geometry, findings, manipulator_parameters, rung,
+    findings, manipulator_parameters, rung,
 };

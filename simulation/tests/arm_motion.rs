@@ -209,6 +209,34 @@ fn a_line_through_a_singularity_is_refused() {
     assert!(arm.state().done);
 }
 
+/// Every test of this refusal took two other kinds for right, too.
+#[test]
+fn a_line_on_which_the_joints_would_jump_is_refused_as_such_and_where() {
+    let parameters = ArmParameters::ur5(DT_S);
+    let posture = |wrist_rad| [0.0, -1.2, 1.8, -2.2, wrist_rad, 0.0];
+    for (from_rad, to_rad) in [(0.3, -0.25), (0.2, -0.1), (-0.3, 0.25), (0.02, -0.5)] {
+        let mut arm = Arm::new(parameters, &posture(from_rad)).unwrap();
+        let goal = parameters.geometry.forward(&posture(to_rad));
+        // The wrist would be straight here. A line is looked at in 32 intervals.
+        let straight = from_rad / (from_rad - to_rad);
+        match arm.command(move_cp(goal)) {
+            Err(ArmError::PathJumps { fraction }) => {
+                assert!((fraction - straight).abs() < 1.0 / 32.0, "{from_rad} to {to_rad}: {fraction}");
+            }
+            other => panic!("{from_rad} to {to_rad}: {other:?}"),
+        }
+        assert!(arm.state().done && arm.state().q_rad == posture(from_rad));
+    }
+    // Up to just before it is straight, the same line is none that jumps.
+    let mut arm = Arm::new(parameters, &posture(0.3)).unwrap();
+    arm.command(move_cp(parameters.geometry.forward(&posture(0.05)))).unwrap();
+    let text = ArmError::PathJumps { fraction: 0.53125 }.to_string();
+    assert!(
+        text.starts_with("at 0.5312 of the path the joints would have to jump, as beside a singularity"),
+        "{text}"
+    );
+}
+
 /// Broken parameters are refused by name.
 #[test]
 fn parameters_are_checked() {

@@ -58,21 +58,21 @@ const GOLDEN: [Golden; 3] = [
         in_bone: true,
         command: feed,
         ticks: 1000,
-        hash: "e55bce007c83be8d24cb23c321b6a453",
+        hash: "42b6e46bc638d206bd70b93276e45884",
     },
     Golden {
         scene: BODIES,
         in_bone: false,
         command: feed,
         ticks: 600,
-        hash: "c66495730437b83e87503477dbfd7901",
+        hash: "1781d88b933ca9238530cbf463875995",
     },
     Golden {
         scene: FREE,
         in_bone: false,
         command: wander,
         ticks: 2000,
-        hash: "cc01a972751bafe3f42ea6a20c8afbfc",
+        hash: "5e9f7ddaebbeb74f4780169a152663f7",
     },
 ];
 

@@ -198,6 +198,7 @@ fn a_fixed_box_is_the_same_wall_as_a_half_space() {
                 point_m,
                 normal: Unit::new_unchecked(-Vector3::x()),
                 gap_m,
+                strength_n: f64::INFINITY,
             });
         }
         let tendon = TendonCommand::Force([8.0, 0.0]);

@@ -6,7 +6,7 @@ use clap::Args;
 use controllers::{Calibration, CalibrationRow, Controller, TensionSweepController};
 use hub::in_process::{Answer, InProcess};
 use ipc_types::scene::{Mode, Scene};
-use simulation::{CtView, Simulation, ct_geometry};
+use simulation::{CtView, Simulation};
 
 use crate::failure::Failure;
 use crate::launcher::volume_source::{self, VolumeFiles};
@@ -69,7 +69,7 @@ fn sweep(scene: &Scene, source: &SceneSource, files: VolumeFiles) -> Result<Cali
     })?;
     let volume = volume_source::load(scene, files).map_err(Failure::bad_input)?;
     let volume = volume.map(|(volume, hash)| (volume_source::message(&volume, hash), volume.hu));
-    let ct = volume.as_ref().map(|(message, hu)| CtView { geometry: ct_geometry(message), hu });
+    let ct = volume.as_ref().map(|(message, hu)| CtView::new(message, hu));
     let simulation = Simulation::new(scene, ct).map_err(Failure::bad_input)?;
     let mut run = InProcess::new(scene, simulation);
     let mut controller = TensionSweepController::new(plan, drives);

@@ -86,11 +86,7 @@ fn install(prefix: &Path) -> Result<(), Failure> {
 
 /// A man page for a command and for each below it, by name: `trabecula-log-export`.
 fn pages(command: &clap::Command, name: &str) -> Result<Vec<(String, Vec<u8>)>, Failure> {
-    let mut text = Vec::new();
-    let man = clap_mangen::Man::new(command.clone()).title(name);
-    man.render(&mut text)
-        .map_err(|cause| Failure::failed(format!("cannot create the man page {name}: {cause}")))?;
-    let mut all = vec![(name.to_owned(), text)];
+    let mut all = vec![(name.to_owned(), rendered(clap_mangen::Man::new(command.clone()).title(name))?)];
     for below in command.get_subcommands() {
         let is_of_users = !below.is_hide_set() && !["help", "proc"].contains(&below.get_name());
         if is_of_users {
@@ -110,13 +106,18 @@ fn completions(shell: Shell) -> String {
 fn man_page() -> Result<String, Failure> {
     let mut command = command_line();
     command.build();
-    let mut text = Vec::new();
-    let failed = |cause: std::io::Error| Failure::failed(format!("cannot create the man page: {cause}"));
-    clap_mangen::Man::new(command.clone()).render(&mut text).map_err(failed)?;
+    let mut text = rendered(clap_mangen::Man::new(command.clone()))?;
     for subcommand in command.get_subcommands().filter(|command| command.get_name() != "help") {
-        clap_mangen::Man::new(subcommand.clone()).render(&mut text).map_err(failed)?;
+        text.extend(rendered(clap_mangen::Man::new(subcommand.clone()))?);
     }
     Ok(String::from_utf8_lossy(&text).into_owned())
+}
+
+fn rendered(page: clap_mangen::Man) -> Result<Vec<u8>, Failure> {
+    let mut text = Vec::new();
+    page.render(&mut text)
+        .map_err(|cause| Failure::failed(format!("cannot create the man page: {cause}")))?;
+    Ok(text)
 }
 
 fn schema(message: &str) -> Result<String, Failure> {

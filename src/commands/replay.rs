@@ -119,35 +119,13 @@ pub fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
         let threads = arguments.frames.then(|| arguments.threads());
         return tell_recorded(&record(&log, folder, threads)?, &log, arguments.figures);
     }
-    let code = replay(arguments, &log, ticks)?;
+    let (code, mut figures) = replay(arguments, &log, ticks)?;
     if arguments.frames {
-        let began = Instant::now();
-        let threads = arguments.threads();
-        let ComparedFrames { identical, in_gaps, without_request } = verify_frames(&log, ticks, threads)?;
-        let wall_s = began.elapsed().as_secs_f64();
-        let label = log.label();
-        arguments.figures.say(
-            || {
-                let mut lines = vec![format!(
-                    "rendered {identical} frames again on {threads} threads, all identical{label}, in {wall_s:.3} s"
-                )];
-                if in_gaps > 0 {
-                    lines.push(format!("{in_gaps} frames fall into a gap of the log and were not rendered"));
-                }
-                if without_request > 0 {
-                    lines.push(format!(
-                        "{without_request} requested frames: no request in timing.mcap, so their C-arm was not compared with it"
-                    ));
-                }
-                lines.join("\n")
-            },
-            || {
-                json!({
-                    "identical_frames": identical, "frames_in_gaps": in_gaps,
-                    "frames_without_request": without_request, "wall_s": wall_s,
-                })
-            },
-        );
+        let of_frames = replay_frames(arguments, &log, ticks)?;
+        figures["frames"] = of_frames;
+    }
+    if arguments.figures.json {
+        say!("{figures}");
     }
     match code {
         0 => Ok(()),
@@ -165,8 +143,42 @@ impl ReplayArguments {
     }
 }
 
-/// Steps the physics from the keyframe before the range's first tick, or the start, to its last, or the end.
-fn replay(arguments: &ReplayArguments, log: &OpenedLog, ticks: TickRange) -> Result<u8, Failure> {
+/// Renders the frames of a range again; says what was compared, or returns it for `--json`.
+fn replay_frames(
+    arguments: &ReplayArguments,
+    log: &OpenedLog,
+    ticks: TickRange,
+) -> Result<serde_json::Value, Failure> {
+    let began = Instant::now();
+    let threads = arguments.threads();
+    let ComparedFrames { identical, in_gaps, without_request } = verify_frames(log, ticks, threads)?;
+    let wall_s = began.elapsed().as_secs_f64();
+    if !arguments.figures.json {
+        let label = log.label();
+        say!(
+            "rendered {identical} frames again on {threads} threads, all identical{label}, in {wall_s:.3} s"
+        );
+        if in_gaps > 0 {
+            say!("{in_gaps} frames fall into a gap of the log and were not rendered");
+        }
+        if without_request > 0 {
+            say!(
+                "{without_request} requested frames: no request in timing.mcap, so their C-arm was not compared with it"
+            );
+        }
+    }
+    Ok(json!({
+        "identical": identical, "in_gaps": in_gaps, "without_request": without_request, "wall_s": wall_s,
+    }))
+}
+
+/// Steps the physics from the keyframe before the range's first tick, or the start, to its last, or the end. Returns the exit code, and the
+/// figures for `--json`.
+fn replay(
+    arguments: &ReplayArguments,
+    log: &OpenedLog,
+    ticks: TickRange,
+) -> Result<(u8, serde_json::Value), Failure> {
     let TickRange { first: from, last: to } = ticks;
     let began = Instant::now();
     let start = if from > Tick::START { keyframe_before(log.reader()?, from) } else { None };
@@ -208,7 +220,7 @@ fn replay(arguments: &ReplayArguments, log: &OpenedLog, ticks: TickRange) -> Res
         }
     }
     told.tell(&report)?;
-    Ok(told.exit_code())
+    Ok((told.exit_code(), told.json(&report)))
 }
 
 /// Steps without comparing, and prints the resulting state.
@@ -311,6 +323,7 @@ impl ReplayOutcome {
         })
     }
 
+    /// Says what came of it, but with `--json`, whose one document is written at the end.
     fn tell(&self, report: &ReplayReport) -> Result<(), Failure> {
         let simulated_s = report.simulated_ns as f64 * 1e-9;
         let hash = run_log::end::hash_text(report.hash);
@@ -328,7 +341,6 @@ impl ReplayOutcome {
             return Err(Failure::failed(format!("{divergence}{label}")));
         }
         if self.figures.json {
-            say!("{}", self.json(report));
             return Ok(());
         }
         let from = if self.first > Tick::START {
@@ -400,12 +412,19 @@ fn live(arguments: &ReplayArguments, log: &OpenedLog, to_tick: Tick) -> Result<(
         to_tick,
     };
     let label = log.label();
-    for (name, commands) in run_live(log, &plan)? {
-        arguments.figures.say(
-            || format!("controller `{name}`: {commands} commands, all identical{label}"),
-            || json!({"controller": name, "identical_commands": commands}),
-        );
-    }
+    let compared = run_live(log, &plan)?;
+    arguments.figures.say(
+        || {
+            let line = |(name, commands): &(String, u64)| {
+                format!("controller `{name}`: {commands} commands, all identical{label}")
+            };
+            compared.iter().map(line).collect::<Vec<_>>().join("\n")
+        },
+        || {
+            let of = |(name, commands): &(String, u64)| json!({"name": name, "identical_commands": commands});
+            json!({"controllers": compared.iter().map(of).collect::<Vec<_>>()})
+        },
+    );
     Ok(())
 }
 

@@ -156,11 +156,7 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     if let Some(choice) = xray::from_scene::tolerance_text(&scene).filter(|_| !arguments.json) {
         say!("{choice}");
     }
-    if let Some(path) = scene.volume.as_ref().and_then(|volume| volume.path.as_ref()) {
-        let named =
-            arguments.scene.as_ref().map_or_else(|| scene.name.clone(), |file| file.display().to_string());
-        volume_source::refuse_missing(&named, path)?;
-    }
+    volume_source::refuse_missing(&source, &scene)?;
     let output = match arguments.no_record {
         true => None,
         false => {
@@ -275,7 +271,7 @@ enum Told {
 /// Writes the figures and numbers, and prints the final table.
 fn write_report(result: &RunResult, output: &Path, told: Told) -> Result<(), Failure> {
     let replay_command = format!("{} replay {} --verify", program_name(), output.display());
-    let facts = result.facts(replay_command.clone());
+    let facts = result.facts(replay_command);
     let report = report::write(output, &facts)?;
     match told {
         Told::Json => {
@@ -292,7 +288,7 @@ fn write_report(result: &RunResult, output: &Path, told: Told) -> Result<(), Fai
         }
         Told::Text => {
             say!("{}", report.summary);
-            say!("\nfolder       {}\nreplay it    {replay_command}", output.display());
+            say!("\nfolder       {}", output.display());
         }
     }
     complete(&report.missing)
@@ -357,8 +353,8 @@ fn judge(result: &RunResult) -> Result<(), Failure> {
         Outcome::Completed | Outcome::Stopped => Ok(()),
         Outcome::Interrupted => Err(Failure { message: "interrupted".to_owned(), code: EXIT_INTERRUPTED }),
         // The launcher has already said how.
-        Outcome::ControllerFailed { name, .. } => {
-            Err(Failure::failed(format!("the run ended early because of controller `{name}`")))
+        Outcome::ControllerFailed(blame) => {
+            Err(Failure::failed(format!("the run ended early because of controller `{}`", blame.controller)))
         }
         Outcome::PartDied { name, .. } => {
             Err(Failure::failed(format!("the run ended early because `{name}` ended")))

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 use controllers::Calibration;
-use ipc_types::scene::Scene;
+use ipc_types::scene::{Mode, Scene};
 
 use crate::failure::Failure;
 use crate::feasibility;
@@ -74,9 +74,7 @@ fn init(folder: &Path, scene: BuiltIn) -> Result<(), Failure> {
 fn check(file: &Path, volume_files: VolumeFiles, figures: Figures) -> Result<(), Failure> {
     let mut notes = Vec::new();
     let (scene, _) = super::plan::load(&SceneSource::File(file.to_owned()))?;
-    if let Some(path) = scene.volume.as_ref().and_then(|volume| volume.path.as_ref()) {
-        volume_source::refuse_missing(&file.display().to_string(), path)?;
-    }
+    volume_source::refuse_missing(&file.display(), &scene)?;
     let loaded = volume_source::load_with_notes(&scene, volume_files)?;
     notes.extend(loaded.iter().flat_map(|loaded| loaded.notes.clone()));
     let volume = loaded.map(|loaded| (loaded.volume, loaded.sha256));
@@ -101,14 +99,20 @@ fn text_of(file: &Path, scene: &Scene) -> String {
         Some(ticks) => format!("a frame every {ticks} ticks"),
         None => "no scheduled frames".to_owned(),
     };
+    let controllers = match scene.controller.len() {
+        1 => "1 controller".to_owned(),
+        count => format!("{count} controllers"),
+    };
     format!(
-        "{}: scene `{}` is valid: {:?}, {} ticks of {} ms, {} controllers, {frames}",
+        "{}: scene `{}` is valid: {}, {} ticks of {} ms, {controllers}, {frames}",
         file.display(),
         scene.name,
-        scene.run.mode,
+        match scene.run.mode {
+            Mode::Lockstep => "lockstep",
+            Mode::Realtime => "real time",
+        },
         scene.tick_count(),
         scene.run.dt_ms,
-        scene.controller.len()
     )
 }
 

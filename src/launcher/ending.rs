@@ -206,10 +206,10 @@ impl Ending<'_> {
         let reason = match outcome {
             Outcome::Completed => EndReason::Completed,
             Outcome::Stopped => EndReason::Stopped,
-            Outcome::ControllerFailed { name, blame } if blame.code == EventCode::ControllerLate => {
-                EndReason::ControllerLate(name.clone())
+            Outcome::ControllerFailed(blame) if blame.code == EventCode::ControllerLate => {
+                EndReason::ControllerLate(blame.controller.clone())
             }
-            Outcome::ControllerFailed { name, .. } => EndReason::ControllerMissing(name.clone()),
+            Outcome::ControllerFailed(blame) => EndReason::ControllerMissing(blame.controller.clone()),
             Outcome::Interrupted => EndReason::Interrupted,
             Outcome::PartDied { name, .. } => EndReason::PartDied(name.clone()),
             // Nobody reads the end of a log that was removed.

@@ -47,13 +47,8 @@ pub enum Outcome {
     Interrupted,
     /// The log was removed or moved; says what happened to it.
     LogGone(String),
-    /// A controller did not join in time, or in lockstep did not answer in time.
-    ControllerFailed {
-        /// Its name.
-        name: String,
-        /// Which of the two, and the physics's words for it.
-        blame: Blame,
-    },
+    /// A controller did not join in time, or in lockstep did not answer in time: which of the two, and the physics's words for it.
+    ControllerFailed(Blame),
     /// A part died or ended too early.
     PartDied {
         /// Name of the part.
@@ -77,7 +72,7 @@ impl Outcome {
             Outcome::Completed => "completed".to_owned(),
             Outcome::Stopped => "stopped".to_owned(),
             Outcome::Interrupted => "interrupted".to_owned(),
-            Outcome::ControllerFailed { blame, .. } => format!("{}: {}", blame.code.word(), blame.text),
+            Outcome::ControllerFailed(blame) => format!("{}: {}", blame.code.word(), blame.text),
             Outcome::PartDied { name, how, .. } => format!("part `{name}` died ({how})"),
             Outcome::LogGone(how) => how.clone(),
         }
@@ -87,7 +82,7 @@ impl Outcome {
     pub(super) fn death(&self) -> Option<String> {
         match self {
             Outcome::Completed | Outcome::Stopped | Outcome::Interrupted => None,
-            Outcome::ControllerFailed { blame, .. } => Some(blame.text.clone()),
+            Outcome::ControllerFailed(blame) => Some(blame.text.clone()),
             Outcome::LogGone(how) => Some(how.clone()),
             Outcome::PartDied { name, how, last_words } => {
                 let lines: Vec<String> =
@@ -309,14 +304,12 @@ impl Running<'_> {
         };
         let mut blame = self.hub.host.session.blame().filter(|_| is_end)?;
         let mut controllers = self.plan.scene.controller.iter();
-        let of = |name: &str| blame.text.starts_with(&format!("controller `{name}` "));
-        let controller = controllers.find(|controller| of(&controller.name))?;
-        let name = controller.name.clone();
+        let controller = controllers.find(|controller| controller.name == blame.controller)?;
         if controller.external && blame.code == EventCode::ControllerMissing {
-            let how = self.hub.host.session.how_to_connect(&name);
+            let how = self.hub.host.session.how_to_connect(&controller.name);
             blame.text += &format!("; it is external: start it with {how}");
         }
-        Some(Outcome::ControllerFailed { name, blame })
+        Some(Outcome::ControllerFailed(blame))
     }
 
     /// A run that ended before its last tick was stopped.

@@ -8,6 +8,7 @@ use foreign_text::foreign_path;
 use ipc_types::layout::Message;
 use ipc_types::messages::Volume as VolumeMessage;
 use ipc_types::scene::{Label as SceneLabel, Phantom, Resample, Scene, Volume as SceneVolume};
+use simulation::CtView;
 use volume_io::{
     DataFiles, Label, MaskModel, ReadOptions, Slices, Volume, VolumeError, mask_to_hu, phantom, resample,
     volume_hash,
@@ -67,19 +68,23 @@ fn options(source: &SceneVolume, files: VolumeFiles) -> ReadOptions {
     }
 }
 
-/// Refuses a scene whose volume is not there, and says where one is to be had; `scene` names the scene's file.
+/// Refuses a scene whose volume is not there, and says where one is to be had; `file` names the scene's file.
 ///
 /// # Errors
 /// Bad input (2).
-pub fn refuse_missing(scene: &str, path: &Path) -> Result<(), Failure> {
-    if path.exists() {
-        return Ok(());
-    }
+pub fn refuse_missing(file: &dyn std::fmt::Display, scene: &Scene) -> Result<(), Failure> {
+    let path = scene.volume.as_ref().and_then(|volume| volume.path.as_ref());
+    let Some(path) = path.filter(|path| !path.exists()) else { return Ok(()) };
     Err(Failure::bad_input(format!(
-        "{scene}: `volume.path` is {}, which does not exist. A synthetic pelvis in its place: `trabecula phantom pelvis -o pelvis.nrrd`, then \
-         `trabecula run … --set 'volume.path=\"'$PWD/pelvis.nrrd'\"'`; free CTs of patients: docs/volumes.md, \"Where to get a CT\"",
+        "{file}: `volume.path` is {}, which does not exist. A synthetic pelvis in its place: `trabecula phantom pelvis -o pelvis.nrrd`, then \
+         `trabecula run … --set 'volume.path=\"'$PWD/pelvis.nrrd'\"'`; a free CT of a patient: docs/volumes.md, \"Where to get a CT\"",
         foreign_path(path)
     )))
+}
+
+/// A loaded volume as the simulation takes it.
+pub fn ct_view((volume, sha256): &(Volume, [u8; 32])) -> CtView<'_> {
+    CtView::new(&message(volume, *sha256), &volume.hu)
 }
 
 /// The volume of a scene with its hash; `None` if the scene has none.

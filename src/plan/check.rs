@@ -5,7 +5,6 @@ use std::path::Path;
 use std::time::Instant;
 
 use ipc_types::scene::Scene;
-use simulation::{CtView, ct_geometry};
 
 use super::reference::Reference;
 use crate::failure::Failure;
@@ -35,10 +34,7 @@ pub struct Found {
 /// Bad input (2): a log that this build cannot replay, or one without ticks. The reference refuses the scene (1).
 pub fn check(log: &Path, overrides: &Overrides, samples: u64, to: u64) -> Result<(Scene, Found), Failure> {
     let log = OpenedLog::open(log, overrides)?;
-    let ct = log.volume.as_ref().map(|(volume, hash)| {
-        let message = volume_source::message(volume, *hash);
-        CtView { geometry: ct_geometry(&message), hu: &volume.hu }
-    });
+    let ct = log.volume.as_ref().map(volume_source::ct_view);
     let failed = |cause: simulation::SimulationError| Failure::failed(cause.to_string());
     let mut reference = Reference::new(&log.scene, ct).map_err(failed)?;
     let every = log.scene.tick_count().min(to).div_ceil(samples.max(1)).max(1);

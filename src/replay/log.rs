@@ -9,7 +9,7 @@ use recorder_proc::build_info;
 use recorder_proc::log_file::{LogFile, log_path};
 use run_log::header::layout_hashes;
 use run_log::{BuildInfo, LogReader, ReadOptions};
-use simulation::{CtView, Simulation, ct_geometry};
+use simulation::Simulation;
 use volume_io::Volume;
 
 use crate::failure::Failure;
@@ -96,10 +96,7 @@ impl OpenedLog {
     /// # Errors
     /// The physics refuses the scene.
     pub fn simulation(&self) -> Result<Simulation<'_>, String> {
-        let ct = self.volume.as_ref().map(|(volume, hash)| {
-            let message = volume_source::message(volume, *hash);
-            CtView { geometry: ct_geometry(&message), hu: &volume.hu }
-        });
+        let ct = self.volume.as_ref().map(volume_source::ct_view);
         Simulation::new(&self.scene, ct).map_err(|cause| cause.to_string())
     }
 

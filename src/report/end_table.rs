@@ -68,12 +68,16 @@ impl Summary {
         if let Some(drilling) = &self.drilling {
             let volume = drilling.removed_volume_mm3.map_or(String::new(), |mm3| format!(" ({mm3:.1} mm3)"));
             let (voxels, energy) = (drilling.removed_voxels, drilling.cutting_energy_j);
-            rows.push(("drilled", format!("{voxels} voxels{volume}, {energy:.2} J of cutting")));
+            let crushed = drilling.crushing_energy_j;
+            let crushed = if crushed > 0.0 { format!(", {crushed:.3} J of crushing") } else { String::new() };
+            rows.push(("drilled", format!("{voxels} voxels{volume}, {energy:.2} J of cutting{crushed}")));
             let text = format!(
-                "up to {} at once, in {:.1} % of ticks, burr force up to {:.2} N",
+                "up to {} at once, in {:.1} % of ticks; burr up to {:.2} N, walls {:.2} N, flange {:.2} N",
                 drilling.max_contacts,
                 100.0 * drilling.contact_share,
-                drilling.max_burr_force_n
+                drilling.max_burr_force_n,
+                drilling.max_wall_force_n,
+                drilling.max_flange_force_n
             );
             rows.push(("contacts", text));
         }
@@ -141,7 +145,7 @@ impl Summary {
         if !problems.is_empty() {
             rows.push(("log problems", problems.join("; ")));
         }
-        rows.push(("replay", self.replay_command.clone()));
+        rows.push(("replay it", self.replay_command.clone()));
         rows
     }
 }

@@ -27,7 +27,7 @@ impl GreyImage {
         (count > 0).then_some(GreyImage { columns, rows, pixels })
     }
 
-    /// Writes the picture.
+    /// The picture as PNG; errors name this file.
     pub fn png(&self, path: &Path) -> Result<Vec<u8>, ReportError> {
         encode_png(path, self.columns, self.rows, png::ColorType::Grayscale, &self.pixels)
     }

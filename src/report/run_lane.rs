@@ -100,6 +100,12 @@ pub struct Peaks {
     pub burr_force_n: f64,
     /// Normal force of any contact.
     pub contact_force_n: f64,
+    /// Sum of the walls' forces in one tick.
+    pub wall_force_n: f64,
+    /// Force of the tool on the flange.
+    pub flange_force_n: f64,
+    /// How far a flexure was past its stop.
+    pub stop_excess_rad: f64,
     /// Maximum number of contacts in one tick.
     pub contacts: u32,
     /// Ticks with at least one contact.
@@ -121,6 +127,10 @@ impl Peaks {
         let tendons = (state.tendon_count as usize).min(MAX_TENDONS);
         self.tension_n = state.tendon_tension_n[..tendons].iter().copied().fold(self.tension_n, f64::max);
         self.burr_force_n = self.burr_force_n.max(state.burr_force_n);
+        self.wall_force_n = self.wall_force_n.max(state.wall_force_n);
+        let [x, y, z] = state.flange_wrench.force_n;
+        self.flange_force_n = self.flange_force_n.max((x * x + y * y + z * z).sqrt());
+        self.stop_excess_rad = self.stop_excess_rad.max(state.stop_excess_rad);
         let listed = (state.contact_count as usize).min(state.contacts.len());
         let forces = state.contacts[..listed].iter().map(|contact| contact.normal_force_n);
         self.contact_force_n = forces.fold(self.contact_force_n, f64::max);
@@ -303,10 +313,11 @@ impl RunLane {
         Some(target_mm.map(|x| x * 1e-3))
     }
 
-    /// Volume of a voxel, if the scene states it, as it does for phantoms.
+    /// Volume of a voxel, if the scene states it, as it does for phantoms and for files that are resampled to cubes.
     pub fn voxel_volume_mm3(&self) -> Option<f64> {
         let volume = self.scene.as_ref()?.volume.as_ref()?;
-        volume.phantom.map(|_| volume.spacing_mm * volume.spacing_mm * volume.spacing_mm)
+        let edge_mm = volume.phantom.map(|_| volume.spacing_mm).or(volume.resample_mm)?;
+        Some(edge_mm * edge_mm * edge_mm)
     }
 }
 

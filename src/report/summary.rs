@@ -89,10 +89,22 @@ pub struct DrillingSummary {
     pub removed_volume_mm3: Option<f64>,
     /// Energy spent on cutting since the start or the last reset.
     pub cutting_energy_j: f64,
+    /// Energy that bone absorbed where the tool crushed it, since the start or the last reset.
+    #[serde(default)]
+    pub crushing_energy_j: f64,
     /// Maximum normal force of the burr.
     pub max_burr_force_n: f64,
     /// Maximum normal force of any contact.
     pub max_contact_force_n: f64,
+    /// Maximum sum of the normal forces on the tool, without the burr's.
+    #[serde(default)]
+    pub max_wall_force_n: f64,
+    /// Maximum force of the tool on the flange.
+    #[serde(default)]
+    pub max_flange_force_n: f64,
+    /// Maximum angle of a flexure past its stop.
+    #[serde(default)]
+    pub max_stop_excess_deg: f64,
     /// Maximum number of contacts in one tick.
     pub max_contacts: u32,
     /// Share of the ticks with at least one contact.
@@ -251,8 +263,12 @@ impl DrillingSummary {
             removed_voxels: last.removed_total,
             removed_volume_mm3: run.voxel_volume_mm3().map(|volume| volume * last.removed_total as f64),
             cutting_energy_j: last.cutting_energy_j,
+            crushing_energy_j: last.crushing_energy_j,
             max_burr_force_n: run.peaks.burr_force_n,
             max_contact_force_n: run.peaks.contact_force_n,
+            max_wall_force_n: run.peaks.wall_force_n,
+            max_flange_force_n: run.peaks.flange_force_n,
+            max_stop_excess_deg: run.peaks.stop_excess_rad.to_degrees(),
             max_contacts: run.peaks.contacts,
             contact_share: ratio(run.peaks.ticks_in_contact as f64, run.ticks as f64).unwrap_or(0.0).min(1.0),
         })

@@ -11,7 +11,7 @@ use std::process::{Command, Stdio};
 use std::time::Instant;
 
 use crate::common::program::{Place, wait_for};
-use crate::dicom_bytes::{DicomSlice, LOSSLESS_JPEG, write_series};
+use crate::dicom_bytes::{DicomSlice, JPEG_2000_SYNTAXES, LOSSLESS_JPEG, jpeg_2000, write_series};
 
 const PAGE: &str = "docs/hostile_files.md";
 /// Most address space that a refusal may take, KiB, set as a limit: the program, its threads' stacks, 16 MiB that compressed data may grow
@@ -245,6 +245,11 @@ fn other_volumes(cases: &mut Cases) {
         fragment: Some(fragment),
         ..DicomSlice::default()
     };
+    let frame = |extent: u16, change: &dyn Fn(&mut Vec<u8>)| {
+        let mut codestream = jpeg_2000(extent, extent);
+        change(&mut codestream);
+        DicomSlice { rows: extent, columns: extent, ..encapsulated(JPEG_2000_SYNTAXES[0], codestream) }
+    };
     for (what, slice) in [
         ("DICOM: a JPEG of 23000² pixels in 9 kB", encapsulated("1.2.840.10008.1.2.4.70", jpeg)),
         (
@@ -252,6 +257,31 @@ fn other_volumes(cases: &mut Cases) {
             encapsulated("1.2.840.10008.1.2.4.80", vec![0xff; 64]),
         ),
         ("DICOM: RLE of 23000² pixels in 64 bytes", encapsulated("1.2.840.10008.1.2.5", vec![1; 64])),
+        ("DICOM: JPEG 2000 of 23000² pixels in 105 bytes", frame(23000, &|_| {})),
+        (
+            "DICOM: JPEG 2000 of 4294967295² pixels, of 8² in the slice",
+            frame(8, &|data| data[8..16].fill(0xff)),
+        ),
+        (
+            "DICOM: JPEG 2000 of 16 components",
+            frame(8, &|data| {
+                data[5] = 41 + 45;
+                data[41] = 16;
+                data.splice(45..45, [0x8f, 1, 1].repeat(15));
+            }),
+        ),
+        (
+            "DICOM: JPEG 2000 in tiles of 1 pixel",
+            frame(2000, &|data| data[24..32].copy_from_slice(&[0, 0, 0, 1].repeat(2))),
+        ),
+        (
+            "DICOM: JPEG 2000, 32 layers of precincts of 1 pixel",
+            frame(2000, &|data| {
+                data[45..59].copy_from_slice(&[0xff, 0x52, 0, 13, 1, 0, 0, 32, 0, 0, 4, 4, 0, 1]);
+                data.insert(59, 0);
+            }),
+        ),
+        ("DICOM: JPEG 2000, cut in its packet", frame(8, &|data| data.truncate(90))),
     ] {
         let folder = cases.path("series");
         fs::create_dir_all(&folder).unwrap();

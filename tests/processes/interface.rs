@@ -8,7 +8,8 @@ use ipc_types::session::{CONTROLLER_VARIABLE, SESSION_VARIABLE};
 use test_support::limited::Limited;
 use test_support::python::or_skip;
 
-use crate::common::program::{Place, assert_nothing_left};
+use crate::common::program::{Place, Run, assert_nothing_left, trabecula};
+use crate::common::scenes;
 use crate::languages::{clients, output_within_limit, python, skip};
 use crate::lifetimes::imaged;
 
@@ -70,6 +71,27 @@ fn poses_pixels_and_voxels_are_where_the_hub_has_them() {
         let [i, j, k] = index.map(|x| x as usize);
         let hu = volume.hu[i + volume.dims[0] * (j + volume.dims[1] * k)];
         assert_eq!(f64::from(hu), words[6], "{line}");
+    }
+}
+
+/// Several sessions were answered like none: looked for again until the time was over.
+#[test]
+fn a_client_that_names_none_of_several_sessions_is_refused_at_once_with_their_list() {
+    let python = match python() {
+        Ok(python) => python,
+        Err(reason) => return skip(&reason),
+    };
+    let places = [Place::new(), Place::new()];
+    let runs = places.each_ref().map(|place| place.start(&scenes::shared("realtime", 600.0)));
+    let mut program = Command::new(python);
+    program.arg(clients().join("python/tests/interface.py")).arg("several_sessions");
+    program.args(runs.each_ref().map(Run::session));
+    program.env_remove(SESSION_VARIABLE).env_remove(CONTROLLER_VARIABLE);
+    assert_eq!(output_within_limit(&mut program), "done\n");
+    for run in runs {
+        let session = run.session();
+        assert_eq!(trabecula(&[&"session", &"stop", &session]).code, Some(0));
+        assert_eq!(run.end().code, Some(0));
     }
 }
 

@@ -4,12 +4,15 @@
 //! of the package by the environment that the tests of languages share.
 
 use std::fs;
+use std::path::Path;
 use std::process::Command;
+
+use ipc_types::session::{CONTROLLER_VARIABLE, SESSION_VARIABLE};
 use test_support::limited::Limited;
-use test_support::python::downloads;
+use test_support::python::{downloads, or_skip};
 
 use crate::common::program::{LIMIT, Place};
-use crate::languages::{ZIG, built, clients, environment_with, library, python};
+use crate::languages::{ZIG, built, clients, environment_with, library, output_within_limit, python};
 
 /// The first block of shell lines of a README.
 fn shell_lines(language: &str) -> Vec<String> {
@@ -83,4 +86,50 @@ fn the_shell_lines_of_every_readme_lead_to_a_running_controller() {
         }
     }
     assert!(first.is_some());
+}
+
+/// The page as one script: shell lines as they are, Python blocks as programs; and the lines that it shows as answers.
+fn script_of(page: &str) -> (String, Vec<String>) {
+    let (mut script, mut shown) = (String::from("set -e\n"), Vec::new());
+    for block in page.split("```").skip(1).step_by(2) {
+        let (kind, body) = block.split_once('\n').unwrap();
+        match kind {
+            "sh" => {
+                let is_done =
+                    |line: &&str| line.starts_with("cargo build ") || line.starts_with("pip install ");
+                body.lines().filter(|line| !is_done(line)).for_each(|line| script += &format!("{line}\n"));
+            }
+            "python" => script += &format!("python3 - <<'END'\n{body}END\n"),
+            "text" => shown.extend(body.lines().map(|line| line.trim_end().to_owned())),
+            other => panic!("a block of `{other}`, expected sh, python or text"),
+        }
+    }
+    (script, shown)
+}
+
+/// A guide whose lines nobody runs is wrong by the next change of a name. Wall-clock times are none of the answers.
+#[test]
+fn the_first_hour_goes_as_its_page_says() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let (script, shown) = script_of(&fs::read_to_string(root.join("docs/first-hour.md")).unwrap());
+    assert!(script.lines().count() > 20 && shown.len() > 8, "{script}{shown:?}");
+    let packages = ["numpy==2.3.5", "pandas==3.1.1", "pyarrow==26.0.1"];
+    let Some(python) = or_skip("first-hour", &packages, "numpy, pandas, pyarrow") else { return };
+    let pip = ["-m", "pip", "install", "-q", "--no-deps", "--force-reinstall", "--disable-pip-version-check"];
+    let mut install = Command::new(&python);
+    install.args(pip).arg(clients().join("python")).env("TRABECULA_CLIENT_LIBRARY", library());
+    output_within_limit(&mut install);
+    let place = checkout();
+    std::os::unix::fs::symlink(root.join("configs"), place.path("configs")).unwrap();
+    let mut shell = Command::new("sh");
+    shell.args(["-c", &format!("exec 2>&1\n{script}")]);
+    let path = std::env::var("PATH").unwrap();
+    shell.env("PATH", format!("{}:{path}", python.parent().unwrap().display()));
+    shell.env_remove(SESSION_VARIABLE).env_remove(CONTROLLER_VARIABLE).current_dir(place.path(""));
+    let output = shell.limited_output().unwrap();
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{}\n{script}\n{said}", output.status);
+    for line in shown {
+        assert!(said.contains(&line), "`{line}` is not in:\n{said}");
+    }
 }

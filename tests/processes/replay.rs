@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use ipc_types::messages::SOURCE_HELD;
+use serde_json::{Value, json};
 
 use crate::common::logs::{assert_replays, read, rewrite, verify};
 use crate::common::program::{Place, trabecula};
@@ -19,6 +20,40 @@ fn assert_differs(log: &Path, words: &[&str]) {
     assert_eq!(done.code, Some(1), "{}{}", done.out, done.err);
     assert!(words.iter().all(|word| done.err.contains(word)), "{words:?} in: {}", done.err);
     assert!(!done.out.contains("identical"), "{}", done.out);
+}
+
+/// `--verify --frames` and several `--controller` wrote a JSON object each: no script reads the second one.
+#[test]
+fn figures_of_a_replay_are_one_document() {
+    let figures = |words: &[&dyn AsRef<std::ffi::OsStr>]| -> Value {
+        let done = trabecula(&[&[&"replay" as &dyn AsRef<std::ffi::OsStr>], words, &[&"--json"]].concat());
+        assert_eq!(done.code, Some(0), "{}", done.err);
+        serde_json::from_str(&done.out).unwrap_or_else(|cause| panic!("{}: {cause}", done.out))
+    };
+    let place = Place::new();
+    let drilled = recorded(&place);
+    let verified = figures(&[&drilled, &"--verify"]);
+    assert_eq!((&verified["ticks"], &verified["verified"]), (&json!(400), &json!(true)));
+    assert_eq!(verified.get("frames"), None);
+    for more in
+        [&[&drilled as &dyn AsRef<std::ffi::OsStr>, &"--verify", &"--frames"][..], &[&drilled, &"--frames"]]
+    {
+        let figures = figures(more);
+        assert_eq!((&figures["ticks"], &figures["hash"]), (&verified["ticks"], &verified["hash"]));
+        // 10 Hz for 0.4 s, and the one of the start.
+        let frames = ["identical", "in_gaps", "without_request"].map(|name| &figures["frames"][name]);
+        assert_eq!(frames, [&json!(5), &json!(0), &json!(0)], "{figures}");
+    }
+    let other = Place::new();
+    let two = scenes::hold("lockstep", 0.1).replace(r#"["tendon", "arm", "burr"]"#, r#"["tendon"]"#)
+        + "[[controller]]\nname = \"second\"\ndrives = [\"burr\"]\nhold = { tension_n = 0.0 }\n";
+    let held = other.complete(&two).folder;
+    let program = env!("CARGO_BIN_EXE_trabecula");
+    let [first, second] =
+        ["holder", "second"].map(|name| format!("{name}='{program}' proc controller --name {name}"));
+    let compared = figures(&[&held, &"--controller", &first, &"--controller", &second]);
+    let of = |name: &str| json!({"name": name, "identical_commands": 100});
+    assert_eq!(compared, json!({"controllers": [of("holder"), of("second")]}));
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::time::Duration;
 use ipc_types::messages::Tick;
 use ipc_types::messages::{
     ARM_HOLD, ARM_MOVE_CP, BURR_SPEED, CONTROL_DONE, CONTROL_PAUSE, CONTROL_REFUSED, CONTROL_RESET,
-    CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP, Command, PHASE_CONNECTING, PHASE_PAUSED, State,
+    CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP, Command, EVENT_RESET, PHASE_CONNECTING, PHASE_PAUSED, State,
     TENDON_SERVO_JF,
 };
 use run_log::EndReason;
@@ -196,6 +196,10 @@ fn a_reset_sets_all_back_and_the_run_replays_identically() {
     pilot.send(&Command { sequence: pilot.sequence, state_tick: 720, ..rest(&start) });
     let again = pilot.drive_to(900, |state| if state.tick < 760 { rest(state) } else { drilling(&start) });
     assert!(again.removed_total < deep.removed_total);
+    // Clients had to look for a reset in the text of an event that says anything about the run.
+    let told = pilot.client.events().into_iter().filter(|(code, _)| *code == EVENT_RESET);
+    let told: Vec<String> = told.map(|(_, text)| text).collect();
+    assert_eq!(told, ["reset: tick 720 began from the initial state"]);
     let ended = stopped(run, pilot);
 
     let log = read(&ended.folder);

@@ -31,7 +31,7 @@ extern "C" {
 
 /* Layouts of the messages below: what a program passes to trb_connect. */
 #define TRB_LAYOUTS \
-    "State=3fba658789554a47;" \
+    "State=1752dcceb5be375b;" \
     "Command=c8d0cd083b5f99f6;" \
     "Latched=b309d74dc575e148;" \
     "Removed=5ce3babf608d61af;" \
@@ -55,7 +55,7 @@ extern "C" {
     "LatchedCommand=614dac6c95076e87;" \
     "CArmGeometry=7864e87c0e8671ed;" \
     "CArmProjection=46e6726030fe2f0e;" \
-    "Abi=40728ebe89b99638"
+    "Abi=fac1e6809e38c195"
 
 /* Status codes. */
 #define TRB_OK (0) /* Done. */
@@ -64,7 +64,7 @@ extern "C" {
 #define TRB_ERROR_NULL (-1) /* A pointer that is needed is null. */
 #define TRB_ERROR_HANDLE (-2) /* Not a client of this thread: never connected, disconnected, or connected by another thread. */
 #define TRB_ERROR_ARGUMENT (-3) /* A number or text is not one that can be used. */
-#define TRB_ERROR_NO_SESSION (-4) /* No session is running there; or several are, and none is named. */
+#define TRB_ERROR_NO_SESSION (-4) /* No session is running there. */
 #define TRB_ERROR_VERSION (-5) /* Program, library and hub are not of one version: a message's layout or the transport differs. */
 #define TRB_ERROR_CONTROLLER (-6) /* The scene has no such controller, or leaves open which one is meant. */
 #define TRB_ERROR_TAKEN (-7) /* A controller of this name is connected already. */
@@ -75,6 +75,7 @@ extern "C" {
 #define TRB_ERROR_DEFECT (-12) /* A defect of this library. */
 #define TRB_ERROR_FORKED (-13) /* The client is of the process that this one was forked from. */
 #define TRB_ERROR_BUSY (-14) /* This thread is in a call already: a signal handler's call is refused, without a text. */
+#define TRB_ERROR_SEVERAL_SESSIONS (-15) /* Several sessions are running, and none is named; the text lists them. */
 
 /* Codes of fields, and lengths of arrays. */
 #define TRB_TENDON_NONE 0
@@ -132,6 +133,7 @@ extern "C" {
 #define TRB_EVENT_WAITING 9
 #define TRB_EVENT_CONTROLLER_MISSING 10
 #define TRB_EVENT_CONTROLLER_LATE 11
+#define TRB_EVENT_RESET 12
 #define TRB_SENDER_LAUNCHER 0
 #define TRB_SENDER_PHYSICS 1
 #define TRB_SENDER_DRR 2
@@ -228,7 +230,7 @@ typedef struct trb_state {
     double sim_time_s;
     /* Chained hash h_k of every latched command, state and removal so far (XXH3-128, low word first). */
     uint64_t hash[2];
-    /* Voxels drilled since the start or the last reset. */
+    /* Voxels drilled or crushed since the start or the last reset. */
     uint64_t removed_total;
     /* Voxels removed in this tick. */
     uint32_t removed_in_tick;
@@ -244,8 +246,8 @@ typedef struct trb_state {
     uint32_t controller_count;
     /* Number of used entries of `t_world_body`. */
     uint32_t body_count;
-    /* Always 0. */
-    uint32_t reserved_bodies;
+    /* Iterations of the contact solver in this tick. */
+    uint32_t contact_iterations;
     /* The arm's current mode, coded as the command's `arm_mode`; 5 while it stops or is at rest. */
     uint32_t arm_mode;
     /* 0 moving, 1 at its goal and at rest, 2 motion aborted or a joint stopped at the end of its range. */
@@ -260,8 +262,20 @@ typedef struct trb_state {
     double burr_speed_rad_per_s;
     /* Normal force between burr and bone. */
     double burr_force_n;
+    /* Sum of the normal forces on the tool, without the burr's. */
+    double wall_force_n;
+    /* Largest force of a contact as a share of what the bone there bears; 1 where bone yields, 0 while no
+     * contact carries more than any bone bears. */
+    double strength_share;
+    /* Farthest that a flexure is past its stop; 0 if none is. */
+    double stop_excess_rad;
+    /* Largest speed by which a contact (m/s) or a stop (rad/s) misses its law after the solver's
+     * iterations. */
+    double contact_residual_m_per_s;
     /* Energy spent on cutting since the start. */
     double cutting_energy_j;
+    /* Energy that bone absorbed where it was crushed, since the start. */
+    double crushing_energy_j;
     /* Tension at the proximal end of each tendon. */
     double tendon_tension_n[4];
     /* Displacement of each tendon from its straight, unloaded length; positive when pulled. */
@@ -306,7 +320,7 @@ TRB_ASSERT(offsetof(trb_state, contact_count) == 52, "trb_state.contact_count");
 TRB_ASSERT(offsetof(trb_state, contact_total) == 56, "trb_state.contact_total");
 TRB_ASSERT(offsetof(trb_state, controller_count) == 60, "trb_state.controller_count");
 TRB_ASSERT(offsetof(trb_state, body_count) == 64, "trb_state.body_count");
-TRB_ASSERT(offsetof(trb_state, reserved_bodies) == 68, "trb_state.reserved_bodies");
+TRB_ASSERT(offsetof(trb_state, contact_iterations) == 68, "trb_state.contact_iterations");
 TRB_ASSERT(offsetof(trb_state, arm_mode) == 72, "trb_state.arm_mode");
 TRB_ASSERT(offsetof(trb_state, arm_status) == 76, "trb_state.arm_status");
 TRB_ASSERT(offsetof(trb_state, joint_position_rad) == 80, "trb_state.joint_position_rad");
@@ -314,23 +328,28 @@ TRB_ASSERT(offsetof(trb_state, joint_velocity_rad_per_s) == 336, "trb_state.join
 TRB_ASSERT(offsetof(trb_state, bend_rad) == 592, "trb_state.bend_rad");
 TRB_ASSERT(offsetof(trb_state, burr_speed_rad_per_s) == 600, "trb_state.burr_speed_rad_per_s");
 TRB_ASSERT(offsetof(trb_state, burr_force_n) == 608, "trb_state.burr_force_n");
-TRB_ASSERT(offsetof(trb_state, cutting_energy_j) == 616, "trb_state.cutting_energy_j");
-TRB_ASSERT(offsetof(trb_state, tendon_tension_n) == 624, "trb_state.tendon_tension_n");
-TRB_ASSERT(offsetof(trb_state, tendon_displacement_m) == 656, "trb_state.tendon_displacement_m");
-TRB_ASSERT(offsetof(trb_state, t_world_base) == 688, "trb_state.t_world_base");
-TRB_ASSERT(offsetof(trb_state, t_world_tip) == 744, "trb_state.t_world_tip");
-TRB_ASSERT(offsetof(trb_state, t_world_burr) == 800, "trb_state.t_world_burr");
-TRB_ASSERT(offsetof(trb_state, t_world_link) == 856, "trb_state.t_world_link");
-TRB_ASSERT(offsetof(trb_state, arm_joint_position_rad) == 2648, "trb_state.arm_joint_position_rad");
-TRB_ASSERT(offsetof(trb_state, arm_joint_velocity_rad_per_s) == 2696, "trb_state.arm_joint_velocity_rad_per_s");
-TRB_ASSERT(offsetof(trb_state, arm_joint_deflection_rad) == 2744, "trb_state.arm_joint_deflection_rad");
-TRB_ASSERT(offsetof(trb_state, arm_manipulability_m3) == 2792, "trb_state.arm_manipulability_m3");
-TRB_ASSERT(offsetof(trb_state, t_world_flange) == 2800, "trb_state.t_world_flange");
-TRB_ASSERT(offsetof(trb_state, flange_wrench) == 2856, "trb_state.flange_wrench");
-TRB_ASSERT(offsetof(trb_state, t_world_body) == 2904, "trb_state.t_world_body");
-TRB_ASSERT(offsetof(trb_state, contacts) == 3128, "trb_state.contacts");
-TRB_ASSERT(offsetof(trb_state, applied) == 6968, "trb_state.applied");
-TRB_ASSERT(sizeof(trb_state) == 7064, "trb_state");
+TRB_ASSERT(offsetof(trb_state, wall_force_n) == 616, "trb_state.wall_force_n");
+TRB_ASSERT(offsetof(trb_state, strength_share) == 624, "trb_state.strength_share");
+TRB_ASSERT(offsetof(trb_state, stop_excess_rad) == 632, "trb_state.stop_excess_rad");
+TRB_ASSERT(offsetof(trb_state, contact_residual_m_per_s) == 640, "trb_state.contact_residual_m_per_s");
+TRB_ASSERT(offsetof(trb_state, cutting_energy_j) == 648, "trb_state.cutting_energy_j");
+TRB_ASSERT(offsetof(trb_state, crushing_energy_j) == 656, "trb_state.crushing_energy_j");
+TRB_ASSERT(offsetof(trb_state, tendon_tension_n) == 664, "trb_state.tendon_tension_n");
+TRB_ASSERT(offsetof(trb_state, tendon_displacement_m) == 696, "trb_state.tendon_displacement_m");
+TRB_ASSERT(offsetof(trb_state, t_world_base) == 728, "trb_state.t_world_base");
+TRB_ASSERT(offsetof(trb_state, t_world_tip) == 784, "trb_state.t_world_tip");
+TRB_ASSERT(offsetof(trb_state, t_world_burr) == 840, "trb_state.t_world_burr");
+TRB_ASSERT(offsetof(trb_state, t_world_link) == 896, "trb_state.t_world_link");
+TRB_ASSERT(offsetof(trb_state, arm_joint_position_rad) == 2688, "trb_state.arm_joint_position_rad");
+TRB_ASSERT(offsetof(trb_state, arm_joint_velocity_rad_per_s) == 2736, "trb_state.arm_joint_velocity_rad_per_s");
+TRB_ASSERT(offsetof(trb_state, arm_joint_deflection_rad) == 2784, "trb_state.arm_joint_deflection_rad");
+TRB_ASSERT(offsetof(trb_state, arm_manipulability_m3) == 2832, "trb_state.arm_manipulability_m3");
+TRB_ASSERT(offsetof(trb_state, t_world_flange) == 2840, "trb_state.t_world_flange");
+TRB_ASSERT(offsetof(trb_state, flange_wrench) == 2896, "trb_state.flange_wrench");
+TRB_ASSERT(offsetof(trb_state, t_world_body) == 2944, "trb_state.t_world_body");
+TRB_ASSERT(offsetof(trb_state, contacts) == 3168, "trb_state.contacts");
+TRB_ASSERT(offsetof(trb_state, applied) == 7008, "trb_state.applied");
+TRB_ASSERT(sizeof(trb_state) == 7104, "trb_state");
 
 /* A controller's command. Mode names follow CRTK. Mode 0 leaves tendons, arm or burr at their previous
  * command; a controller may drive only what the scene's `drives` allows. */

@@ -139,9 +139,22 @@ def steps_and_resets() -> None:
             assert time.monotonic() < deadline
         assert one.reset_count == 1
         resets = [event for event in one.events() if event.is_reset()]
-        assert len(resets) == 1 and resets[0].severity is t.Severity.INFO and resets[0].code is t.EventCode.RUN, resets
+        assert len(resets) == 1 and resets[0].severity is t.Severity.INFO and resets[0].code is t.EventCode.RESET, resets
         assert not one.events() and one.reset_count == 1
     client.run_control(t.ControlAction.STOP)
+
+
+def several_sessions() -> None:
+    """Of several sessions none is joined unnamed: that is said at once, with all of them."""
+    folders = sys.argv[2:]
+    # Retried, it would never end.
+    try:
+        t.Client(timeout_s=float("inf"))
+    except t.Error as error:
+        assert error.status == t.ERROR_SEVERAL_SESSIONS, error
+        assert all(folder in str(error) for folder in folders) and "name one" in str(error), error
+        return
+    raise AssertionError("not refused")
 
 
 def places() -> None:

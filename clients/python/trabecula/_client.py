@@ -44,7 +44,8 @@ class Client:
         timeout_s: How long to wait for the session.
 
     Raises:
-        Error: No session, another version, an unknown controller, or one that is already connected.
+        Error: No session, several and none named (at once, with their list), another version, an unknown controller, or one
+            that is already connected.
     """
 
     def __init__(

@@ -13,7 +13,7 @@ from ._view import ArrayField, ElementsField, View, field, nested
 VERSION = "0.1.0"
 
 LAYOUTS = (
-    "State=3fba658789554a47;"
+    "State=1752dcceb5be375b;"
     "Command=c8d0cd083b5f99f6;"
     "Latched=b309d74dc575e148;"
     "Removed=5ce3babf608d61af;"
@@ -37,7 +37,7 @@ LAYOUTS = (
     "LatchedCommand=614dac6c95076e87;"
     "CArmGeometry=7864e87c0e8671ed;"
     "CArmProjection=46e6726030fe2f0e;"
-    "Abi=40728ebe89b99638"
+    "Abi=fac1e6809e38c195"
 )
 
 OK = 0
@@ -57,6 +57,7 @@ ERROR_HUB_GONE = -11
 ERROR_DEFECT = -12
 ERROR_FORKED = -13
 ERROR_BUSY = -14
+ERROR_SEVERAL_SESSIONS = -15
 
 SENDER_LAUNCHER = 0
 SENDER_PHYSICS = 1
@@ -266,6 +267,7 @@ class EventCode(IntEnum):
     WAITING = 9
     CONTROLLER_MISSING = 10
     CONTROLLER_LATE = 11
+    RESET = 12
 
 
 EVENT_COMMAND_REFUSED = EventCode.COMMAND_REFUSED
@@ -279,6 +281,7 @@ EVENT_CAPACITY_REACHED = EventCode.CAPACITY_REACHED
 EVENT_WAITING = EventCode.WAITING
 EVENT_CONTROLLER_MISSING = EventCode.CONTROLLER_MISSING
 EVENT_CONTROLLER_LATE = EventCode.CONTROLLER_LATE
+EVENT_RESET = EventCode.RESET
 
 
 class Pose(View):
@@ -372,16 +375,16 @@ class State(View):
 
     dtype = np.dtype(
         {
-            "names": ["tick", "sim_time_s", "hash", "removed_total", "removed_in_tick", "joint_count", "tendon_count", "contact_count", "contact_total", "controller_count", "body_count", "reserved_bodies", "arm_mode", "arm_status", "joint_position_rad", "joint_velocity_rad_per_s", "bend_rad", "burr_speed_rad_per_s", "burr_force_n", "cutting_energy_j", "tendon_tension_n", "tendon_displacement_m", "t_world_base", "t_world_tip", "t_world_burr", "t_world_link", "arm_joint_position_rad", "arm_joint_velocity_rad_per_s", "arm_joint_deflection_rad", "arm_manipulability_m3", "t_world_flange", "flange_wrench", "t_world_body", "contacts", "applied"],
-            "formats": ["<u8", "<f8", ("<u8", (2,)), "<u8", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", ("<f8", (32,)), ("<f8", (32,)), "<f8", "<f8", "<f8", "<f8", ("<f8", (4,)), ("<f8", (4,)), Pose.dtype, Pose.dtype, Pose.dtype, (Pose.dtype, (32,)), ("<f8", (6,)), ("<f8", (6,)), ("<f8", (6,)), "<f8", Pose.dtype, Wrench.dtype, (Pose.dtype, (4,)), (Contact.dtype, (40,)), (AppliedCommand.dtype, (4,))],
-            "offsets": [0, 8, 16, 32, 40, 44, 48, 52, 56, 60, 64, 68, 72, 76, 80, 336, 592, 600, 608, 616, 624, 656, 688, 744, 800, 856, 2648, 2696, 2744, 2792, 2800, 2856, 2904, 3128, 6968],
-            "itemsize": 7064,
+            "names": ["tick", "sim_time_s", "hash", "removed_total", "removed_in_tick", "joint_count", "tendon_count", "contact_count", "contact_total", "controller_count", "body_count", "contact_iterations", "arm_mode", "arm_status", "joint_position_rad", "joint_velocity_rad_per_s", "bend_rad", "burr_speed_rad_per_s", "burr_force_n", "wall_force_n", "strength_share", "stop_excess_rad", "contact_residual_m_per_s", "cutting_energy_j", "crushing_energy_j", "tendon_tension_n", "tendon_displacement_m", "t_world_base", "t_world_tip", "t_world_burr", "t_world_link", "arm_joint_position_rad", "arm_joint_velocity_rad_per_s", "arm_joint_deflection_rad", "arm_manipulability_m3", "t_world_flange", "flange_wrench", "t_world_body", "contacts", "applied"],
+            "formats": ["<u8", "<f8", ("<u8", (2,)), "<u8", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", ("<f8", (32,)), ("<f8", (32,)), "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", ("<f8", (4,)), ("<f8", (4,)), Pose.dtype, Pose.dtype, Pose.dtype, (Pose.dtype, (32,)), ("<f8", (6,)), ("<f8", (6,)), ("<f8", (6,)), "<f8", Pose.dtype, Wrench.dtype, (Pose.dtype, (4,)), (Contact.dtype, (40,)), (AppliedCommand.dtype, (4,))],
+            "offsets": [0, 8, 16, 32, 40, 44, 48, 52, 56, 60, 64, 68, 72, 76, 80, 336, 592, 600, 608, 616, 624, 632, 640, 648, 656, 664, 696, 728, 784, 840, 896, 2688, 2736, 2784, 2832, 2840, 2896, 2944, 3168, 7008],
+            "itemsize": 7104,
         }
     )
     tick: int = field("<Q", 0, "Number of ticks since the start of the run; a reset does not change it.")
     sim_time_s: float = field("<d", 8, "Simulated time.")
     hash = ArrayField(np.uint64, "Chained hash h_k of every latched command, state and removal so far (XXH3-128, low word first).")
-    removed_total: int = field("<Q", 32, "Voxels drilled since the start or the last reset.")
+    removed_total: int = field("<Q", 32, "Voxels drilled or crushed since the start or the last reset.")
     removed_in_tick: int = field("<I", 40, "Voxels removed in this tick.")
     joint_count: int = field("<I", 44, "Number of flexures; the arrays below use as many entries.")
     tendon_count: int = field("<I", 48, "Number of tendons.")
@@ -389,7 +392,7 @@ class State(View):
     contact_total: int = field("<I", 56, "Number of contacts and near contacts in this tick; `contacts` lists those that carry force.")
     controller_count: int = field("<I", 60, "Number of used entries of `applied`.")
     body_count: int = field("<I", 64, "Number of used entries of `t_world_body`.")
-    reserved_bodies: int = field("<I", 68, "Always 0.")
+    contact_iterations: int = field("<I", 68, "Iterations of the contact solver in this tick.")
     arm_mode: ArmMode = field("<I", 72, "The arm's current mode, coded as the command's `arm_mode`; 5 while it stops or is at rest.", ArmMode)
     arm_status: ArmStatus = field("<I", 76, "0 moving, 1 at its goal and at rest, 2 motion aborted or a joint stopped at the end of its range.", ArmStatus)
     joint_position_rad = ArrayField(np.float64, "Flexure angles from base to tip, positive toward tendon 0.", "joint_count")
@@ -397,19 +400,24 @@ class State(View):
     bend_rad: float = field("<d", 592, "Sum of the flexure angles: the bend of the tip relative to the base.")
     burr_speed_rad_per_s: float = field("<d", 600, "Angular speed of the burr.")
     burr_force_n: float = field("<d", 608, "Normal force between burr and bone.")
-    cutting_energy_j: float = field("<d", 616, "Energy spent on cutting since the start.")
+    wall_force_n: float = field("<d", 616, "Sum of the normal forces on the tool, without the burr's.")
+    strength_share: float = field("<d", 624, "Largest force of a contact as a share of what the bone there bears; 1 where bone yields, 0 while no contact carries more than any bone bears.")
+    stop_excess_rad: float = field("<d", 632, "Farthest that a flexure is past its stop; 0 if none is.")
+    contact_residual_m_per_s: float = field("<d", 640, "Largest speed by which a contact (m/s) or a stop (rad/s) misses its law after the solver's iterations.")
+    cutting_energy_j: float = field("<d", 648, "Energy spent on cutting since the start.")
+    crushing_energy_j: float = field("<d", 656, "Energy that bone absorbed where it was crushed, since the start.")
     tendon_tension_n = ArrayField(np.float64, "Tension at the proximal end of each tendon.", "tendon_count")
     tendon_displacement_m = ArrayField(np.float64, "Displacement of each tendon from its straight, unloaded length; positive when pulled.", "tendon_count")
-    t_world_base: Pose = nested(Pose, 688, "Pose of the tool base (start of the rigid shaft), including the mount's deflection; +z along the straight tool, +x toward tendon 0.")
-    t_world_tip: Pose = nested(Pose, 744, "Pose of the tip, the front of the burr: its centre plus its radius along the last link's +z.")
-    t_world_burr: Pose = nested(Pose, 800, "Pose of the burr: its centre, axes of the last link.")
+    t_world_base: Pose = nested(Pose, 728, "Pose of the tool base (start of the rigid shaft), including the mount's deflection; +z along the straight tool, +x toward tendon 0.")
+    t_world_tip: Pose = nested(Pose, 784, "Pose of the tip, the front of the burr: its centre plus its radius along the last link's +z.")
+    t_world_burr: Pose = nested(Pose, 840, "Pose of the burr: its centre, axes of the last link.")
     t_world_link = ElementsField(Pose, "Pose of each link just after its flexure, base to tip.", "joint_count")
     arm_joint_position_rad = ArrayField(np.float64, "Arm joint angles, base to wrist.")
     arm_joint_velocity_rad_per_s = ArrayField(np.float64, "Arm joint velocities.")
     arm_joint_deflection_rad = ArrayField(np.float64, "Elastic deflection of the arm's joints, included in `arm_joint_position_rad`; 0 without joint compliance.")
-    arm_manipulability_m3: float = field("<d", 2792, "Distance from singularity: Yoshikawa's manipulability |det J| in m³; for the UR5 mostly 0.05 to 0.1.")
-    t_world_flange: Pose = nested(Pose, 2800, "Pose of the arm's flange.")
-    flange_wrench: Wrench = nested(Wrench, 2856, "Wrench that the tool exerts on the flange, about the tool base, world axes.")
+    arm_manipulability_m3: float = field("<d", 2832, "Distance from singularity: Yoshikawa's manipulability |det J| in m³; for the UR5 mostly 0.05 to 0.1.")
+    t_world_flange: Pose = nested(Pose, 2840, "Pose of the arm's flange.")
+    flange_wrench: Wrench = nested(Wrench, 2896, "Wrench that the tool exerts on the flange, about the tool base, world axes.")
     t_world_body = ElementsField(Pose, "Pose of each rigid body, in the scene's order.", "body_count")
     contacts = ElementsField(Contact, "Contacts that carry force, in the order of their spheres.", "contact_count")
     applied = ElementsField(AppliedCommand, "The command of each controller that this tick applied.", "controller_count")
@@ -1018,6 +1026,7 @@ __all__ = [
     "ERROR_DEFECT",
     "ERROR_FORKED",
     "ERROR_BUSY",
+    "ERROR_SEVERAL_SESSIONS",
     "TENDON_NONE",
     "TENDON_SERVO_JF",
     "TENDON_SERVO_JP",
@@ -1073,6 +1082,7 @@ __all__ = [
     "EVENT_WAITING",
     "EVENT_CONTROLLER_MISSING",
     "EVENT_CONTROLLER_LATE",
+    "EVENT_RESET",
     "SENDER_LAUNCHER",
     "SENDER_PHYSICS",
     "SENDER_DRR",

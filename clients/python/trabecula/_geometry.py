@@ -62,6 +62,12 @@ def _depth_of_detector_m(geometry: CArmGeometry) -> float:
     return float(_normal(geometry) @ (geometry.detector_centre_m - geometry.source_m))
 
 
+def _axes_and_middle(geometry: CArmGeometry) -> tuple[Floats, Floats]:
+    """Unit vectors along a row and along a column, shape (2, 3), and the pixel at the detector's centre."""
+    middle = 0.5 * (np.array([geometry.columns, geometry.rows]) - 1.0)
+    return np.stack([geometry.row_axis, geometry.column_axis]), middle
+
+
 def world_to_pixel(geometry: CArmGeometry, point_m: Points) -> Floats:
     """Column and row at which points appear in a frame, shape (2,) or (…, 2). Pixel centres are whole numbers; a point beside the detector
     has a column or row beyond the picture.
@@ -80,8 +86,7 @@ def world_to_pixel(geometry: CArmGeometry, point_m: Points) -> Floats:
         raise ArgumentError(f"`point_m` is {point_m!r}: a point that is not in front of the source has no pixel")
     on_detector = geometry.source_m + ray * (_depth_of_detector_m(geometry) / depth)[..., np.newaxis]
     offset = on_detector - geometry.detector_centre_m
-    axes = np.stack([geometry.row_axis, geometry.column_axis])
-    middle = 0.5 * (np.array([geometry.columns, geometry.rows]) - 1.0)
+    axes, middle = _axes_and_middle(geometry)
     return np.asarray(offset @ axes.T / geometry.pixel_pitch_m + middle)
 
 
@@ -94,8 +99,7 @@ def pixel_to_world(geometry: CArmGeometry, pixel: Points, depth_m: Optional[floa
         depth_m: Distance of the points from the source along the detector's normal, above 0; None: on the detector.
     """
     pixels = numbers("pixel", pixel, 2)
-    middle = 0.5 * (np.array([geometry.columns, geometry.rows]) - 1.0)
-    axes = np.stack([geometry.row_axis, geometry.column_axis])
+    axes, middle = _axes_and_middle(geometry)
     on_detector = geometry.detector_centre_m + ((pixels - middle) * geometry.pixel_pitch_m) @ axes
     if depth_m is None:
         return np.asarray(on_detector)

@@ -121,7 +121,7 @@ class SessionEvent(NamedTuple):
 
     def is_reset(self) -> bool:
         """Whether it says that the simulation was reset."""
-        return self.sender == g.SENDER_PHYSICS and self.code == g.EventCode.RUN and self.text.startswith("reset: ")
+        return self.sender == g.SENDER_PHYSICS and self.code == g.EventCode.RESET
 
 
 def as_array(memory: Any, dtype: str, count: int) -> npt.NDArray[Any]:

@@ -80,7 +80,7 @@ def _program() -> str:
     found = given or (str(built) if built.exists() else shutil.which(NAME))
     if found is None or not os.access(found, os.X_OK):
         places = f"{found}" if found else f"{built} and the PATH"
-        text = f"no program `{NAME}` in {places}: build it with `cargo build --release`, or name it in {PROGRAM_VARIABLE}"
+        text = f"no program `{NAME}` in {places}: build it with `cargo build --release` and put its folder into the PATH, or name it in {PROGRAM_VARIABLE}"
         raise Error(g.ERROR_ABSENT, text)
     return found
 

@@ -153,6 +153,13 @@ pub enum ControllerFault {
 }
 
 impl ControllerFault {
+    /// Name of the controller.
+    pub fn controller(&self) -> &str {
+        match self {
+            ControllerFault::NotConnected { name, .. } | ControllerFault::Silent { name, .. } => name,
+        }
+    }
+
     /// The kind of event that tells it.
     pub fn event(&self) -> EventCode {
         match self {
@@ -338,6 +345,7 @@ impl<P: Plant> Hub<P> {
     pub fn advance<E: Environment>(&mut self, env: &mut E) -> Outcome<Next, P, E> {
         let advanced = self.advance_stages(env);
         if let Err(HubError::Controller(fault)) = &advanced {
+            env.leave_blame(fault);
             let (code, text) = (fault.event(), fault.to_string());
             env.send_event(&Note { tick: self.tick, severity: Severity::Error, code, text: &text })?;
             self.send_status(env, Phase::Ended, When::Now)?;

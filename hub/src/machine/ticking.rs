@@ -40,7 +40,9 @@ impl<P: Plant> Hub<P> {
         }
         env.send_timing(&timing)?;
         if reset == Reset::Yes {
-            self.inform(env, &format!("reset: tick {made} began from the initial state"))?;
+            let text = format!("reset: tick {made} began from the initial state");
+            let (severity, code) = (Severity::Info, EventCode::Reset);
+            env.send_event(&Note { tick: self.tick, severity, code, text: &text })?;
         }
         self.report_sources(env, made)?;
         self.report_refusals(env)?;

@@ -178,11 +178,13 @@ pub fn announced_sessions() -> Vec<PathBuf> {
 /// File in which the physics says why it ends a run.
 const BLAME_FILE: &str = "blame";
 
-/// Why the physics ended a run early: which kind of event, and its text.
+/// Why the physics ended a run early: because of which controller, the kind of event, and its text.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Blame {
     /// The kind of event, [`EventCode::ControllerMissing`] or [`EventCode::ControllerLate`].
     pub code: EventCode,
+    /// Name of the controller.
+    pub controller: String,
     /// The event's text.
     pub text: String,
 }
@@ -193,15 +195,20 @@ impl Blame {
     /// # Errors
     /// Any system error.
     pub(crate) fn write(&self, folder: impl AsFd) -> io::Result<()> {
-        create_file(folder, BLAME_FILE, format!("{}\n{}", self.code.code(), self.text).as_bytes())
+        create_file(
+            folder,
+            BLAME_FILE,
+            format!("{}\n{}\n{}", self.code.code(), self.controller, self.text).as_bytes(),
+        )
     }
 
     /// What is in the session's folder, if anything.
     pub(crate) fn read(folder: impl AsFd) -> Option<Blame> {
         let content = read_file(folder, BLAME_FILE).ok()?;
-        let (code, text) = content.split_once('\n')?;
+        let (code, rest) = content.split_once('\n')?;
+        let (controller, text) = rest.split_once('\n')?;
         let code = EventCode::try_from(code.parse::<u32>().ok()?).ok()?;
-        Some(Blame { code, text: foreign_line(text).to_string() })
+        Some(Blame { code, controller: controller.to_owned(), text: foreign_line(text).to_string() })
     }
 }
 

@@ -12,11 +12,13 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use ipc_types::layout::Message;
 use ipc_types::messages::{Command, State};
+use serde_json::json;
 
 pub use peers::answer;
 
 use super::ping_pong::{self, Wait};
 use super::samples::{Samples, median};
+use crate::sheet::Sheet;
 use cores::Cores;
 use peers::Programs;
 use trabecula::failure::Failure;
@@ -67,28 +69,37 @@ struct Row {
 ///
 /// # Errors
 /// A transport that fails. A missing language is reported in its row.
-pub fn run(rounds: usize, turns: usize, python: PathBuf) -> Result<(), Failure> {
+pub fn run(rounds: usize, turns: usize, python: PathBuf, sheet: &mut Sheet) -> Result<(), Failure> {
     let machine = Machine::watch();
     let programs = Programs::prepare(python);
     let (state, command) = (State::DESCRIPTION.size, Command::DESCRIPTION.size);
-    say!(
+    sheet.line(&format!(
         "round trip from state ({state} bytes) to command ({command} bytes), us; {turns} turns of {rounds} each"
-    );
+    ));
     for cores in Cores::available() {
         for wait in [Wait::Spin, Wait::Hybrid] {
             let shared_spin = wait == Wait::Spin && cores == Cores::One;
             let rounds = if shared_spin { SHARED_SPIN_ROUNDS } else { rounds };
             let how = if wait == Wait::Spin { "by spinning" } else { "by event" };
-            say!("\nwaiting {how}, {}", cores.name());
-            say!("{:<16} {:>9} {:>9} {:>9} {:>10}", "", "p50", "p99", "p99.9", "x iceoryx2");
+            sheet.line(&format!("\nwaiting {how}, {}", cores.name()));
+            let head = format!("{:<16} {:>9} {:>9} {:>9} {:>10}", "", "p50", "p99", "p99.9", "x iceoryx2");
+            sheet.line(&head);
             for (peer, row) in measure(&programs, cores, wait, rounds, turns)? {
-                print_row(peer, &row);
+                tell_row(peer, &row, sheet);
+                let ratio = median(&row.ratios);
+                sheet.push(
+                    "round_trips",
+                    json!({
+                        "peer": peer.name(), "waiting": how, "cores": cores.name(), "not_measured": row.absent,
+                        "times": row.samples.figures(), "times_iceoryx2": ratio,
+                    }),
+                );
             }
         }
     }
     cores::release();
-    say!();
-    super::print_machine(&machine);
+    sheet.line("");
+    sheet.machine(&machine);
     Ok(())
 }
 
@@ -126,13 +137,13 @@ fn measure(
     Ok(rows)
 }
 
-fn print_row(peer: Peer, row: &Row) {
+fn tell_row(peer: Peer, row: &Row, sheet: &Sheet) {
     match &row.absent {
-        Some(reason) => say!("{:<16} not measured: {reason}", peer.name()),
+        Some(reason) => sheet.line(&format!("{:<16} not measured: {reason}", peer.name())),
         None => {
             let [p50, p99, p999] = [0.5, 0.99, 0.999].map(|fraction| row.samples.quantile_us(fraction));
             let ratio = median(&row.ratios);
-            say!("{:<16} {p50:9.2} {p99:9.2} {p999:9.2} {ratio:10.2}", peer.name());
+            sheet.line(&format!("{:<16} {p50:9.2} {p99:9.2} {p999:9.2} {ratio:10.2}", peer.name()));
         }
     }
 }

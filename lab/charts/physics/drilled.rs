@@ -3,7 +3,7 @@
 use ipc_types::messages::Volume as VolumeMessage;
 use ipc_types::scene::{Feedback, Mode, Scene};
 use nalgebra::Vector3;
-use simulation::{CtView, ct_geometry};
+use simulation::CtView;
 
 use super::against::{Compared, References, against_reference, path};
 use trabecula::failure::Failure;
@@ -67,6 +67,6 @@ impl Drilling {
     }
 
     fn ct(&self) -> CtView<'_> {
-        CtView { geometry: ct_geometry(&self.volume), hu: &self.hu }
+        CtView::new(&self.volume, &self.hu)
     }
 }

@@ -4,12 +4,14 @@
 //! is run again on voxels at another place: the bound states both errors, so the distance to that path must keep it, too.
 
 use ipc_types::scene::Scene;
+use serde_json::json;
 use simulation::CtView;
 
 use super::against::{References, against_reference, distance_mm, path};
 use super::trials::{Trial, block};
 use crate::random::uniform;
 use crate::reproduce::rig::Block;
+use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::plan::{GENTLE_N, RAMPED_N, resolve};
 
@@ -34,23 +36,28 @@ struct Kept {
 ///
 /// # Errors
 /// A scene that should be accepted is refused.
-pub fn run(plan: &Plan) -> Result<usize, Failure> {
+pub fn run(plan: &Plan, sheet: &mut Sheet) -> Result<usize, Failure> {
     let mut exceeded = 0;
     for (what, count) in [("free", plan.free), ("bone", plan.bone)] {
         let mut worst: f64 = 0.0;
         for number in 0..count {
             let seed = plan.seed + number;
             let kept = if what == "free" { in_free_space(seed)? } else { in_bone(seed)? };
-            say!("{what} {seed:>4}: {}", kept.line);
+            sheet.line(&format!("{what} {seed:>4}: {}", kept.line));
+            sheet.push(what, json!({"seed": seed, "share_of_tolerance": kept.share}));
             // NaN counts as exceeded.
             exceeded += usize::from(!matches!(kept.share.partial_cmp(&1.0), Some(std::cmp::Ordering::Less)));
             worst = if kept.share.is_nan() { f64::NAN } else { worst.max(kept.share) };
         }
         if count > 0 {
-            say!("{what}: {count} scenes, the worst at {:.0} % of what its tolerance allows", 100.0 * worst);
+            let percent = 100.0 * worst;
+            sheet.line(&format!(
+                "{what}: {count} scenes, the worst at {percent:.0} % of what its tolerance allows"
+            ));
         }
     }
-    say!("{exceeded} of {} exceeded their tolerance", plan.free + plan.bone);
+    sheet.line(&format!("{exceeded} of {} exceeded their tolerance", plan.free + plan.bone));
+    sheet.set("exceeded", json!(exceeded));
     Ok(exceeded)
 }
 
@@ -145,6 +152,6 @@ mod tests {
     /// up to 62 times.
     #[test]
     fn a_planned_path_error_is_kept_in_free_space_and_in_bone() {
-        assert_eq!(run(&Plan { free: 12, bone: 2, seed: 1 }).unwrap(), 0);
+        assert_eq!(run(&Plan { free: 12, bone: 2, seed: 1 }, &mut Sheet::default()).unwrap(), 0);
     }
 }

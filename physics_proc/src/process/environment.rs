@@ -3,10 +3,10 @@
 use std::time::{Duration, Instant};
 
 use hub::rate_limit::Connection;
-use hub::{Awaited, Environment, Incoming, Note, Outputs, Report, Start, Wait};
+use hub::{Awaited, ControllerFault, Environment, Incoming, Note, Outputs, Report, Start, Wait};
 use ipc_types::clock::now_ns;
 use ipc_types::messages::{
-    Command, ControllerIndex, EventCode, Keyframe, Latched, Part, Participant, Progress, Removed, RunControl,
+    Command, ControllerIndex, Keyframe, Latched, Part, Participant, Progress, Removed, RunControl,
     RunControlReply, RunStatus, State, Tick, TickTiming,
 };
 use ipc_types::ports::{PortError, Publisher, Received, Subscriber};
@@ -201,11 +201,13 @@ impl Environment for SharedMemory<'_> {
     }
 
     fn send_event(&mut self, note: &Note<'_>) -> Result<(), PortError> {
-        if matches!(note.code, EventCode::ControllerMissing | EventCode::ControllerLate) {
-            // Before the end is told, so that whoever hears of it finds the reason. Without it they hear the event only.
-            let _ = self.session.leave_blame(&Blame { code: note.code, text: note.text.to_owned() });
-        }
         self.events.send(note.tick, note.severity, note.code, note.text)
+    }
+
+    fn leave_blame(&mut self, fault: &ControllerFault) {
+        let controller = fault.controller().to_owned();
+        // Without it clients hear the event only.
+        let _ = self.session.leave_blame(&Blame { code: fault.event(), controller, text: fault.to_string() });
     }
 
     fn wake_controllers(&mut self) {

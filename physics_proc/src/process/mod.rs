@@ -20,7 +20,7 @@ use ipc_types::ports::PortError;
 use ipc_types::process::{EndRequest, Role, prioritise, session_scene};
 use ipc_types::scene::{Mode, Scene, SceneError};
 use ipc_types::session::{Session, SessionError};
-use simulation::{CtView, Simulation, SimulationError, ct_geometry};
+use simulation::{CtView, Simulation, SimulationError};
 use thiserror::Error;
 
 use clock::wake_exactly;
@@ -75,10 +75,7 @@ pub fn run(session_folder: &Path) -> Result<(), PhysicsError> {
     let mut memory = SharedMemory::open(&session, &scene, end)?;
     let volume = connection::receive_volume(&session, &scene, memory.end())?;
     let ct = match &volume {
-        Some(volume) => {
-            let geometry = ct_geometry(volume.message());
-            Some(CtView { geometry, hu: connection::hounsfield_units(volume)? })
-        }
+        Some(volume) => Some(CtView::new(volume.message(), connection::hounsfield_units(volume)?)),
         None => None,
     };
     let simulation = Simulation::new(&scene, ct)?;

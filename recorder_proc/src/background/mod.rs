@@ -15,7 +15,7 @@ use std::io::{self, Write};
 use std::path::Path;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use memmap2::MmapMut;
 
@@ -210,11 +210,17 @@ impl Written {
     /// Waits until everything that was flushed is in the file: there even if this process is killed.
     ///
     /// # Errors
-    /// The first error of the disk.
-    pub fn wait(&self) -> io::Result<()> {
+    /// The first error of the disk; [`io::ErrorKind::TimedOut`] if it has not written everything within the limit.
+    pub fn wait(&self, limit: Duration) -> io::Result<()> {
+        let end = Instant::now() + limit;
         let mut state = self.0.lock();
         while state.unwritten > 0 {
-            state = self.0.wait(state);
+            let left = end.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                let waited = format!("the disk has not written {} buffers within {limit:?}", state.unwritten);
+                return Err(io::Error::new(io::ErrorKind::TimedOut, waited));
+            }
+            state = self.0.wait_for(state, Some(left));
         }
         check(&state)
     }
@@ -260,9 +266,9 @@ fn check(state: &State) -> io::Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use std::time::Instant;
-
     use super::*;
+
+    const LIMIT: Duration = Duration::from_secs(60);
 
     /// A disk with a volatile cache, which a power failure empties.
     #[derive(Default)]
@@ -315,7 +321,7 @@ mod tests {
     }
 
     fn wait_for(what: &str, mut done: impl FnMut() -> bool) {
-        let end = Instant::now() + Duration::from_secs(60);
+        let end = Instant::now() + LIMIT;
         while !done() {
             assert!(Instant::now() < end, "{what} did not happen");
             std::thread::sleep(Duration::from_millis(5));
@@ -350,7 +356,7 @@ mod tests {
         for length in [1, 5000, 30_000] {
             file.write_all(&vec![7; length]).unwrap();
             file.flush().unwrap();
-            file.written().wait().unwrap();
+            file.written().wait(LIMIT).unwrap();
             assert!(disk.lock().unwrap().cache.iter().filter(|byte| **byte == 7).count() >= length);
         }
     }

@@ -8,6 +8,7 @@
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use hub::rate_limit::WarningLimit;
 use ipc_types::messages::{Part, Volume};
@@ -88,6 +89,8 @@ impl RecorderError {
     }
 }
 
+/// How long the disk may take for the logs' headers: less than the hub gives this part to connect (60 s), so that the disk is named.
+const HEADER_LIMIT: Duration = Duration::from_secs(30);
 /// Name of the session-folder file that says where the run is recorded.
 pub const OUTPUT_FILE: &str = "output";
 
@@ -127,7 +130,7 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
     };
     // From the first tick on, the files identify themselves, even if this process is killed.
     for (written, path) in [(run_written, run), (timing_written, timing)] {
-        written.wait().map_err(|source| LogError::Write { path, source })?;
+        written.wait(HEADER_LIMIT).map_err(|source| LogError::Write { path, source })?;
     }
     sync_folder(output)?;
     let recorded = recorder.record(&end);

@@ -147,7 +147,7 @@ impl<W: Write> McapWriter<W> {
     /// Closes the open chunk and flushes the output.
     pub fn flush(&mut self) -> Result<()> {
         self.close_chunk()?;
-        self.out.inner.flush()
+        self.flush_output()
     }
 
     /// Flushes the output; the open chunk stays open.

@@ -51,6 +51,9 @@ pub struct Arm {
     /// Orientation of the tool's base in the flange's frame: axis times angle.
     #[schemars(inner(range(min = -360.0, max = 360.0)))]
     pub tool_rotation_vector_deg: [f64; 3],
+    /// Largest force of the tool on the flange. A greater one stops the arm until a controller commands `hold`; it may then move away. No limit by default.
+    #[schemars(range(min = 1.0, max = 1e5), extend("x-absent" = "none"))]
+    pub max_force_n: Option<f64>,
     /// Elastic joints; absent: stiff, at no cost.
     #[schemars(extend("x-absent" = "none"))]
     pub compliance: Option<ArmCompliance>,
@@ -73,6 +76,7 @@ impl Default for Arm {
             initial_joints_deg: None,
             tool_position_mm: [0.0; 3],
             tool_rotation_vector_deg: [0.0; 3],
+            max_force_n: None,
             compliance: None,
         }
     }

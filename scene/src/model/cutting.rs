@@ -14,6 +14,12 @@ pub struct Contact {
     /// Stiffness of a contact.
     #[schemars(range(min = 1e3, max = 1e9))]
     pub stiffness_n_per_m: Option<f64>,
+    /// Compressive strength of cortical bone of 1.9 g/cm³, which bounds the pressure of the tool on bone.
+    #[schemars(range(min = 0.1, max = 1e5))]
+    pub strength_mpa: Option<f64>,
+    /// Exponent of the density in that strength.
+    #[schemars(range(min = 0.0, max = 4.0))]
+    pub strength_exponent: Option<f64>,
     /// What a voxel is to the tool: `planes` is the standard; `balls` is a published way, for experiments.
     pub voxels: Option<ContactVoxels>,
 }

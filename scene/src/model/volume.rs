@@ -82,6 +82,9 @@ pub enum Resample {
     Rectify,
 }
 
+/// Largest diameter of a predrilled hole, mm.
+pub const WIDEST_HOLE_MM: f64 = 50.0;
+
 /// A round-ended hole that is there before the run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -93,6 +96,6 @@ pub struct Predrill {
     #[schemars(inner(range(min = -FARTHEST_MM, max = FARTHEST_MM)))]
     pub to_mm: [f64; 3],
     /// Diameter.
-    #[schemars(range(min = 0.5, max = 50.0))]
+    #[schemars(range(min = 0.5, max = WIDEST_HOLE_MM))]
     pub diameter_mm: f64,
 }

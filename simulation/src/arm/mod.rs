@@ -28,7 +28,7 @@ pub use parameters::{
     ArmCommand, ArmError, ArmParameters, COMFORTABLE_Q_RAD, CartesianLimits, JointLimits, place_base_for,
 };
 pub(crate) use path::LEAST_MANIPULABILITY_M3;
-pub use state::{ArmMode, ArmState};
+pub use state::{ArmMode, ArmState, ProtectiveStop, RELEASED_SHARE};
 pub use trajectory::{AxisLimits, AxisState, Goal, Planner, Segment, TrajectoryError};
 
 use motion::Motion;
@@ -82,6 +82,7 @@ impl Arm {
                 mode: ArmMode::Hold,
                 done: true,
                 fault: None,
+                protective_stop: ProtectiveStop::Armed,
             },
             last_command: ArmCommand::Hold,
         };
@@ -120,9 +121,16 @@ impl Arm {
         jacobian
     }
 
-    /// Commands the arm, effective from the next tick. A refused command leaves the motion unchanged; a repeat of the last accepted
+    /// Commands the arm, effective from the next tick. During a protective stop only `Hold` is accepted, and ends it. A refused command leaves the motion unchanged; a repeat of the last accepted
     /// command has no effect.
     pub fn command(&mut self, command: ArmCommand) -> Result<(), ArmError> {
+        if let ProtectiveStop::Stopped { force_n } = self.state.protective_stop {
+            if command != ArmCommand::Hold {
+                return Err(ArmError::InProtectiveStop);
+            }
+            self.state.protective_stop = ProtectiveStop::Released { force_n };
+            self.state.fault = None;
+        }
         if command == self.last_command {
             return Ok(());
         }
@@ -194,6 +202,24 @@ impl Arm {
         Ok(())
     }
 
+    /// Stops the arm if the tool pushes on its flange with `force_n`, more than `limit_n`: it brakes within its limits and then takes no
+    /// command but [`ArmCommand::Hold`], which releases it. See [`ProtectiveStop`].
+    pub fn watch_force(&mut self, force_n: f64, limit_n: f64) {
+        let most_n = match self.state.protective_stop {
+            ProtectiveStop::Armed => limit_n,
+            ProtectiveStop::Stopped { .. } => return,
+            ProtectiveStop::Released { .. } if force_n <= limit_n => {
+                self.state.protective_stop = ProtectiveStop::Armed;
+                return;
+            }
+            ProtectiveStop::Released { force_n } => RELEASED_SHARE * force_n,
+        };
+        if force_n > most_n {
+            self.state.protective_stop = ProtectiveStop::Stopped { force_n };
+            self.give_up(ArmError::ProtectiveStop { force_n, limit_n });
+        }
+    }
+
     /// Advances by one tick.
     pub fn step(&mut self) -> &ArmState {
         match self.motion {
@@ -240,19 +266,41 @@ mod tests {
     use super::path::Path;
     use super::*;
 
-    /// A line that leaves the workspace and bypasses the check that would refuse it: the arm brakes within its acceleration limit, stops,
-    /// and reports why.
-    #[test]
-    fn a_line_that_breaks_on_the_way_ends_in_a_stop_and_a_fault() {
-        let parameters = ArmParameters::ur5(1e-3);
-        let mut arm = Arm::new(parameters, &COMFORTABLE_Q_RAD).unwrap();
-        let goal = arm.state.t_world_tool * Isometry3::translation(0.0, 0.0, 3.0);
-        let path = Path::straight(&arm.state.t_world_tool, &goal);
+    /// A line that bypasses the check that would refuse it.
+    fn on_its_way(q_rad: &Joints, goal: impl Fn(&ArmState) -> Isometry3<f64>) -> Arm {
+        let mut arm = Arm::new(ArmParameters::ur5(1e-3), q_rad).unwrap();
+        let path = Path::straight(&arm.state.t_world_tool, &goal(&arm.state));
         let limits = AxisLimits { velocity: [0.05], acceleration: [0.2], jerk: [2.0] };
         let motion = arm.plan_path(path, AxisState::at_rest([0.0]), 1.0, limits).unwrap();
         arm.path_planner.commit();
         arm.motion = Motion::Path(motion);
         arm.state.done = false;
+        arm
+    }
+
+    /// A wrist that goes over to its other side on the way would turn by radians in a tick: the arm stops before.
+    #[test]
+    fn a_line_on_which_the_joints_jump_ends_in_that_fault() {
+        let posture = |wrist_rad| [0.0, -1.2, 1.8, -2.2, wrist_rad, 0.0];
+        let geometry = ArmParameters::ur5(1e-3).geometry;
+        let mut arm = on_its_way(&posture(0.3), |_| geometry.forward(&posture(-0.25)));
+        let mut fault = None;
+        for _ in 0..40_000 {
+            fault = fault.or(arm.step().fault);
+        }
+        // The wrist would be straight at 0.3 / 0.55 = 0.545 of the line.
+        let Some(ArmError::PathJumps { fraction }) = fault else { panic!("{fault:?}") };
+        assert!((0.4..0.55).contains(&fraction), "{fraction}");
+        assert!(arm.state.done && arm.state.q_rad[4] > 0.0 && arm.state.mode == ArmMode::Hold);
+    }
+
+    /// A line that leaves the workspace and bypasses the check that would refuse it: the arm brakes within its acceleration limit, stops,
+    /// and reports why.
+    #[test]
+    fn a_line_that_breaks_on_the_way_ends_in_a_stop_and_a_fault() {
+        let parameters = ArmParameters::ur5(1e-3);
+        let beyond = |state: &ArmState| state.t_world_tool * Isometry3::translation(0.0, 0.0, 3.0);
+        let mut arm = on_its_way(&COMFORTABLE_Q_RAD, beyond);
         let mut ticks_of_fault = 0;
         for _ in 0..40_000 {
             let before = arm.state;

@@ -336,6 +336,21 @@ pub enum ArmError {
         /// Fraction of the path, 0 to 1.
         fraction: f64,
     },
+    /// The tool pushed on the flange with more than the arm's limit.
+    #[error(
+        "protective stop: the tool pushed on the flange with {force_n:.1} N, `arm.max_force_n` is {limit_n:.1} N; send `hold`, then another goal"
+    )]
+    ProtectiveStop {
+        /// Force of the tool on the flange.
+        force_n: f64,
+        /// The limit.
+        limit_n: f64,
+    },
+    /// A motion was commanded during a protective stop.
+    #[error(
+        "the arm is in a protective stop, since the tool pushed too hard on its flange; send `hold` to release it, then a goal"
+    )]
+    InProtectiveStop,
     /// The elastic joints' operator is not positive definite because the state is not finite.
     #[error(
         "the elastic joints cannot be stepped: their state is not finite; make joints or tool softer, or dt shorter"

@@ -53,4 +53,27 @@ pub struct ArmState {
     /// serialised, because nothing depends on it.
     #[serde(skip)]
     pub fault: Option<ArmError>,
+    /// Whether the arm stopped because of a force.
+    pub protective_stop: ProtectiveStop,
 }
+
+/// What a force on the flange has done to the arm.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum ProtectiveStop {
+    /// Nothing: a force above the limit stops the arm.
+    Armed,
+    /// The arm stopped and takes no command but `Hold`, which releases it.
+    Stopped {
+        /// The force that stopped it, N.
+        force_n: f64,
+    },
+    /// The arm may move away from what it pressed on: a force above [`RELEASED_SHARE`] of the one that stopped it stops it again, until the
+    /// force has been below the limit.
+    Released {
+        /// The force that stopped it, N.
+        force_n: f64,
+    },
+}
+
+/// How much harder than at its stop a released arm may press.
+pub const RELEASED_SHARE: f64 = 1.1;

@@ -23,15 +23,19 @@ use nalgebra::Vector3;
 use pulp::Arch;
 
 use super::BoneError;
+use super::grid::VoxelIndex;
 use super::reach::{Press, ReachedVoxels};
 use super::removal::Removal;
 use super::strength::Place;
 use super::voxels::{Drilling, Voxels, check_volume};
+use super::yielding::{CrushReport, Indentation};
 
 /// Iterations of the energy sharing; what remains after them is reported as unused.
 const SHARE_ROUNDS: usize = 8;
 /// Number of parallel partial sums, added in a fixed order.
 const LANES: usize = 8;
+/// Voxels that the spheres of a tick can crush before the list of them grows.
+const FIRST_CRUSHED: usize = 4096;
 
 /// How a burr turns force and speed into cutting energy.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -146,6 +150,8 @@ pub struct GrindReport {
     pub energy_offered_j: f64,
     /// The part of it that bone absorbed.
     pub energy_used_j: f64,
+    /// What the tool's spheres crushed.
+    pub crushed: CrushReport,
     /// Energy in J that slivers would still have needed when they fell off; the burr did not spend it.
     pub energy_shed_j: f64,
 }
@@ -249,7 +255,7 @@ impl pulp::WithSimd for Share<'_> {
 }
 
 /// Rounding of spent + (1 - spent): a voxel within 1e-12 of its end counts as spent.
-fn is_ended(spent: f64) -> bool {
+pub(super) fn is_ended(spent: f64) -> bool {
     spent > 1.0 - 1e-12
 }
 
@@ -258,6 +264,8 @@ fn is_ended(spent: f64) -> bool {
 pub(super) struct DrillCache {
     reached: ReachedVoxels,
     scratch: DrillScratch,
+    /// Working memory of [`Drilling::indent`].
+    crushed: Vec<(VoxelIndex, f64)>,
     /// Number of voxel edits that `reached` has seen.
     seen: u64,
 }
@@ -267,16 +275,16 @@ impl DrillCache {
     pub fn new(voxels: &Voxels) -> Self {
         let reached = ReachedVoxels::new(voxels.geometry(), voxels.parameters());
         let scratch = DrillScratch::new(reached.capacity());
-        Self { reached, scratch, seen: voxels.journal().edits() }
+        Self { reached, scratch, crushed: Vec::with_capacity(FIRST_CRUSHED), seen: voxels.journal().edits() }
     }
 
-    /// One tick of drilling: see [`BoneField::grind`](super::BoneField::grind).
-    pub fn grind(
+    /// One tick: see [`BoneField::wear`](super::BoneField::wear).
+    pub fn wear(
         &mut self,
         voxels: &mut Voxels,
         arch: Arch,
         hu: &[i16],
-        burr: &BurrState,
+        (burr, indentations): (&BurrState, &[Indentation]),
         dt_s: f64,
     ) -> Result<GrindReport, BoneError> {
         let parameters = *voxels.parameters();
@@ -288,10 +296,16 @@ impl DrillCache {
         }
         let press = Press::new(voxels, burr, dt_s);
         let energy_j = parameters.cutting.power_w(burr) * dt_s;
-        let any_sliver = energy_j > 0.0 && self.reached.bring(voxels, arch, hu, &press);
-        let edit = voxels.drill(press.cut_ball(voxels.geometry()));
+        let mut edit = voxels.drill(press.cut_ball(voxels.geometry()));
         self.seen = edit.journal().edits();
-        let report = GrindReport::default();
+        let mut report = GrindReport::default();
+        for indentation in indentations {
+            report.crushed += edit.indent(hu, indentation, &mut self.crushed);
+        }
+        if report.crushed.crushed_count > 0 {
+            self.reached.forget();
+        }
+        let any_sliver = energy_j > 0.0 && self.reached.bring(&edit, arch, hu, &press);
         let mut tick = DrillTick { reached: &mut self.reached, scratch: &mut self.scratch, edit, report };
         if energy_j > 0.0 {
             if any_sliver {

@@ -34,6 +34,7 @@ mod strength;
 mod surface;
 mod tracked;
 mod voxels;
+pub mod yielding;
 
 pub use distance::Matter;
 pub use drilling::{BurrState, CuttingLaw, GrindReport};
@@ -45,3 +46,4 @@ pub use parameters::BoneParameters;
 pub use query::{ContactBuffer, ContactKind};
 pub use removal::Removal;
 pub use voxels::{BoneSnapshot, Voxels};
+pub use yielding::{CrushReport, Indentation};

@@ -89,6 +89,11 @@ impl ContactBuffer {
         &self.planes
     }
 
+    /// [`Self::planes`], to change them.
+    pub fn planes_mut(&mut self) -> &mut [ContactPlane] {
+        &mut self.planes
+    }
+
     /// Planes dropped for lack of room since the last [`Self::clear`].
     pub fn dropped(&self) -> usize {
         self.dropped
@@ -211,6 +216,7 @@ impl Voxels {
             // A rotated unit vector keeps its length.
             normal: Unit::new_unchecked(self.geometry().direction_world_grid * normal),
             gap_m,
+            strength_n: f64::INFINITY,
         }
     }
 

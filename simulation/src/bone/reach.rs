@@ -365,7 +365,7 @@ fn may_be_sliver(voxels: &Voxels, voxel: [i64; 3]) -> bool {
 
 /// The voxels of a window starting at `start` whose slabs along x are within sqrt(`distance2`) of `x`, as bits.
 #[inline]
-fn columns_within(x: f64, distance2: f64, spacing: f64, start: i64) -> u64 {
+pub(super) fn columns_within(x: f64, distance2: f64, spacing: f64, start: i64) -> u64 {
     if distance2 <= 0.0 {
         return 0;
     }

@@ -1,7 +1,8 @@
 //! Contacts and joint stops, for every rung.
 //!
 //! A normal row requires `v_n + P / (k_c dt^2) >= -gap / dt`: the sphere may close its gap within the step (speculative contact), and at
-//! rest the overlap equals force / k_c. Any overlap beyond what the last contact force explains is pushed out at a bounded speed. Coulomb
+//! rest the overlap equals force / k_c. Any overlap beyond what the last contact force explains is pushed out at a bounded speed. An
+//! obstacle that yields carries no more than its strength: the sphere then goes in deeper, and the obstacle gives way after the step. Coulomb
 //! friction holds per contact: the impulse either stops the sliding or lies on the circle mu P_n and opposes the remaining sliding. The
 //! rows are solved together by Newton's method (`newton`) on the chain's own recursion (`chain`).
 
@@ -157,6 +158,8 @@ impl<const N: usize> ContactSolver<N> {
             row.friction = step.parameters.friction_of(spheres[sphere].kind);
             row.compliance = step.compliance();
             (row.target, row.impulse) = last.start(step, plane, &[t0, t1]);
+            row.strength = plane.strength_n * step.dt;
+            row.impulse[0] = row.impulse[0].min(row.strength);
             self.max_overlap_m = self.max_overlap_m.max(-plane.gap_m);
             self.row.push(row);
             self.contact.push(Contact { index, sphere, point, direction });

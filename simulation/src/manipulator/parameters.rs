@@ -239,7 +239,7 @@ impl ManipulatorParameters {
                 burr_friction_coefficient: 0.0,
                 stiffness_n_per_m: 1.0e6,
                 push_out_speed_m_per_s: 0.05,
-                max_iterations: 40,
+                max_iterations: 64,
                 tolerance_m_per_s: 1.0e-6,
             },
             integrator: Integrator::LinearlyImplicitEuler,
@@ -281,7 +281,7 @@ impl ManipulatorParameters {
         }
         let z = &self.joint_positions_m;
         let n = z.len();
-        let burr = z[n - 1] + self.tip_offset_m;
+        let burr = self.burr_centre_m();
         let edges = self.cell_edges_m();
         let (start, end) = (edges[0], edges[n]);
         let (mut positions, mut stiffness, mut ratios) = (Vec::new(), Vec::new(), Vec::new());
@@ -344,6 +344,17 @@ impl ManipulatorParameters {
         }
     }
 
+    /// Distance of the burr's centre from the base, along the straight tool, m.
+    pub fn burr_centre_m(&self) -> f64 {
+        self.joint_positions_m.last().copied().unwrap_or(0.0) + self.tip_offset_m
+    }
+
+    /// Length that bends, from the first flexure to the burr's centre, m.
+    pub fn flexible_length_m(&self) -> f64 {
+        let z = &self.joint_positions_m;
+        z.first().zip(z.last()).map_or(0.0, |(first, last)| last - first) + self.tip_offset_m
+    }
+
     /// Number of tendons.
     pub fn tendon_count(&self) -> usize {
         if self.tendon_channels_m.is_empty() { 2 } else { self.tendon_channels_m.len() }
@@ -353,7 +364,7 @@ impl ManipulatorParameters {
     pub(super) fn cell_edges_m(&self) -> Vec<f64> {
         let z = &self.joint_positions_m;
         let n = z.len();
-        let burr = z[n - 1] + self.tip_offset_m;
+        let burr = self.burr_centre_m();
         let first = if n > 1 { z[1] - z[0] } else { 2.0 * self.tip_offset_m.min(z[0]) };
         let last = if n > 1 { z[n - 1] - z[n - 2] } else { first };
         let mut edges = vec![(z[0] - 0.5 * first).max(0.0)];

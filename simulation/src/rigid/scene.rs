@@ -140,6 +140,7 @@ impl RigidScene {
                         point_m: nearest.point_m,
                         normal: nearest.normal,
                         gap_m,
+                        strength_n: f64::INFINITY,
                     });
                     self.plane_body.push(index);
                 }

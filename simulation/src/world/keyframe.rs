@@ -65,7 +65,7 @@ impl Simulation<'_> {
             self.bone.as_ref().map(|bone| bone.field.voxels().serialised()),
             self.rigid.as_ref().map(RigidScene::serialised),
             self.tendon.snapshot(),
-            (self.burr_speed_rad_per_s, self.cutting_energy_j),
+            (self.burr_speed_rad_per_s, self.cutting_energy_j, self.crushing_energy_j),
         );
         let written = postcard::to_slice(&whole, buffer).map_err(|_| KeyframeError::TooLong { given })?;
         Ok(written.len())
@@ -84,7 +84,7 @@ impl Simulation<'_> {
             Option<BoneSnapshot>,
             Option<RigidSnapshot>,
             TendonDriveState,
-            (f64, f64),
+            (f64, f64, f64),
         );
         let unreadable = |cause: String| KeyframeError::Unreadable { cause };
         let (whole, rest): (Whole<'_>, _) =
@@ -96,7 +96,7 @@ impl Simulation<'_> {
             bone,
             rigid,
             tendon,
-            (burr_speed_rad_per_s, cutting_energy_j),
+            (burr_speed_rad_per_s, cutting_energy_j, crushing_energy_j),
         ) = whole;
         let state = State::read_from_bytes(state).map_err(|_| unreadable("its state".to_owned()))?;
         if !rest.is_empty() {
@@ -129,6 +129,7 @@ impl Simulation<'_> {
             tendon,
             burr_speed_rad_per_s,
             cutting_energy_j,
+            crushing_energy_j,
             state,
         })
     }

@@ -23,6 +23,7 @@ impl Simulation<'_> {
         state.removed_total = self.bone.as_ref().map_or(0, |bone| bone.field.voxels().removed_total());
         state.burr_speed_rad_per_s = self.burr_speed_rad_per_s;
         state.cutting_energy_j = self.cutting_energy_j;
+        state.crushing_energy_j = self.crushing_energy_j;
         state.controller_count = latched.controller_count;
         for (applied, entry) in state.applied.iter_mut().zip(&latched.commands) {
             *applied = AppliedCommand {
@@ -55,7 +56,13 @@ impl Simulation<'_> {
         let wrench = tool.flange_wrench();
         state.flange_wrench =
             Wrench { force_n: numbers(&wrench.force_n), torque_nm: numbers(&wrench.torque_nm) };
-        state.burr_force_n = tool.last_report().burr_normal_force_n.norm();
+        let report = tool.last_report();
+        state.burr_force_n = report.burr_normal_force_n.norm();
+        state.contact_iterations = report.contact_iterations as u32;
+        state.contact_residual_m_per_s = report.contact_residual_m_per_s;
+        let limit_rad = tool.parameters().joint_limit_rad;
+        let past = tool.joint_positions_rad().iter().map(|q| q.abs() - limit_rad);
+        state.stop_excess_rad = past.fold(0.0, f64::max);
     }
 
     /// Lists the contacts that carry force; the others are only counted.
@@ -63,16 +70,20 @@ impl Simulation<'_> {
         let state = &mut self.state;
         let results = self.manipulator.contact_results();
         let spheres = self.manipulator.proxy_spheres();
+        (state.wall_force_n, state.strength_share) = (0.0, 0.0);
         let mut listed = 0;
         for result in results.iter().filter(|result| result.normal_force_n > 0.0) {
-            let Some(slot) = state.contacts.get_mut(listed) else { break };
             let plane = self.planes.get(result.contact_index);
+            let part = spheres.get(result.sphere_index).map_or(ContactPart::Burr, |sphere| part(sphere.kind));
+            if part != ContactPart::Burr {
+                state.wall_force_n += result.normal_force_n;
+            }
+            let strength_n = plane.map_or(f64::INFINITY, |plane| plane.strength_n);
+            state.strength_share = state.strength_share.max(result.normal_force_n / strength_n);
+            let Some(slot) = state.contacts.get_mut(listed) else { continue };
             *slot = Contact {
                 sphere_index: result.sphere_index as u32,
-                part: spheres
-                    .get(result.sphere_index)
-                    .map_or(ContactPart::Burr, |sphere| part(sphere.kind))
-                    .code(),
+                part: part.code(),
                 point_m: plane.map_or([0.0; 3], |plane| numbers(&plane.point_m)),
                 normal: numbers(&result.normal),
                 gap_m: plane.map_or(0.0, |plane| plane.gap_m),

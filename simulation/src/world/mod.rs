@@ -6,8 +6,9 @@
 //! 2. move the arm along its jerk-limited path; the flange is the manipulator's base;
 //! 3. find the contact planes between the manipulator's proxy spheres and the bone and rigid bodies;
 //! 4. step the manipulator with these planes and the tendon tensions, contact impulses inside its implicit solve; free bodies
-//!    step with it; without bodies, again from 3 if a sphere came farther than its planes were looked for;
-//! 5. remove bone with the burr, which presses with the normal force of that solve;
+//!    step with it; without bodies, again from 3 if a sphere came farther than its planes were looked for, or into bone that bears more;
+//! 5. let bone that was pressed beyond its strength recede, and remove bone with the burr, which presses with the normal force of that
+//!    solve;
 //! 6. extend the hash chain with commands, state and removed voxels.
 
 mod apply;
@@ -18,15 +19,17 @@ mod move_tool;
 mod setup;
 mod tendon_drive;
 
-use messages::{ControllerIndex, Latched, Plant, Refusal, State};
-use nalgebra::Vector3;
+use messages::{ControllerIndex, Latched, Plant, Refusal, State, Volume};
+use nalgebra::{Matrix3, Vector3};
 use scene::Scene;
 use thiserror::Error;
 use xxhash_rust::xxh3::Xxh3;
 use zerocopy::IntoBytes;
 
 use crate::arm::{Arm, ArmError, ArmSnapshot, Compliance, ComplianceState};
-use crate::bone::{BoneError, BoneField, BoneSnapshot, BurrState, ContactBuffer, GridGeometry, VoxelIndex};
+use crate::bone::{
+    BoneError, BoneField, BoneSnapshot, BurrState, ContactBuffer, GridGeometry, Indentation, VoxelIndex,
+};
 use crate::contact_plane::ContactPlane;
 use crate::manipulator::{
     AnyManipulator, AnyManipulatorState, BaseMotion, ManipulatorError, ManipulatorModel, SphereKind,
@@ -38,7 +41,7 @@ use tendon_drive::{TendonDrive, TendonDriveState};
 
 pub use feasibility::{Finding, Verdict, findings};
 pub use keyframe::KeyframeError;
-pub use setup::{contact_kind, ct_geometry, manipulator_parameters, rung};
+pub use setup::{contact_kind, manipulator_parameters, rung};
 
 /// The simulation's view of the CT: geometry and Hounsfield units, x fastest, borrowed.
 #[derive(Debug, Clone, Copy)]
@@ -47,6 +50,19 @@ pub struct CtView<'v> {
     pub geometry: GridGeometry,
     /// Hounsfield units.
     pub hu: &'v [i16],
+}
+
+impl<'v> CtView<'v> {
+    /// The voxels of a volume whose grid this message describes.
+    pub fn new(volume: &Volume, hu: &'v [i16]) -> CtView<'v> {
+        let geometry = GridGeometry {
+            dims: volume.dimensions.map(|n| n as usize),
+            spacing_m: volume.spacing_m,
+            direction_world_grid: Matrix3::from_column_slice(&volume.direction),
+            origin_world_m: Vector3::from(volume.origin_m),
+        };
+        CtView { geometry, hu }
+    }
 }
 
 /// Why a simulation cannot be built or a tick cannot be computed.
@@ -83,6 +99,7 @@ pub struct SimulationSnapshot {
     tendon: TendonDriveState,
     burr_speed_rad_per_s: f64,
     cutting_energy_j: f64,
+    crushing_energy_j: f64,
     state: State,
 }
 
@@ -91,10 +108,13 @@ pub struct Simulation<'v> {
     dt_s: f64,
     arm: Arm,
     compliance: Option<Compliance>,
+    max_flange_force_n: Option<f64>,
     manipulator: AnyManipulator,
     bone: Option<Bone<'v>>,
     rigid: Option<RigidScene>,
     planes: Vec<ContactPlane>,
+    /// Where the last step pressed bone beyond its strength.
+    indentations: Vec<Indentation>,
     /// One per proxy sphere.
     reach: Vec<Reach>,
     /// Workspace: the tool before the tick.
@@ -102,6 +122,7 @@ pub struct Simulation<'v> {
     tendon: TendonDrive,
     burr_speed_rad_per_s: f64,
     cutting_energy_j: f64,
+    crushing_energy_j: f64,
     /// Voxels that the last tick could not cut for want of memory.
     uncut_voxels: usize,
     /// Contacts that the last tick had no room for.
@@ -228,14 +249,18 @@ impl<'v> Simulation<'v> {
         let report = self.move_tool(&ToolDrive { base, tendon, tip_wrench: Wrench::zero() })?;
         let dropped = self.bone.as_ref().map_or(0, |bone| bone.contacts.dropped());
         self.left_out_contacts = dropped + report.refused_contact_count;
-        let removed = self.grind(self.burr_force_on_bone_n(&report))?;
+        self.find_indentations();
+        let removed = self.wear(self.burr_force_on_bone_n(&report))?;
         self.update_state(latched, removed);
         self.update_hash(latched);
         Ok(())
     }
 
-    /// Moves the arm; returns the tool base's motion, including the deflection of elastic joints.
+    /// Moves the arm, or stops it if the tool pushed too hard on its flange in the last tick; returns the tool base's motion, including the deflection of elastic joints.
     fn move_arm(&mut self) -> Result<BaseMotion, SimulationError> {
+        if let Some(limit_n) = self.max_flange_force_n {
+            self.arm.watch_force(self.manipulator.flange_wrench().force_n.norm(), limit_n);
+        }
         let arm = self.arm.step();
         let rigid = BaseMotion {
             t_world_base: arm.t_world_tool,
@@ -266,7 +291,7 @@ impl<'v> Simulation<'v> {
         force_n.norm()
     }
 
-    fn grind(&mut self, normal_force_n: f64) -> Result<usize, SimulationError> {
+    fn wear(&mut self, normal_force_n: f64) -> Result<usize, SimulationError> {
         let Some(bone) = &mut self.bone else { return Ok(0) };
         let burr = BurrState {
             centre_m: self.manipulator.t_world_tip().translation.vector,
@@ -274,9 +299,10 @@ impl<'v> Simulation<'v> {
             speed_rad_s: self.burr_speed_rad_per_s,
             normal_force_n,
         };
-        let report = bone.field.grind(bone.hu, &burr, self.dt_s)?;
+        let report = bone.field.wear(bone.hu, &burr, &self.indentations, self.dt_s)?;
         self.cutting_energy_j += report.energy_used_j;
-        self.uncut_voxels = report.refused_count;
+        self.crushing_energy_j += report.crushed.energy_j;
+        self.uncut_voxels = report.refused_count + report.crushed.refused_count;
         Ok(report.removed_count)
     }
 
@@ -302,6 +328,7 @@ impl<'v> Simulation<'v> {
             tendon: self.tendon.snapshot(),
             burr_speed_rad_per_s: self.burr_speed_rad_per_s,
             cutting_energy_j: self.cutting_energy_j,
+            crushing_energy_j: self.crushing_energy_j,
             state: self.state,
         }
     }
@@ -325,6 +352,7 @@ impl<'v> Simulation<'v> {
         self.tendon.restore(&snapshot.tendon);
         self.burr_speed_rad_per_s = snapshot.burr_speed_rad_per_s;
         self.cutting_energy_j = snapshot.cutting_energy_j;
+        self.crushing_energy_j = snapshot.crushing_energy_j;
         self.state = snapshot.state;
         Ok(())
     }

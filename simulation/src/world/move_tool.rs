@@ -1,16 +1,32 @@
 //! Moves tool and free bodies against the contact planes of their whole way.
+//!
+//! Bone that yields gets its strength only where a sphere presses hard enough to matter: at least the least strength of any contact, in
+//! the last tick or in this one. A sphere that goes in far within a tick makes its own footprint: its strength is then that at the depth
+//! it comes to, or else a long step would pass through bone.
 
 use nalgebra::Vector3;
 
 use super::{Simulation, SimulationError};
-use crate::manipulator::{ManipulatorModel, StepInput, StepReport};
+use crate::bone::yielding::{MOST_PLANES, SHELL_M};
+use crate::bone::{Indentation, Voxels};
+use crate::contact_plane::ContactPlane;
+use crate::manipulator::{ContactResult, ManipulatorModel, SphereKind, StepInput, StepReport};
 use crate::rigid::ToolDrive;
 
 /// A contact plane takes part in a tick if its gap is within the sphere's travel in the tick plus this margin, m.
 const CONTACT_MARGIN_M: f64 = 1.0e-4;
 
-/// Maximum steps of the tool in a tick, each with planes from farther away.
-const MAX_ATTEMPTS: usize = 4;
+/// A contact whose force is this share of its strength yields: the solver leaves rounding.
+const AT_STRENGTH: f64 = 1.0 - 1e-9;
+
+/// A sphere that moves this far in a tick, m, also meets the planes of where it comes to: from afar it sees only four.
+const JUMP_M: f64 = 1.0e-3;
+/// Planes of a sphere: those seen from where it starts and from where it comes to.
+pub(super) const PLANES_PER_SPHERE: usize = MOST_PLANES;
+/// Maximum steps of the tool in a tick, each with planes from farther away or stronger ones.
+const MAX_ATTEMPTS: usize = 16;
+/// A step is taken again if the bone at the depth it comes to bears this much more than was assumed.
+const STRONGER: f64 = 1.05;
 /// Farthest that planes are looked for, m. A tool that is faster moves the length of a hip joint in a tick.
 const MAX_REACH_M: f64 = 0.05;
 
@@ -20,12 +36,24 @@ pub(super) struct Reach {
     /// World, m.
     from_m: Vector3<f64>,
     margin_m: f64,
+    /// Presses so hard that its planes get the strength of the bone.
+    presses: bool,
+    /// Motion in the tick after which the bone has that strength, m.
+    expected_m: Vector3<f64>,
+    /// Motion of an earlier attempt at the end of which the sphere met planes that it had not met before, m.
+    jumped_m: Vector3<f64>,
 }
 
 impl Reach {
     /// Of a sphere that has not moved yet.
     pub fn none() -> Reach {
-        Reach { from_m: Vector3::zeros(), margin_m: 0.0 }
+        Reach {
+            from_m: Vector3::zeros(),
+            margin_m: 0.0,
+            presses: false,
+            expected_m: Vector3::zeros(),
+            jumped_m: Vector3::zeros(),
+        }
     }
 }
 
@@ -36,7 +64,9 @@ impl Simulation<'_> {
         for (reach, sphere) in self.reach.iter_mut().zip(self.manipulator.proxy_spheres()) {
             reach.from_m = sphere.centre_m;
             reach.margin_m = CONTACT_MARGIN_M + sphere.velocity_m_per_s.norm() * self.dt_s;
+            (reach.presses, reach.expected_m, reach.jumped_m) = (false, Vector3::zeros(), Vector3::zeros());
         }
+        self.note_pressing();
         self.find_contacts();
         if let Some(rigid) = &mut self.rigid {
             return Ok(rigid.step(&mut self.manipulator, drive, &mut self.planes)?);
@@ -49,7 +79,11 @@ impl Simulation<'_> {
         loop {
             let input = StepInput { base, tendon, tip_wrench, contacts: &self.planes };
             let report = self.manipulator.step(self.dt_s, &input)?;
-            if attempt == MAX_ATTEMPTS || !self.widen_reach() {
+            if attempt == MAX_ATTEMPTS {
+                return Ok(report);
+            }
+            let again = [self.widen_reach(), self.note_pressing(), self.note_depth()];
+            if !again.contains(&true) {
                 return Ok(report);
             }
             attempt += 1;
@@ -58,17 +92,96 @@ impl Simulation<'_> {
         }
     }
 
-    /// Widens the reach of every sphere that came farther than its own; true if there is any and there is bone.
+    /// Widens the reach of every sphere that came farther than its own, and notes where those that jumped came to; true if there is any
+    /// and there is bone.
     fn widen_reach(&mut self) -> bool {
         let mut farther = false;
         for (reach, sphere) in self.reach.iter_mut().zip(self.manipulator.proxy_spheres()) {
-            let moved_m = (sphere.centre_m - reach.from_m).norm();
-            if moved_m > reach.margin_m && moved_m.is_finite() {
-                reach.margin_m = (moved_m + CONTACT_MARGIN_M).min(MAX_REACH_M);
+            let moved_m = sphere.centre_m - reach.from_m;
+            if moved_m.norm() > reach.margin_m && moved_m.iter().all(|x| x.is_finite()) {
+                reach.margin_m = (moved_m.norm() + CONTACT_MARGIN_M).min(MAX_REACH_M);
+                farther = true;
+            }
+            if (moved_m - reach.jumped_m).norm() > JUMP_M && moved_m.iter().all(|x| x.is_finite()) {
+                reach.jumped_m = moved_m;
                 farther = true;
             }
         }
         farther && self.bone.is_some()
+    }
+
+    /// Notes the spheres that pressed harder in the last step than any bone bears at least; true if there are new ones.
+    fn note_pressing(&mut self) -> bool {
+        let Some(bone) = &self.bone else { return false };
+        let voxels = bone.field.voxels();
+        if !voxels.yields() {
+            return false;
+        }
+        let least_n = voxels.least_strength_n();
+        let spheres = self.manipulator.proxy_spheres();
+        let turns = self.burr_speed_rad_per_s != 0.0;
+        let mut any = false;
+        for results in self.manipulator.contact_results().chunk_by(|a, b| a.sphere_index == b.sphere_index) {
+            let [ContactResult { sphere_index, .. }, ..] = *results else { continue };
+            let cuts =
+                turns && spheres.get(sphere_index).is_some_and(|sphere| sphere.kind == SphereKind::Burr);
+            let Some(reach) = self.reach.get_mut(sphere_index).filter(|reach| !reach.presses && !cuts) else {
+                continue;
+            };
+            let force_n: f64 = results.iter().map(|result| result.normal_force_n).sum();
+            reach.presses = force_n > least_n;
+            any |= reach.presses;
+        }
+        any
+    }
+
+    /// Notes how far the spheres went that pressed beyond their strength; true if the bone there bears more than was assumed.
+    fn note_depth(&mut self) -> bool {
+        self.find_indentations();
+        let Some(bone) = &self.bone else { return false };
+        let mut any = false;
+        for indentation in self.indentations.iter().filter(|indentation| indentation.depth_m > SHELL_M) {
+            let Some(reach) = self.reach.get_mut(indentation.sphere_index) else { continue };
+            let moved_m = indentation.centre_m - reach.from_m;
+            let way = (&reach.from_m, &moved_m);
+            let mut spheres = self.planes.chunk_by(|a, b| a.sphere_index == b.sphere_index);
+            let own = |planes: &&[ContactPlane]| planes[0].sphere_index == indentation.sphere_index;
+            let planes = spheres.find(own).unwrap_or_default();
+            let strengths_n = strengths_n(bone.field.voxels(), bone.hu, indentation.radius_m, way, planes);
+            any |= planes.iter().zip(strengths_n).any(|(plane, strength_n)| {
+                *plane.normal == indentation.normal && strength_n > STRONGER * plane.strength_n
+            });
+            // Half the way: the stronger the bone, the less deep the sphere goes.
+            reach.expected_m += 0.5 * (moved_m - reach.expected_m);
+        }
+        any
+    }
+
+    /// Lists where bone was pressed beyond its strength, by how much the tool went in farther than its force explains.
+    pub(super) fn find_indentations(&mut self) {
+        self.indentations.clear();
+        let stiffness_n_per_m = self.manipulator.parameters().contact.stiffness_n_per_m;
+        for result in self.manipulator.contact_results() {
+            let sphere = self.manipulator.proxy_spheres().get(result.sphere_index);
+            let reach = self.reach.get(result.sphere_index);
+            let (Some(plane), Some(sphere), Some(reach)) =
+                (self.planes.get(result.contact_index), sphere, reach)
+            else {
+                continue;
+            };
+            let moved_m = sphere.centre_m - reach.from_m;
+            let overlap_m = -(plane.gap_m + plane.normal.dot(&moved_m));
+            let depth_m = overlap_m - result.normal_force_n / stiffness_n_per_m;
+            if result.normal_force_n >= AT_STRENGTH * plane.strength_n && depth_m > 0.0 {
+                self.indentations.push(Indentation {
+                    sphere_index: result.sphere_index,
+                    centre_m: sphere.centre_m,
+                    radius_m: sphere.radius_m,
+                    normal: plane.normal.into_inner(),
+                    depth_m,
+                });
+            }
+        }
     }
 
     fn find_contacts(&mut self) {
@@ -85,11 +198,46 @@ impl Simulation<'_> {
                     reach.margin_m,
                     &mut bone.contacts,
                 );
+                if reach.jumped_m != Vector3::zeros() {
+                    let (voxels, to_m) = (bone.field.voxels(), centre + reach.jumped_m);
+                    let first = bone.contacts.planes().len();
+                    voxels.contact_planes(index, &to_m, radius_m, CONTACT_MARGIN_M, &mut bone.contacts);
+                    for plane in bone.contacts.planes_mut().get_mut(first..).unwrap_or_default() {
+                        plane.gap_m -= plane.normal.dot(&reach.jumped_m);
+                    }
+                }
             }
             self.planes.extend_from_slice(bone.contacts.planes());
+            for planes in self.planes.chunk_by_mut(|a, b| a.sphere_index == b.sphere_index) {
+                let Some(index) = planes.first().map(|plane| plane.sphere_index) else { continue };
+                let (sphere, reach) = (&self.manipulator.proxy_spheres()[index], &self.reach[index]);
+                if reach.presses {
+                    let way = (&sphere.centre_m, &reach.expected_m);
+                    let voxels = bone.field.voxels();
+                    let strengths_n = strengths_n(voxels, bone.hu, sphere.radius_m, way, planes);
+                    for (plane, strength_n) in planes.iter_mut().zip(strengths_n) {
+                        plane.strength_n = strength_n;
+                    }
+                }
+            }
         }
         if let Some(rigid) = &mut self.rigid {
             rigid.find_contacts(self.manipulator.proxy_spheres(), CONTACT_MARGIN_M, &mut self.planes);
         }
     }
+}
+
+/// Strength of a sphere's planes after a motion from a centre, N.
+fn strengths_n(
+    voxels: &Voxels,
+    hu: &[i16],
+    radius_m: f64,
+    (from_m, moved_m): (&Vector3<f64>, &Vector3<f64>),
+    planes: &[ContactPlane],
+) -> [f64; PLANES_PER_SPHERE] {
+    let mut depth_m = [0.0; PLANES_PER_SPHERE];
+    for (depth_m, plane) in depth_m.iter_mut().zip(planes) {
+        *depth_m = (-(plane.gap_m + plane.normal.dot(moved_m))).max(0.0);
+    }
+    voxels.strengths_n(hu, &(from_m + moved_m), radius_m, planes, depth_m)
 }

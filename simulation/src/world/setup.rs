@@ -1,17 +1,17 @@
 //! Converts a scene's keys and units into the components' parameters.
 
-use messages::{State, Volume};
+use messages::State;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use scene::{
     Body, BodyMotion as SceneMotion, ContactVoxels as SceneContactVoxels, Integrator as SceneIntegrator,
     ManipulatorRung, Removal as SceneRemoval, Scene, Tool,
 };
 
+use super::move_tool::PLANES_PER_SPHERE;
 use super::tendon_drive::TendonDrive;
 use super::{ArmDriver, Bone, CtView, Simulation, SimulationError};
 use crate::arm::{Arm, ArmParameters, COMFORTABLE_Q_RAD, Compliance, ComplianceParameters, place_base_for};
-use crate::bone::query::MAX_PLANES;
-use crate::bone::{BoneField, BoneParameters, ContactBuffer, ContactKind, GridGeometry, Removal, VoxelIndex};
+use crate::bone::{BoneField, BoneParameters, ContactBuffer, ContactKind, Removal, VoxelIndex};
 use crate::manipulator::{
     AnyManipulator, BaseMotion, Integrator, ManipulatorError, ManipulatorModel, ManipulatorParameters, Notch,
     Rung,
@@ -35,7 +35,7 @@ pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulat
         (None, _) => (None, Vec::new()),
         (Some(_), None) => return Err(SimulationError::VolumeMissing),
         (Some(_), Some(ct)) => {
-            let (bone, predrilled) = bone(scene, ct, max_burr_radius_m, MAX_PLANES * sphere_count)?;
+            let (bone, predrilled) = bone(scene, ct, max_burr_radius_m, PLANES_PER_SPHERE * sphere_count)?;
             (Some(bone), predrilled)
         }
     };
@@ -50,15 +50,18 @@ pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulat
         dt_s: scene.dt_s(),
         arm,
         compliance,
+        max_flange_force_n: scene.arm.max_force_n,
         reach: vec![super::Reach::none(); sphere_count],
         before: manipulator.snapshot(),
         manipulator,
         bone,
         rigid,
-        planes: Vec::with_capacity(sphere_count * (MAX_PLANES + scene.body.len())),
+        planes: Vec::with_capacity(sphere_count * (PLANES_PER_SPHERE + scene.body.len())),
         tendon: TendonDrive::new(),
         burr_speed_rad_per_s: 0.0,
         cutting_energy_j: 0.0,
+        crushing_energy_j: 0.0,
+        indentations: Vec::with_capacity(PLANES_PER_SPHERE * sphere_count),
         uncut_voxels: 0,
         left_out_contacts: 0,
         state: State::zeroed(),
@@ -138,8 +141,7 @@ fn tool_base(tool: &Tool, parameters: &ManipulatorParameters) -> Isometry3<f64> 
     let bend = (toward - along * toward.dot(&along)).normalize();
     let across = along.cross(&bend);
     let turn = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[bend, across, along]));
-    let reach_m = parameters.joint_positions_m.last().copied().unwrap_or(0.0) + parameters.tip_offset_m;
-    let origin = Vector3::from(tool.burr_start_mm) * 1e-3 - along * reach_m;
+    let origin = Vector3::from(tool.burr_start_mm) * 1e-3 - along * parameters.burr_centre_m();
     Isometry3::from_parts(Translation3::from(origin), UnitQuaternion::from_rotation_matrix(&turn))
 }
 
@@ -213,7 +215,7 @@ fn compliance(scene: &Scene, tool: &ManipulatorParameters) -> Result<Option<Comp
         damping_nms_per_rad: given.joint_damping_nms_per_rad,
         tool_stiffness_n_per_m: mount + CONTACTS_AT_ONCE * tool.contact.stiffness_n_per_m,
         tool_damping_n_s_per_m: 2.0 * tool.mount_damping_ratio * libm::sqrt(mount * mass_kg),
-        tool_length_m: last_m + tool.tip_offset_m,
+        tool_length_m: tool.burr_centre_m(),
     };
     Ok(Some(Compliance::new(parameters)?))
 }
@@ -237,6 +239,12 @@ fn bone<'v>(
     }
     if let Some(coefficient) = drilling.cutting_coefficient {
         parameters.cutting.cutting_friction = coefficient;
+    }
+    if let Some(strength) = scene.contact.strength_mpa {
+        parameters.material.strength_ref_pa = strength * 1e6;
+    }
+    if let Some(exponent) = scene.contact.strength_exponent {
+        parameters.material.strength_exponent = exponent;
     }
     parameters.contact = contact_kind(scene.contact.voxels);
     parameters.removal = match drilling.removal {
@@ -263,15 +271,5 @@ pub fn contact_kind(voxels: Option<SceneContactVoxels>) -> ContactKind {
     match voxels.unwrap_or_default() {
         SceneContactVoxels::Balls => ContactKind::VoxelBalls,
         SceneContactVoxels::Planes => ContactKind::Planes,
-    }
-}
-
-/// The grid that a volume message describes.
-pub fn ct_geometry(volume: &Volume) -> GridGeometry {
-    GridGeometry {
-        dims: volume.dimensions.map(|n| n as usize),
-        spacing_m: volume.spacing_m,
-        direction_world_grid: Matrix3::from_column_slice(&volume.direction),
-        origin_world_m: Vector3::from(volume.origin_m),
     }
 }

@@ -5,6 +5,7 @@
 pub mod arm;
 pub mod block;
 pub mod tool;
+pub mod tunnel;
 
 use std::path::Path;
 

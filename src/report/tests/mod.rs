@@ -323,7 +323,7 @@ fn the_page_holds_all_pictures_and_no_text_of_a_stranger_becomes_a_part_of_it() 
     write(folder.path(), &facts).unwrap();
     let page = fs::read_to_string(folder.path().join("report.html")).unwrap();
     assert!(
-        !page.contains("<script") && page.contains("&#60;script") || page.contains("&lt;script"),
+        !page.contains("<script") && (page.contains("&#60;script") || page.contains("&lt;script")),
         "{page:.400}"
     );
     // What the browser loads is inside the page.

@@ -30,7 +30,7 @@ statuses! {
     ERROR_HANDLE = -2;
     /// A number or text is not one that can be used.
     ERROR_ARGUMENT = -3;
-    /// No session is running there; or several are, and none is named.
+    /// No session is running there.
     ERROR_NO_SESSION = -4;
     /// Program, library and hub are not of one version: a message's layout or the transport differs.
     ERROR_VERSION = -5;
@@ -52,6 +52,8 @@ statuses! {
     ERROR_FORKED = -13;
     /// This thread is in a call already: a signal handler's call is refused, without a text.
     ERROR_BUSY = -14;
+    /// Several sessions are running, and none is named; the text lists them.
+    ERROR_SEVERAL_SESSIONS = -15;
 }
 
 /// Why a call failed.
@@ -95,9 +97,8 @@ fn client_status(cause: &ClientError) -> i32 {
     match cause {
         ClientError::TimedOut(_) => TIMEOUT,
         ClientError::Ended => ENDED,
-        ClientError::NoSession { .. } | ClientError::Session(SessionError::SeveralSessions { .. }) => {
-            ERROR_NO_SESSION
-        }
+        ClientError::NoSession { .. } => ERROR_NO_SESSION,
+        ClientError::Session(SessionError::SeveralSessions { .. }) => ERROR_SEVERAL_SESSIONS,
         ClientError::Joining { cause, .. } => client_status(cause),
         ClientError::Layout { .. }
         | ClientError::Session(

@@ -1,6 +1,6 @@
 //! What the hub sees of its surroundings: its ports, and what it publishes.
 
-use hub::{Environment, Incoming, Note, Outputs, Report, Start};
+use hub::{ControllerFault, Environment, Incoming, Note, Outputs, Report, Start};
 use messages::{
     Command, ControllerIndex, Keyframe, Latched, Removed, RunControl, RunControlReply, RunStatus, State,
     TickTiming,
@@ -123,6 +123,8 @@ impl Environment for World {
         self.oracle.event(note, self.now_ns.get());
         Ok(())
     }
+
+    fn leave_blame(&mut self, _: &ControllerFault) {}
 
     fn wake_controllers(&mut self) {
         for index in ControllerIndex::first(self.controllers.len()) {

@@ -3,6 +3,7 @@
 use super::journal::{Ball, Region};
 use super::{BoneSnapshot, Voxels};
 use crate::bone::BoneError;
+use crate::bone::drilling::is_ended;
 use crate::bone::grid::VoxelIndex;
 use crate::bone::occupancy::VoxelBox;
 use crate::bone::strength::Place;
@@ -60,6 +61,21 @@ impl Drilling<'_> {
         self.voxels.pool.set(place, 1.0);
         self.queue(voxel);
         self.note(voxel);
+    }
+
+    /// Sets the spent fraction of a voxel anywhere, and queues it for removal if all of it is spent; false if there is no memory for it.
+    pub fn crush(&mut self, voxel: VoxelIndex, spent: f64) -> bool {
+        let Some(place) = self.claim(voxel) else { return false };
+        let ended = is_ended(spent);
+        let queued = ended && self.has_room();
+        // If the queue is full, the voxel keeps a trace of strength and ends in a later tick.
+        let spent = if queued { 1.0 } else { spent.min(1.0 - 1e-9) };
+        self.voxels.pool.set(place, spent);
+        if queued {
+            self.queue(voxel);
+        }
+        self.note(voxel);
+        true
     }
 
     /// Removes queued voxels, up to the tick's limit.

@@ -10,7 +10,7 @@ mod saved;
 
 use super::BoneError;
 use super::grid::{GridGeometry, VoxelIndex};
-use super::material::CuttingTable;
+use super::material::MaterialTable;
 use super::occupancy::Occupancy;
 use super::parameters::BoneParameters;
 use super::reach;
@@ -24,7 +24,7 @@ pub(super) use journal::{Ball, Journal};
 pub struct Voxels {
     geometry: GridGeometry,
     parameters: BoneParameters,
-    cutting_table: CuttingTable,
+    material: MaterialTable,
     occupancy: Occupancy,
     pool: SpentPool,
     /// Voxels removed before the run; a reset does not restore them.
@@ -59,14 +59,14 @@ impl Voxels {
         let geometry = geometry.validated()?;
         check_volume(&geometry, hu)?;
         parameters.cutting.check()?;
-        let cutting_table = CuttingTable::new(&parameters.material, parameters.threshold_hu)?;
+        let material = MaterialTable::new(&parameters.material, parameters.threshold_hu)?;
         parameters.check()?;
         let waiting_limit = reach::most_voxels(&geometry, &parameters);
         let blocks_per_tick = reach::most_blocks(&geometry, &parameters, BLOCK_EDGE);
         Ok(Self {
             geometry,
             parameters,
-            cutting_table,
+            material,
             occupancy: Occupancy::from_threshold(geometry.dims, hu, parameters.threshold_hu),
             pool: SpentPool::new(geometry.dims, parameters.pool_blocks, blocks_per_tick)?,
             predrilled_count: 0,
@@ -165,7 +165,12 @@ impl Voxels {
     /// Energy in J to cut a whole voxel of the CT.
     #[inline]
     pub(super) fn full_energy_j(&self, hu: i16) -> f64 {
-        self.cutting_table.specific_energy_j_m3(hu) * self.geometry.voxel_volume_m3()
+        self.material.specific_energy_j_m3(hu) * self.geometry.voxel_volume_m3()
+    }
+
+    #[inline]
+    pub(super) fn material(&self) -> &MaterialTable {
+        &self.material
     }
 
     /// Energy in J that bone has absorbed from drilling so far (removed and partly cut voxels), recomputed from the pool. Shed slivers
@@ -180,7 +185,7 @@ impl Voxels {
         self.pool.for_each(|[i, j, k], spent| {
             if spent > 0.0 {
                 let hu = hu[self.geometry.linear_index(i, j, k)];
-                sum_j += spent * volume * self.cutting_table.specific_energy_j_m3(hu);
+                sum_j += spent * volume * self.material.specific_energy_j_m3(hu);
             }
         });
         Ok(sum_j)

@@ -252,8 +252,7 @@ impl ConstantCurvature {
 
     /// Pose of the tip frame: origin at the burr centre, z along the axis there.
     pub fn t_world_tip(&self) -> Isometry3<f64> {
-        let p = &self.parameters;
-        self.t_world_point(p.joint_positions_m[self.joint_count() - 1] + p.tip_offset_m, 1.0)
+        self.t_world_point(self.parameters.burr_centre_m(), 1.0)
     }
 
     fn t_world_point(&self, z_m: f64, share: f64) -> Isometry3<f64> {
@@ -338,7 +337,7 @@ fn lumps(p: &ManipulatorParameters, arc: &Arc) -> Vec<Lump> {
         let z_m = arc.start_m + arc.length_m - moving * (1.0 - node);
         lumps.push(Lump { mass_kg, z_m, inertia_kg_m2: mass_kg * gyration });
     }
-    let burr = p.joint_positions_m[p.joint_positions_m.len() - 1] + p.tip_offset_m;
+    let burr = p.burr_centre_m();
     let end = arc.start_m + arc.length_m;
     let rest = (burr - end).max(0.0);
     let mass_kg = density * rest;

@@ -128,9 +128,7 @@ impl ConstantCurvature {
             loads += Vector4::new(force.x, force.y, force.z, force.x * x + force.z * z + place.share * spin);
             moment += position.cross(&force) + Vector3::new(0.0, spin, 0.0);
         }
-        let p = &self.parameters;
-        let burr = p.joint_positions_m[p.joint_positions_m.len() - 1] + p.tip_offset_m;
-        let tip = self.arc.place(burr, q[3]);
+        let tip = self.arc.place(self.parameters.burr_centre_m(), q[3]);
         let (force, torque) = (&frame.tip_wrench.force_n, &frame.tip_wrench.torque_nm);
         let bend = force.x * tip.first[0] + force.z * tip.first[1] + torque.y;
         loads += Vector4::new(force.x, force.y, force.z, bend);

@@ -15,8 +15,10 @@ pub(in crate::manipulator) struct ContactRow<const N: usize> {
     pub friction: f64,
     /// 1 / (k_c dt^2).
     pub compliance: f64,
-    /// Lower bound for normal speed + compliance * impulse, m/s.
+    /// Lower bound for normal speed + compliance * impulse, m/s, while the obstacle does not yield.
     pub target: f64,
+    /// Normal impulse at which the obstacle yields, N s.
+    pub strength: f64,
     /// Speed of the contact point on the link without contact impulses, m/s; to begin with, due to the base motion alone.
     pub drive: [f64; 3],
     /// Normal and tangential impulse, N s.
@@ -42,6 +44,14 @@ pub(super) struct Tangent {
     /// 00 01 11.
     pub friction: [f64; 3],
     offset: [f64; 3],
+}
+
+impl Tangent {
+    /// True if the contact carries a normal impulse.
+    #[inline(always)]
+    pub(super) fn presses(&self) -> bool {
+        self.normal > 0.0 || self.offset[0] > 0.0
+    }
 }
 
 const NO_TANGENT: Tangent = Tangent { normal: 0.0, friction: [0.0; 3], offset: [0.0; 3] };
@@ -83,11 +93,11 @@ pub(super) fn onto_disc(z: [f64; 2], radius: f64) -> [f64; 2] {
     if length <= radius { z } else { [z[0] * (radius / length), z[1] * (radius / length)] }
 }
 
-/// The law of a bound: the impulse moves by the speed missing to `target` over the `mobility`, and never pulls. Returns the speed by
-/// which `impulse` misses it.
+/// The law of a bound: the impulse moves by the speed `missing` to its target over the `mobility`, never pulls and never exceeds the
+/// `strength`. Returns the speed by which `impulse` misses it.
 #[inline(always)]
-pub(super) fn bound_miss(impulse: f64, speed: f64, target: f64, compliance: f64, mobility: f64) -> f64 {
-    let wanted = (impulse + (target - speed - compliance * impulse) / mobility).max(0.0);
+pub(super) fn bound_miss(impulse: f64, missing: f64, mobility: f64, strength: f64) -> f64 {
+    let wanted = (impulse + missing / mobility).max(0.0).min(strength);
     (wanted - impulse).abs() * mobility
 }
 
@@ -99,6 +109,7 @@ impl<const N: usize> ContactRow<N> {
             friction: 0.0,
             compliance: 0.0,
             target: 0.0,
+            strength: f64::INFINITY,
             drive: [0.0; 3],
             impulse: [0.0; 3],
             speed: [0.0; 3],
@@ -115,7 +126,7 @@ impl<const N: usize> ContactRow<N> {
     /// Impulses at speeds `u`, the cone being held.
     #[inline(always)]
     pub(super) fn law(&self, u: &[f64; 3]) -> [f64; 3] {
-        let normal = ((self.target - u[0]) / self.compliance).max(0.0);
+        let normal = ((self.target - u[0]) / self.compliance).max(0.0).min(self.strength);
         if self.radius == 0.0 {
             return [normal, 0.0, 0.0];
         }
@@ -132,7 +143,10 @@ impl<const N: usize> ContactRow<N> {
         let [p, ..] = self.impulse;
         let missing = self.target - self.speed[0];
         let ahead = p + (missing - self.compliance * p) / self.mobility[0];
-        if (if first { ahead } else { missing }) > 0.0 {
+        let side = if first { ahead } else { missing / self.compliance };
+        if side >= self.strength {
+            self.tangent.offset[0] = self.strength;
+        } else if side > 0.0 {
             self.tangent.normal = 1.0 / self.compliance;
             self.tangent.offset[0] = self.target / self.compliance;
         }
@@ -169,7 +183,8 @@ impl<const N: usize> ContactRow<N> {
     pub(super) fn misses(&self) -> [f64; 2] {
         let [n, p, q] = self.impulse;
         let u = &self.speed;
-        let normal = bound_miss(n, u[0], self.target, self.compliance, self.mobility[0]);
+        let missing = self.target - u[0] - self.compliance * n;
+        let normal = bound_miss(n, missing, self.mobility[0], self.strength);
         if self.friction == 0.0 {
             return [normal, normal];
         }

@@ -150,6 +150,8 @@ impl<const N: usize> Problem<'_, N> {
             let (link, sum) = (&mut pressing.link[row.link], &mut pressing.link_impulse[row.link]);
             if normal > 0.0 {
                 add_outer(link, normal, n);
+            }
+            if row.tangent.presses() {
                 add_scaled(sum, impulse[0], n);
             }
             if row.radius > 0.0 {
@@ -256,7 +258,8 @@ impl<const N: usize> Problem<'_, N> {
         }
         for row in self.stop.iter() {
             let Stop { compliance, target, impulse, .. } = row.stop;
-            let own = bound_miss(impulse, row.rate, target, compliance, row.mobility);
+            let own =
+                bound_miss(impulse, target - row.rate - compliance * impulse, row.mobility, f64::INFINITY);
             most = [most[0].max(own), most[1].max(own)];
         }
         most
@@ -266,7 +269,7 @@ impl<const N: usize> Problem<'_, N> {
     #[inline(always)]
     fn settle(&mut self) {
         for row in self.row.iter_mut() {
-            let normal = row.impulse[0].max(0.0);
+            let normal = row.impulse[0].max(0.0).min(row.strength);
             let [a, b] = onto_disc([row.impulse[1], row.impulse[2]], row.friction * normal);
             row.impulse = [normal, a, b];
         }

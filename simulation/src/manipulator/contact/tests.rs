@@ -125,7 +125,8 @@ fn gauss_seidel(
         for (k, row) in rows.iter().enumerate() {
             let speed = |v: &DVector<f64>, j: usize| row.drive[j] + each[k][j].dot(v);
             let whole = each[k][0].dot(&moved[k][0]) + row.compliance;
-            let normal = (p[k][0] + (row.target - speed(&v, 0) - row.compliance * p[k][0]) / whole).max(0.0);
+            let normal = p[k][0] + (row.target - speed(&v, 0) - row.compliance * p[k][0]) / whole;
+            let normal = normal.max(0.0).min(row.strength);
             v += &moved[k][0] * (normal - p[k][0]);
             change = change.max((normal - p[k][0]).abs() * whole);
             p[k][0] = normal;
@@ -157,8 +158,56 @@ fn gauss_seidel(
     (v, p)
 }
 
-/// Solves 40 random problems both ways; the most by which a velocity of a contact differs, m/s, and the most iterations.
-fn compare(friction: f64, coupled: bool) -> (f64, usize) {
+/// A row's forces on the freedoms.
+fn on_freedoms(chain: &Chain<4>, row: &ContactRow<4>) -> [DVector<f64>; 3] {
+    row.force.map(|force| jacobian(chain, row.link).transpose() * DVector::from_row_slice(&force))
+}
+
+/// The most by which a velocity of a contact differs, m/s.
+fn farthest(chain: &Chain<4>, rows: &[ContactRow<4>], v: &DVector<f64>, other: &DVector<f64>) -> f64 {
+    let along = rows.iter().flat_map(|row| on_freedoms(chain, row));
+    along.map(|along| (along.dot(v) - along.dot(other)).abs()).fold(0.0, f64::max)
+}
+
+/// The most by which a contact misses its law at these velocities, m/s, from the dense matrix: compliant up to its strength, and Coulomb's
+/// friction. `given` are the rows before the solve.
+fn largest_miss(
+    a: &DMatrix<f64>,
+    chain: &Chain<4>,
+    given: &[ContactRow<4>],
+    rows: &[ContactRow<4>],
+    v: &DVector<f64>,
+) -> f64 {
+    let inverse = a.clone().try_inverse().unwrap();
+    let mut most = 0.0f64;
+    for (given, row) in given.iter().zip(rows) {
+        let along = on_freedoms(chain, row);
+        let mobility = along.each_ref().map(|along| along.dot(&(&inverse * along)));
+        let speed: [f64; 3] = core::array::from_fn(|j| given.drive[j] + along[j].dot(v));
+        let [n, s, t] = row.impulse;
+        let whole = mobility[0] + row.compliance;
+        let wanted = n + (row.target - speed[0] - row.compliance * n) / whole;
+        most = most.max((wanted.clamp(0.0, row.strength) - n).abs() * whole);
+        let larger = mobility[1].max(mobility[2]);
+        let ahead = [s - speed[1] / larger, t - speed[2] / larger];
+        let length = ahead[0].hypot(ahead[1]);
+        let share = if length > row.friction * n { row.friction * n / length } else { 1.0 };
+        most = most.max((ahead[0] * share - s).hypot(ahead[1] * share - t) * larger);
+    }
+    most
+}
+
+/// Whether obstacles bear any force.
+#[derive(Clone, Copy, PartialEq)]
+enum Obstacles {
+    Hard,
+    /// Every other one bears half of what it would carry if all were hard.
+    Yielding,
+}
+
+/// Solves 40 random problems; the most iterations, and the most by which a velocity of a contact differs from that of the sweeps, or, where
+/// obstacles yield, by which a contact misses its law, m/s.
+fn compare(friction: f64, coupled: bool, obstacles: Obstacles) -> (f64, usize) {
     let (mut most, mut iterations) = (0.0f64, 0);
     for seed in 0..40 {
         let mut draw = Draw(seed);
@@ -178,6 +227,11 @@ fn compare(friction: f64, coupled: bool) -> (f64, usize) {
             })
             .to_vec();
         let (expected, impulses) = gauss_seidel(&a, &chain, &rows, &stops, &free);
+        if obstacles == Obstacles::Yielding {
+            let pressed = rows.iter_mut().zip(&impulses).filter(|(_, p)| p[0] > 0.0);
+            pressed.step_by(2).for_each(|(row, p)| row.strength = 0.5 * p[0]);
+        }
+        let given = rows.clone();
         let mut motions = vec![[0.0; 4]; LINKS];
         chain.motions_of(free.as_slice(), &mut motions);
         let parameters = ContactParameters {
@@ -208,10 +262,11 @@ fn compare(friction: f64, coupled: bool) -> (f64, usize) {
             impulse[row.freedom] += row.stop.sign * row.stop.impulse;
         }
         let v = &free + a.clone().try_inverse().unwrap() * impulse;
-        for row in &rows {
-            for f in &row.force {
-                let along = jacobian(&chain, row.link).transpose() * DVector::from_row_slice(f);
-                most = most.max((along.dot(&v) - along.dot(&expected)).abs());
+        match obstacles {
+            Obstacles::Hard => most = most.max(farthest(&chain, &rows, &v, &expected)),
+            Obstacles::Yielding => {
+                most = most.max(largest_miss(&a, &chain, &given, &rows, &v));
+                assert!(rows.iter().any(|row| row.impulse[0] == row.strength), "seed {seed}: nothing yields");
             }
         }
     }
@@ -220,10 +275,17 @@ fn compare(friction: f64, coupled: bool) -> (f64, usize) {
 
 #[test]
 fn the_solution_is_that_of_many_thousand_gauss_seidel_sweeps() {
-    for (friction, coupled) in [(0.0, false), (0.2, false), (0.2, true), (0.6, false)] {
-        let (most, iterations) = compare(friction, coupled);
+    let (hard, yielding) = (Obstacles::Hard, Obstacles::Yielding);
+    let cases = [(0.0, false), (0.2, false), (0.2, true), (0.6, false)];
+    let cases = cases
+        .into_iter()
+        .flat_map(|(friction, coupled)| [(friction, coupled, hard), (friction, coupled, yielding)]);
+    for (friction, coupled, obstacles) in cases {
+        let (most, iterations) = compare(friction, coupled, obstacles);
         // The residual of 1e-9 m/s times the condition of the contact matrix, up to 100 here.
         assert!(most < 1e-7, "{most:.1e} m/s");
-        assert!(iterations <= if friction > 0.5 { 100 } else { 40 }, "{iterations} iterations");
+        // Where every other contact yields, the contacts beside it change sides more often: 73 seen.
+        let enough = if friction > 0.5 || obstacles == Obstacles::Yielding { 100 } else { 40 };
+        assert!(iterations <= enough, "{iterations} iterations");
     }
 }

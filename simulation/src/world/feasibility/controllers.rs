@@ -9,18 +9,16 @@ use crate::manipulator::ManipulatorModel;
 
 /// A target may lie so far beyond the end of the feed, mm: the drilled tip is not at the tool's, and nobody measures a tenth of a burr.
 const BEYOND_MM: f64 = 0.5;
+/// A target may lie so far behind the start, mm: less prints as 0.0, and one beside the start is behind it by rounding.
+const BEHIND_MM: f64 = 0.05;
 /// An arc may be longer than the insertion by this share: the burr need not come all the way.
 const ARC_SLACK: f64 = 1.02;
-/// Rates closer than this are the same.
-const SAME_RATE: f64 = 1e-9;
+/// Rates closer than this share are the same: 33.33 Hz is how one writes 30 ticks of 1 ms.
+const SAME_RATE: f64 = 2e-4;
 
 impl Start<'_> {
-    /// Length that bends, from the first flexure to the burr's centre, mm.
     fn flexible_mm(&self) -> f64 {
-        let tool = self.simulation.manipulator.parameters();
-        let [first, last] = [tool.joint_positions_m.first(), tool.joint_positions_m.last()];
-        let joints_m = last.copied().unwrap_or(0.0) - first.copied().unwrap_or(0.0);
-        1e3 * (joints_m + tool.tip_offset_m)
+        1e3 * self.simulation.manipulator.parameters().flexible_length_m()
     }
 
     /// `|det J|` at the start, if it is too small for a path.
@@ -67,7 +65,7 @@ pub(super) fn no_path_from_singular_start(start: &Start) -> Option<String> {
 }
 
 pub(super) fn singular_start(start: &Start) -> Option<String> {
-    if start.arm_feed().is_some() || !start.is_driven(Drives::Arm) {
+    if start.arm_feed().is_some() || !start.is_led(Drives::Arm) {
         return None;
     }
     let found_m3 = start.singular_m3()?;
@@ -90,7 +88,7 @@ fn target_mm(start: &Start) -> Option<[f64; 3]> {
 pub(super) fn target_out_of_reach(start: &Start) -> Option<String> {
     let [ahead_mm, beside_mm, length_mm] = target_mm(start)?;
     let flexible_mm = start.flexible_mm();
-    if ahead_mm < 0.0 {
+    if ahead_mm < -BEHIND_MM {
         let behind_mm = -ahead_mm;
         return Some(format!(
             "lies {behind_mm:.1} mm behind the start, allowed is 0 to {length_mm} ahead (`insertion_mm`)"
@@ -109,6 +107,8 @@ pub(super) fn target_out_of_reach(start: &Start) -> Option<String> {
 /// A circular arc that begins along the feed: its chord turns by half its angle.
 pub(super) fn insertion_shorter_than_arc(start: &Start) -> Option<String> {
     let [ahead_mm, beside_mm, length_mm] = target_mm(start)?;
+    // Behind by rounding is beside: the arc to a point straight behind would be endless.
+    let ahead_mm = ahead_mm.max(0.0);
     let half_rad = libm::atan2(beside_mm, ahead_mm);
     let chord_mm = libm::hypot(ahead_mm, beside_mm);
     let arc_mm = if half_rad > 0.0 { chord_mm * half_rad / libm::sin(half_rad) } else { chord_mm };

@@ -1,7 +1,7 @@
 //! Rules about the tool's start, the bone, the holes and the bodies.
 
 use nalgebra::Vector3;
-use scene::{Drives, Predrill};
+use scene::{Drives, Predrill, WIDEST_HOLE_MM};
 
 use super::Start;
 use crate::bone::{Matter, Voxels};
@@ -9,14 +9,14 @@ use crate::manipulator::{ManipulatorModel, ProxySphere, SphereKind};
 
 /// A start with all coordinates below this may have been given in metres, mm.
 const METRES_MM: f64 = 1.0;
+/// A start nearer to bone than this is where tools start, however small its coordinates, m.
+const NEAR_M: f64 = 0.01;
 /// A start farther from all bone than this is most likely a mistake, m.
 const FAR_M: f64 = 0.1;
 /// A body may overlap the tool at the start by this much: it is pushed out, m.
 const OVERLAP_M: f64 = 1e-4;
-/// Less depth in bone is rounding: a place between two voxels lies on the face of both, m.
-const SHALLOW_M: f64 = 1e-5;
-/// Most diameter that `predrill.diameter_mm` may have, for its error.
-const WIDEST_HOLE_MM: f64 = 50.0;
+/// Less depth in bone prints as 0.0 mm, and is often rounding: a place between two voxels lies on the face of both, m.
+const SHALLOW_M: f64 = 5e-5;
 
 impl Start<'_> {
     pub(super) fn voxels(&self) -> Option<&Voxels> {
@@ -87,7 +87,7 @@ pub(super) fn start_in_metres(start: &Start) -> Option<String> {
     let place = geometry.point_to_grid(&Vector3::from(given));
     let inside =
         (0..3).all(|a| (-0.5..geometry.dims[a] as f64 - 0.5).contains(&(place[a] / geometry.spacing_m[a])));
-    let gap_m = start.burr_gap_m.filter(|gap_m| *gap_m > 0.0)?;
+    let gap_m = start.burr_gap_m.filter(|gap_m| *gap_m > NEAR_M)?;
     let [x, y, z] = given;
     (tiny && inside).then(|| {
         format!(
@@ -100,10 +100,8 @@ pub(super) fn start_in_metres(start: &Start) -> Option<String> {
 pub(super) fn start_far_from_bone(start: &Start) -> Option<String> {
     let gap_m = start.burr_gap_m.filter(|gap_m| *gap_m > FAR_M)?;
     let is_fed = start.feeds().next().is_some();
-    (start.is_driven(Drives::Arm)
-        && !is_fed
-        && start.scene.controller.iter().all(|entry| entry.hold.is_none()))
-    .then(|| format!("puts the burr {:.1} mm from the nearest bone", gap_m * 1e3))
+    (start.is_led(Drives::Arm) && !is_fed)
+        .then(|| format!("puts the burr {:.1} mm from the nearest bone", gap_m * 1e3))
 }
 
 pub(super) fn burr_in_bone(start: &Start) -> Option<String> {
@@ -157,7 +155,7 @@ pub(super) fn burr_thinner_than_tool(start: &Start) -> Option<String> {
     start.voxels()?;
     let (burr_mm, tube_mm) = (start.scene.manipulator.burr_diameter_mm?, start.tube_diameter_mm());
     (burr_mm < tube_mm)
-        .then(|| format!("is {burr_mm}: the shaft, {tube_mm:.1} mm, does not follow a burr of {burr_mm:.1}"))
+        .then(|| format!("is {burr_mm}: the shaft, {tube_mm:.1} mm thick, does not follow so thin a burr"))
 }
 
 pub(super) fn body_in_tool(start: &Start) -> Option<String> {
@@ -168,7 +166,7 @@ pub(super) fn body_in_tool(start: &Start) -> Option<String> {
     let name = start.scene.body.get(body).map_or("", |body| body.name.as_str());
     (gap_m < -OVERLAP_M).then(|| {
         format!(
-            "puts `{name}` {:.1} mm into the tool, allowed is at most {:.1}",
+            "puts `{name}` {:.2} mm into the tool, allowed is at most {:.1}",
             -gap_m * 1e3,
             OVERLAP_M * 1e3
         )

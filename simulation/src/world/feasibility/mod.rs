@@ -128,8 +128,11 @@ impl<'a> Start<'a> {
         self.scene.controller.iter().filter_map(feed)
     }
 
-    fn is_driven(&self, part: Drives) -> bool {
-        self.scene.controller.iter().any(|controller| controller.drives.contains(&part))
+    /// Whether a controller moves a part. Holding and the sweep of a tendon keep the arm where it is.
+    fn is_led(&self, part: Drives) -> bool {
+        let is_still =
+            |controller: &Controller| controller.hold.is_some() || controller.tension_sweep.is_some();
+        self.scene.controller.iter().any(|entry| entry.drives.contains(&part) && !is_still(entry))
     }
 }
 

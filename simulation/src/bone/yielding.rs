@@ -1,0 +1,265 @@
+//! Yielding: bone under a sphere of the tool bears its compressive strength and no more.
+//!
+//! **Strength of a contact.** The bone that a sphere presses on is what lies within [`SHELL_M`] of the nearest surface, seen from the
+//! sphere's centre, on the side of the contact's plane. Its volume over the shell's thickness is the footprint, and the contact bears
+//!
+//! `F_y = sum of strength(HU) x footprint x cos(angle to the plane's normal)`,
+//!
+//! the projected footprint times the strength (Carter and Hayes 1977 for the strength: see [`MaterialLaw`](super::MaterialLaw)). A
+//! contact's footprint grows as the sphere sinks in: F_y of a cylinder of radius r in a flat wall follows the chord,
+//! `strength x length x 2 sqrt(2 r d - d^2)` at the depth d.
+//!
+//! **Indentation.** A contact at its strength goes in as far as the tool's step takes it. The overlap that its force does not explain is
+//! permanent: every surface on its side recedes to the depth of the deepest, so that the bone takes the sphere's shape. Work and bone
+//! agree, since the volume is the footprint times the depth. Receding is the same as in [`drilling`](super::drilling): a voxel holds a
+//! spent fraction, and is removed when all of it is spent. Crushed bone is thus gone and not compacted: neither the contact nor the X-ray
+//! sees the mass that real bone would have kept beside the indentation.
+//!
+//! A burr that turns does not crush: it cuts with whatever force it has. The published removal rules know no strength, and neither does
+//! the contact with balls ([`Voxels::yields`]).
+
+use nalgebra::Vector3;
+
+use super::gather::outside;
+use super::grid::VoxelIndex;
+use super::occupancy::{VoxelBox, WINDOW_VOXELS};
+use super::query::{ContactKind, MAX_PLANES, VoxelEnd};
+use super::reach::columns_within;
+use super::removal::Removal;
+use super::voxels::{Drilling, Voxels};
+use crate::contact_plane::ContactPlane;
+
+/// Thickness of the bone that carries a contact, m: the roughness of a surface that was crushed or cut. A sphere of 3 mm that touches a
+/// flat wall has a footprint of 0.5 mm2.
+pub const SHELL_M: f64 = 50.0e-6;
+/// Planes of a sphere: those of two places.
+pub const MOST_PLANES: usize = 2 * MAX_PLANES;
+/// Bone belongs to a plane if it is seen within this angle of its normal (cosine; 60 degrees), as in the search for planes.
+const SIDE_COSINE: f64 = 0.5;
+
+/// A contact that carries what the bone bears, after the tool's step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Indentation {
+    /// Index of the sphere on the tool.
+    pub sphere_index: usize,
+    /// The sphere's centre, world, m.
+    pub centre_m: Vector3<f64>,
+    /// m.
+    pub radius_m: f64,
+    /// From the bone to the sphere, world, unit length.
+    pub normal: Vector3<f64>,
+    /// How far the surface must recede, m.
+    pub depth_m: f64,
+}
+
+/// What the indentations of a tick did.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct CrushReport {
+    /// Voxels whose surface receded.
+    pub crushed_count: usize,
+    /// Energy that the bone absorbed, J: strength times crushed volume.
+    pub energy_j: f64,
+    /// Voxels that could not recede because there is no memory for them.
+    pub refused_count: usize,
+}
+
+impl core::ops::AddAssign for CrushReport {
+    fn add_assign(&mut self, other: Self) {
+        self.crushed_count += other.crushed_count;
+        self.energy_j += other.energy_j;
+        self.refused_count += other.refused_count;
+    }
+}
+
+/// Bone near a sphere's centre.
+struct Near {
+    voxel: [usize; 3],
+    /// From the centre to the voxel's surface, m.
+    surface_m: f64,
+    /// The voxel's width toward the centre, m.
+    width_m: f64,
+    /// From the voxel's centre to the sphere's, unit length.
+    direction: Vector3<f64>,
+    spent: f64,
+}
+
+impl Near {
+    /// The plane on whose side the voxel is, and the cosine between them.
+    fn side(&self, normals: &[Vector3<f64>]) -> Option<(usize, f64)> {
+        let mut best = None;
+        let mut best_cosine = SIDE_COSINE;
+        for (plane, normal) in normals.iter().enumerate() {
+            let cosine = self.direction.dot(normal);
+            if cosine > best_cosine {
+                (best, best_cosine) = (Some(plane), cosine);
+            }
+        }
+        best.map(|plane| (plane, best_cosine))
+    }
+}
+
+impl Voxels {
+    /// True if bone yields: it has a strength, and neither a published removal rule nor a published contact is asked for.
+    pub fn yields(&self) -> bool {
+        let parameters = self.parameters();
+        parameters.material.strength_ref_pa.is_finite()
+            && parameters.removal == Removal::Energy
+            && parameters.contact == ContactKind::Planes
+    }
+
+    /// Force that every contact with bone bears at least, N: the weakest bone on the face of one voxel. A contact that carries less needs
+    /// no strength.
+    pub fn least_strength_n(&self) -> f64 {
+        let edge_m = self.geometry().smallest_spacing_m();
+        self.material().least_strength_pa() * edge_m * edge_m
+    }
+
+    /// Strength of the contact with each of a sphere's planes, as found by [`Self::contact_planes`], at most eight, once the surface on its
+    /// side has receded by `depth_m`, N. `hu` is the field's CT.
+    pub fn strengths_n(
+        &self,
+        hu: &[i16],
+        centre_world_m: &Vector3<f64>,
+        radius_m: f64,
+        planes: &[ContactPlane],
+        depth_m: [f64; MOST_PLANES],
+    ) -> [f64; MOST_PLANES] {
+        let (normals, count) = self.normals(planes);
+        let normals = &normals[..count];
+        let centre = self.geometry().point_to_grid(centre_world_m);
+        let nearest_m = self.nearest_surfaces(&centre, radius_m + SHELL_M, normals);
+        let end_m: [f64; MOST_PLANES] =
+            core::array::from_fn(|plane| nearest_m[plane] + depth_m[plane] + SHELL_M);
+        let farthest_m = end_m.iter().filter(|end| end.is_finite()).fold(0.0, |far: f64, end| far.max(*end));
+        let mut strength_n = [0.0; MOST_PLANES];
+        let voxel_m3 = self.geometry().voxel_volume_m3();
+        self.visit_near(&centre, farthest_m, |near| {
+            let Some((plane, cosine)) = near.side(normals) else { return };
+            // What the shell holds of the voxel's remaining width.
+            let far_m = (near.surface_m + (1.0 - near.spent) * near.width_m).min(end_m[plane]);
+            let deep_m = far_m - near.surface_m.max(end_m[plane] - SHELL_M);
+            if deep_m > 0.0 {
+                let share = deep_m / near.width_m;
+                let hu = hu[self.geometry().linear_index(near.voxel[0], near.voxel[1], near.voxel[2])];
+                strength_n[plane] += self.material().strength_pa(hu) * share * cosine * voxel_m3 / SHELL_M;
+            }
+        });
+        let least_n = self.least_strength_n();
+        strength_n.map(|strength_n| strength_n.max(least_n))
+    }
+
+    /// Normals of the planes in the grid's frame.
+    fn normals(&self, planes: &[ContactPlane]) -> ([Vector3<f64>; MOST_PLANES], usize) {
+        let mut normals = [Vector3::zeros(); MOST_PLANES];
+        for (normal, plane) in normals.iter_mut().zip(planes) {
+            *normal = self.geometry().direction_world_grid.tr_mul(plane.normal.as_ref());
+        }
+        (normals, planes.len().min(MOST_PLANES))
+    }
+
+    /// Distance of the nearest surface on the side of each plane, m; infinite if there is none within `reach_m`.
+    fn nearest_surfaces(
+        &self,
+        centre: &Vector3<f64>,
+        reach_m: f64,
+        normals: &[Vector3<f64>],
+    ) -> [f64; MOST_PLANES] {
+        let mut nearest_m = [f64::INFINITY; MOST_PLANES];
+        self.visit_near(centre, reach_m, |near| {
+            if let Some((plane, _)) = near.side(normals) {
+                nearest_m[plane] = nearest_m[plane].min(near.surface_m);
+            }
+        });
+        nearest_m
+    }
+
+    /// Calls `visit` with every voxel of bone whose surface lies within `reach_m` of a centre in the grid's metric frame, in grid order.
+    fn visit_near(&self, centre: &Vector3<f64>, reach_m: f64, mut visit: impl FnMut(&Near)) {
+        let (occupancy, geometry) = (self.occupancy(), self.geometry());
+        let spacing = geometry.spacing_m;
+        let Some(around) = occupancy.voxels_around((*centre).into(), reach_m, spacing) else { return };
+        if !occupancy.any_in(&around) {
+            return;
+        }
+        let VoxelBox { low, high } = around;
+        for k in low[2]..=high[2] {
+            let to_z = outside(centre.z - k as f64 * spacing[2], spacing[2]);
+            for j in low[1]..=high[1] {
+                let to_y = outside(centre.y - j as f64 * spacing[1], spacing[1]);
+                let room = reach_m * reach_m - to_z * to_z - to_y * to_y;
+                for start in (low[0]..=high[0]).step_by(WINDOW_VOXELS as usize) {
+                    let window = occupancy.window(occupancy.window_place(start), j as usize, k as usize);
+                    let count = (high[0] - start + 1).min(WINDOW_VOXELS);
+                    let mut bits =
+                        window & ((1u64 << count) - 1) & columns_within(centre.x, room, spacing[0], start);
+                    while bits != 0 {
+                        let i = start + i64::from(bits.trailing_zeros());
+                        bits &= bits - 1;
+                        if let Some(near) = self.near(centre, [i, j, k])
+                            && near.surface_m < reach_m
+                        {
+                            visit(&near);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// A voxel of bone seen from a centre; `None` if all of it is spent, or the centre is the voxel's.
+    #[inline]
+    fn near(&self, centre: &Vector3<f64>, voxel: [i64; 3]) -> Option<Near> {
+        let geometry = self.geometry();
+        let position = geometry.voxel_position(voxel);
+        let from = [0, 1, 2].map(|axis| centre[axis] - position[axis]);
+        let voxel = voxel.map(|x| x as usize);
+        let spent = self.pool().spent(voxel[0], voxel[1], voxel[2]);
+        let end = VoxelEnd::seen(from, geometry.spacing_m, spent);
+        if spent >= 1.0 || end.width <= 0.0 {
+            return None;
+        }
+        let surface_m = end.cut_distance.max(end.box2.sqrt());
+        let direction = Vector3::from(from) / end.length2.sqrt();
+        Some(Near { voxel, surface_m, width_m: end.width, direction, spent })
+    }
+}
+
+impl Drilling<'_> {
+    /// Lets the bone under an indentation recede.
+    pub(super) fn indent(
+        &mut self,
+        hu: &[i16],
+        indentation: &Indentation,
+        list: &mut Vec<(VoxelIndex, f64)>,
+    ) -> CrushReport {
+        let mut report = CrushReport::default();
+        list.clear();
+        let normals = [self.geometry().direction_world_grid.tr_mul(&indentation.normal)];
+        let centre = self.geometry().point_to_grid(&indentation.centre_m);
+        let [nearest_m, ..] = self.nearest_surfaces(&centre, indentation.radius_m, &normals);
+        let end_m = nearest_m + indentation.depth_m;
+        if !end_m.is_finite() {
+            return report;
+        }
+        self.visit_near(&centre, end_m, |near| {
+            if near.side(&normals).is_some() {
+                let spent = near.spent + (end_m - near.surface_m) / near.width_m;
+                let [i, j, k] = near.voxel;
+                list.push((self.geometry().index([i, j, k]), spent.min(1.0)));
+            }
+        });
+        let voxel_m3 = self.geometry().voxel_volume_m3();
+        for (voxel, spent) in list.iter() {
+            let [i, j, k] = self.geometry().voxel(*voxel);
+            let before = self.pool().spent(i, j, k);
+            let strength_pa = self.material().strength_pa(hu[voxel.at()]);
+            if self.crush(*voxel, *spent) {
+                report.crushed_count += 1;
+                report.energy_j += strength_pa * voxel_m3 * (spent - before);
+            } else {
+                report.refused_count += 1;
+            }
+        }
+        report
+    }
+}

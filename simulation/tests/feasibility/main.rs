@@ -1,0 +1,67 @@
+//! Scenes that make no sense, each with what is said of it: exactly that, and nothing else.
+#![allow(clippy::unwrap_used, reason = "a test fails by it")]
+
+mod plans;
+mod scene_text;
+mod starts;
+
+use std::path::Path;
+
+use nalgebra::Vector3;
+use scene::Scene;
+use scene_text::{Case, SENSIBLE, driven_by};
+use simulation::bone::GridGeometry;
+use simulation::{CtView, Verdict, findings};
+
+/// A block of bone, 34 x 34 x 54 mm: its lower face is at z = -27 mm, and it is centred at y = 0 and the case's x. Voxels of 1 mm, some
+/// air around it.
+const DIMS: [usize; 3] = [40, 40, 60];
+
+fn found(text: &str, centre_x_mm: Option<f64>) -> Vec<String> {
+    let scene = Scene::parse(text, Path::new("a.toml")).unwrap();
+    let first_x_m = 1e-3 * (centre_x_mm.unwrap_or_default() - 19.5);
+    let geometry = GridGeometry::axis_aligned(DIMS, [1e-3; 3], Vector3::new(first_x_m, -19.5e-3, -29.5e-3));
+    let is_bone = |index: usize| {
+        let [i, j, k] = [index % 40, index / 40 % 40, index / 1600];
+        (3..37).contains(&i) && (3..37).contains(&j) && (3..57).contains(&k)
+    };
+    let hu: Vec<i16> =
+        (0..geometry.voxel_count()).map(|index| if is_bone(index) { 300 } else { -1000 }).collect();
+    let ct = centre_x_mm.map(|_| CtView { geometry, hu: &hu });
+    let found = findings(&scene, ct, &|program| program == "python3").unwrap();
+    let verdict = |verdict| if verdict == Verdict::Impossible { "impossible" } else { "unlikely" };
+    found.iter().map(|finding| format!("{}: {finding}", verdict(finding.verdict))).collect()
+}
+
+#[test]
+fn a_scene_that_makes_sense_is_accepted_in_silence() {
+    assert_eq!(found(SENSIBLE, Some(100.0)), Vec::<String>::new());
+    assert_eq!(found(&driven_by("command = [\"python3\", \"pilot.py\"]"), Some(100.0)), Vec::<String>::new());
+}
+
+/// Every one of these ran to "completed" with exit code 0, but for those just inside a bound, which still do.
+#[test]
+fn every_scene_that_makes_no_sense_is_told_so_exactly_and_none_inside_the_bounds() {
+    let cases: Vec<Case> = starts::cases().into_iter().chain(plans::cases()).collect();
+    let wrong = cases.iter().filter_map(|Case { what, text, centre_x_mm, expected }| {
+        let said = found(text, Some(*centre_x_mm));
+        (said != *expected).then(|| format!("{what}: {said:#?}, expected {expected:#?}"))
+    });
+    let wrong: Vec<String> = wrong.collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    let mut names: Vec<&str> = cases.iter().map(|case| case.what).collect();
+    names.sort_unstable();
+    names.dedup();
+    assert_eq!(names.len(), cases.len(), "two cases have one name");
+}
+
+/// `trabecula plan` reads no volume: what does not depend on bone is checked all the same.
+#[test]
+fn without_a_volume_the_rules_that_need_none_hold() {
+    let text =
+        SENSIBLE.replace("diameter_mm = 7.0", "diameter_mm = 5.0").replace("rate_hz = 5.0", "rate_hz = 7.0");
+    assert_eq!(
+        found(&text, None),
+        ["unlikely: `drr.rate_hz` is 7; a frame every 143 ticks of 1 ms is 6.993 Hz"]
+    );
+}
