@@ -111,7 +111,8 @@ fn a_scene_whose_ct_is_not_there_says_where_one_is_to_be_had_and_runs_on_the_syn
     let made = call("phantom pelvis -o @pelvis.nrrd --spacing-mm 2", &place);
     assert_eq!(made.code, Some(0), "{}", made.err);
     let path = format!("volume.path={:?}", pelvis.to_str().unwrap());
-    let settings = ["--set", &path, "--set", "volume.resample_mm=1.5", "--set", "run.duration_s=1.5"];
+    // In such coarse voxels the tool sticks in its hole at first.
+    let settings = ["--set", &path, "--set", "volume.resample_mm=1.5", "--set", "run.duration_s=3.0"];
     let ended = Run::start(&scene, place.path("out"), &settings).end();
     assert_eq!(ended.code, Some(0), "{}", ended.err);
     let summary = fs::read_to_string(ended.folder.join("summary.json")).unwrap();
