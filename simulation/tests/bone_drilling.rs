@@ -17,7 +17,7 @@ const ENERGY_J_M3: f64 = 1.0e7;
 
 /// Moves the burr along `wish` as far as the contact planes allow: the nearest point of the half-spaces' intersection.
 fn move_burr(field: &BoneField, position: Vector3<f64>, wish: Vector3<f64>) -> Vector3<f64> {
-    let mut buffer = ContactBuffer::with_capacity(8);
+    let mut buffer = ContactBuffer::with_capacity(16);
     field.voxels().contact_planes(0, &position, RADIUS_M, 0.3e-3, &mut buffer);
     let mut impulses = vec![0.0; buffer.planes().len()];
     let mut step = wish;

@@ -287,7 +287,7 @@ proptest! {
         let field = field(geometry, |i, j, k| bits[(k * 13 + j) * 14 + i] < fill);
         let local = Vector3::from_fn(|a, _| place[a] * dims[a] as f64 * spacing[a]);
         let exact = brute_force_distance(&field, &local);
-        let mut buffer = ContactBuffer::with_capacity(8);
+        let mut buffer = ContactBuffer::with_capacity(16);
         field.voxels().contact_planes(0, &geometry.point_to_world(&local), radius_m, MARGIN_M, &mut buffer);
         let nearest = buffer.planes().iter().map(|p| p.gap_m).fold(f64::INFINITY, f64::min);
         if exact < radius_m + MARGIN_M - 1e-9 {

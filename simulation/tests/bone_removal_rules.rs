@@ -58,7 +58,7 @@ fn a_dose_shows_as_strength_and_not_as_a_receded_surface() {
     let centre_m = Vector3::new(4.25e-3, 4.25e-3, block.top_m + RADIUS_M);
     let burr = BurrState { centre_m, radius_m: RADIUS_M, speed_rad_s: RULE_SPEED_RAD_S, normal_force_n: 1.0 };
     let gap = |field: &BoneField| {
-        let mut buffer = ContactBuffer::with_capacity(8);
+        let mut buffer = ContactBuffer::with_capacity(16);
         field.voxels().contact_planes(0, &centre_m, RADIUS_M, 1e-3, &mut buffer);
         buffer.planes()[0].gap_m
     };

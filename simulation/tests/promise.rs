@@ -58,7 +58,7 @@ const GOLDEN: [Golden; 3] = [
         in_bone: true,
         command: feed,
         ticks: 1000,
-        hash: "42b6e46bc638d206bd70b93276e45884",
+        hash: "f7f7c2fe834937de59a79e903116db4c",
     },
     Golden {
         scene: BODIES,

@@ -207,7 +207,10 @@ impl Arm {
     pub fn watch_force(&mut self, force_n: f64, limit_n: f64) {
         let most_n = match self.state.protective_stop {
             ProtectiveStop::Armed => limit_n,
-            ProtectiveStop::Stopped { .. } => return,
+            ProtectiveStop::Stopped { force_n: most_n } => {
+                self.state.protective_stop = ProtectiveStop::Stopped { force_n: force_n.max(most_n) };
+                return;
+            }
             ProtectiveStop::Released { .. } if force_n <= limit_n => {
                 self.state.protective_stop = ProtectiveStop::Armed;
                 return;

@@ -64,13 +64,13 @@ pub enum ProtectiveStop {
     Armed,
     /// The arm stopped and takes no command but `Hold`, which releases it.
     Stopped {
-        /// The force that stopped it, N.
+        /// The largest force since then, N: the tendons may pull on while the arm stands.
         force_n: f64,
     },
-    /// The arm may move away from what it pressed on: a force above [`RELEASED_SHARE`] of the one that stopped it stops it again, until the
-    /// force has been below the limit.
+    /// The arm may move away from what it pressed on: a force above [`RELEASED_SHARE`] of the largest while it stood stops it again, until
+    /// the force has been below the limit.
     Released {
-        /// The force that stopped it, N.
+        /// The largest force while it stood, N.
         force_n: f64,
     },
 }

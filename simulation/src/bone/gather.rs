@@ -1,4 +1,5 @@
-//! Finds the voxels that can be nearest to a sphere: those within reach with no bone next to them on the side of the centre.
+//! Finds the voxels that can be nearest to a sphere: those within reach with no whole voxel next to them on the side of the centre. A
+//! voxel that is cut in part hides nothing: the bone that is left of it may lie behind its neighbour's surface.
 
 use nalgebra::Vector3;
 
@@ -52,20 +53,20 @@ impl Columns {
         }
     }
 
-    /// The wanted bone voxels with no bone next to them on the side of the centre.
+    /// The wanted voxels of bone with no whole voxel next to them on the side of the centre.
     #[inline]
-    fn exposed(&self, row: u64) -> u64 {
-        row & ((self.before & !(row >> 1)) | self.own | (self.behind & !(row << 1)))
+    fn exposed(&self, row: u64, whole: u64) -> u64 {
+        row & ((self.before & !(whole >> 1)) | self.own | (self.behind & !(whole << 1)))
     }
 }
 
 impl Voxels {
-    /// Calls `visit` with every voxel whose box is within `sphere.reach` and that has no neighbour between itself and the centre;
+    /// Calls `visit` with every voxel whose box is within `sphere.reach` and that has no whole neighbour between itself and the centre;
     /// rounding may add a few slightly farther ones. Slices are outermost, x is fastest. Returns the voxels that the result depends on,
     /// or `None` if none is in the grid.
     #[inline]
     pub(super) fn gather(&self, sphere: &Sphere, mut visit: impl FnMut([i64; 3])) -> Option<VoxelBox> {
-        let (occupancy, geometry) = (self.occupancy(), self.geometry());
+        let (occupancy, whole, geometry) = (self.occupancy(), self.whole(), self.geometry());
         let [hx, hy, hz] = geometry.spacing_m;
         let reach = sphere.reach + widening(geometry.spacing_m);
         let voxels = occupancy.voxels_around(sphere.centre.into(), reach, geometry.spacing_m)?;
@@ -93,13 +94,14 @@ impl Voxels {
                 let (slice, next_slice) = (k as usize * slice_stride, next_k * slice_stride);
                 for j in low..high + 1 {
                     let row = j as usize * row_stride;
-                    let exposed = columns.exposed(occupancy.window_at(place, slice + row));
+                    let bone = occupancy.window_at(place, slice + row);
+                    let exposed = columns.exposed(bone, whole.window_at(place, slice + row));
                     if exposed == 0 {
                         continue;
                     }
                     let (next_j, mask_y) = towards(j, sphere.voxel[1], ny);
-                    let above = occupancy.window_at(place, next_slice + row);
-                    let beside = occupancy.window_at(place, slice + next_j * row_stride);
+                    let above = whole.window_at(place, next_slice + row);
+                    let beside = whole.window_at(place, slice + next_j * row_stride);
                     let mut bits = exposed & !(above & mask_z) & !(beside & mask_y);
                     while bits != 0 {
                         let i = start - 1 + i64::from(bits.trailing_zeros());

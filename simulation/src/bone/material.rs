@@ -111,6 +111,7 @@ pub(super) struct MaterialTable {
     threshold_hu: i16,
     specific_energy_j_m3: Vec<f64>,
     strength_pa: Vec<f64>,
+    least_strength_pa: f64,
 }
 
 impl MaterialTable {
@@ -118,8 +119,10 @@ impl MaterialTable {
     pub fn new(law: &MaterialLaw, threshold_hu: i16) -> Result<Self, BoneError> {
         law.check()?;
         let specific_energy_j_m3 = (threshold_hu..=i16::MAX).map(|hu| law.specific_energy_j_m3(hu)).collect();
-        let strength_pa = (threshold_hu..=i16::MAX).map(|hu| law.strength_pa(hu)).collect();
-        Ok(Self { threshold_hu, specific_energy_j_m3, strength_pa })
+        let strength_pa: Vec<f64> = (threshold_hu..=i16::MAX).map(|hu| law.strength_pa(hu)).collect();
+        let least_strength_pa =
+            strength_pa.iter().fold(f64::INFINITY, |least, strength| least.min(*strength));
+        Ok(Self { threshold_hu, specific_energy_j_m3, strength_pa, least_strength_pa })
     }
 
     /// Specific cutting energy in J/m3; values below the threshold return that of the threshold.
@@ -136,7 +139,7 @@ impl MaterialTable {
 
     /// Least compressive strength of any bone, Pa.
     pub fn least_strength_pa(&self) -> f64 {
-        self.strength_pa.iter().fold(f64::INFINITY, |least, strength| least.min(*strength))
+        self.least_strength_pa
     }
 
     #[inline]

@@ -6,21 +6,25 @@
 //! therefore has gap 0 exactly at the wall.
 //!
 //! **Staircases.** The corners of a slanted voxel wall protrude from the plane they approximate. The gap is widened by the nearest
-//! point's protrusion from the smoothed surface (see `surface.rs`), by at most half a voxel; it is never narrowed.
+//! point's protrusion from the smoothed surface (see `surface.rs`), by at most half a voxel; it is never narrowed. Where the smoothed
+//! normal leans far from the direction to the voxel (thin sheets, single voxels), both fade out.
 //!
-//! **Which planes.** A voxel can be nearest only if no neighbour lies between it and the centre, which bitwise operations find. On a flat
-//! wall one candidate remains, in a tunnel a few dozen. The nearest candidate gives the first plane, the nearest one more than 60 degrees
-//! away from it the second, and so on, up to four.
+//! **Which planes.** A voxel can be nearest only if no whole neighbour lies between it and the centre, which bitwise operations find. On a
+//! flat wall one candidate remains, in a tunnel a few dozen. The candidate with the least distance *plus* widening gives the first plane:
+//! the least of continuous functions is continuous, so the gap changes no faster than the sphere moves (`tests/gap.rs`). The nearest one
+//! more than 60 degrees away from it the second, and so on, up to four, so that no side is missed; then the nearest ones that are more
+//! than 10 degrees away from all others, up to twelve in all.
 //!
 //! All of this describes [`ContactKind::Planes`]; [`ContactKind::VoxelBalls`] exists for comparison.
 
 use nalgebra::{Unit, Vector3};
 
 use crate::contact_plane::ContactPlane;
+use crate::manipulator::CONTACTS_PER_SPHERE;
 
 use super::gather::{Sphere, outside};
 use super::grid::floor_to_i64;
-use super::near::{Candidates, NearVoxels, most_near};
+use super::near::{Candidates, NearVoxels, Seed, Surface, most_near};
 use super::remembered::RememberedCells;
 use super::surface::TentSizes;
 use super::voxels::Voxels;
@@ -36,13 +40,19 @@ pub enum ContactKind {
     VoxelBalls,
 }
 
-/// Maximum planes per sphere.
-pub const MAX_PLANES: usize = 4;
-/// Maximum seeds per sphere. Each round drops at least its own seed; twice the number of planes bounds the rounds that end in a
-/// duplicate.
-pub(super) const MAX_SEEDS: usize = 2 * MAX_PLANES;
-/// Planes whose smoothed normals have a larger cosine than this (37 degrees) count as one plane.
-const DUPLICATE_COSINE: f64 = 0.8;
+/// Planes of a sphere on different sides of it.
+const FAR_PLANES: usize = 4;
+/// Their least angle from one another (cosine; 60 degrees).
+const FAR_APART_COSINE: f64 = 0.5;
+/// Maximum planes per sphere. In a groove or at the end of a hole the bone touches a sphere all around.
+pub const MAX_PLANES: usize = FAR_PLANES + 8;
+/// Least angle of all planes from one another (cosine; 10 degrees). With 60 degrees only one of a groove's two sides was seen, in turn, and
+/// the burr was thrown to and fro; with 5 degrees the planes of a small patch are all there is.
+const NEAR_APART_COSINE: f64 = 0.985;
+/// Planes less than [`FAR_APART_COSINE`] apart are looked for up to this gap, m: what a sphere moves in a few ticks.
+const NEAR_GAP_M: f64 = 1.0e-4;
+
+const _: () = assert!(MAX_PLANES <= CONTACTS_PER_SPHERE, "the solver has room for all planes of bone");
 /// A smoothed normal whose cosine with the seed's direction is below this is not trusted: thin sheets, single voxels.
 const NORMAL_AGREEMENT_COSINE: f64 = 0.3;
 
@@ -230,33 +240,60 @@ impl Voxels {
     ) {
         let Sphere { index: sphere_index, centre, radius_m, .. } = *sphere;
         let tent = self.tent_sizes(radius_m);
-        let mut normals = [Vector3::zeros(); MAX_PLANES];
+        let mut found = [Surface::NONE; MAX_PLANES];
         let mut count = 0;
-        for _ in 0..MAX_SEEDS {
-            let Some(seed) = out.candidates.nearest() else { break };
-            let direction = seed.offset * (1.0 / seed.length2.sqrt());
-            let seed_distance = seed.distance2.sqrt();
-            let (normal, stands_out) = match self.parameters().contact {
-                ContactKind::Planes => {
-                    let point = centre - direction * seed_distance;
-                    self.smoothed(&point, &direction, &tent, cells.as_deref_mut())
+        out.candidates.save();
+        for (most, apart_cosine) in [(FAR_PLANES, FAR_APART_COSINE), (MAX_PLANES, NEAR_APART_COSINE)] {
+            if count > 0 {
+                out.candidates.bring_back();
+                for Surface { direction, normal, .. } in &found[..count] {
+                    out.candidates.drop_near([direction, normal], apart_cosine);
                 }
-                ContactKind::VoxelBalls => (direction, 0.0),
-            };
-            if normals[..count].iter().any(|other| other.dot(&normal) > DUPLICATE_COSINE) {
-                out.candidates.drop_near(&direction, &normal);
-                continue;
             }
-            normals[count] = normal;
-            count += 1;
-            let distance = seed_distance + stands_out;
-            let point = centre - normal * distance;
-            out.push(self.world_plane(sphere_index, &point, &normal, distance - radius_m));
-            if count == MAX_PLANES {
-                break;
+            for _ in 0..2 * most {
+                let look = |seed: &Seed| self.surface(sphere, seed, &tent, cells.as_deref_mut());
+                if count == most {
+                    break;
+                }
+                let Some(surface) = out.candidates.nearest_surface(look) else { break };
+                let Surface { direction, normal, distance_m } = surface;
+                if most == MAX_PLANES && distance_m > radius_m + NEAR_GAP_M {
+                    break;
+                }
+                out.candidates.drop_near([&direction, &normal], apart_cosine);
+                if found[..count].iter().all(|other| other.normal.dot(&normal) <= apart_cosine) {
+                    found[count] = surface;
+                    count += 1;
+                }
             }
-            out.candidates.drop_near(&direction, &normal);
         }
+        let found = &mut found[..count];
+        found.sort_unstable_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
+        for Surface { normal, distance_m, .. } in found {
+            let point = centre - *normal * *distance_m;
+            out.push(self.world_plane(sphere_index, &point, normal, *distance_m - radius_m));
+        }
+    }
+
+    /// The smoothed surface at a voxel.
+    #[inline(always)]
+    fn surface(
+        &self,
+        sphere: &Sphere,
+        seed: &Seed,
+        tent: &TentSizes,
+        cells: Option<&mut RememberedCells>,
+    ) -> Surface {
+        let direction = seed.offset * (1.0 / seed.length2.sqrt());
+        let distance_m = seed.distance2.sqrt();
+        let (normal, stands_out_m) = match self.parameters().contact {
+            ContactKind::Planes => {
+                let point = sphere.centre - direction * distance_m;
+                self.smoothed(&point, &direction, tent, cells)
+            }
+            ContactKind::VoxelBalls => (direction, 0.0),
+        };
+        Surface { direction, normal, distance_m: distance_m + stands_out_m }
     }
 
     /// Normal of the smoothed surface at a point, or `direction` where it is not trusted; and the point's protrusion from that surface.
@@ -271,9 +308,13 @@ impl Voxels {
         let sample = self.sample_surface(point, tent, remembered);
         let steepness = sample.outward_per_m.norm();
         let smooth = sample.outward_per_m * (1.0 / steepness.max(1e-300));
-        if steepness > 0.0 && smooth.dot(direction) > NORMAL_AGREEMENT_COSINE {
+        let cosine = smooth.dot(direction);
+        if steepness > 0.0 && cosine > NORMAL_AGREEMENT_COSINE {
             let most = 0.5 * self.geometry().smallest_spacing_m();
-            (smooth, ((0.5 - sample.level) / steepness).clamp(0.0, most))
+            let t = ((cosine - NORMAL_AGREEMENT_COSINE) / NORMAL_AGREEMENT_COSINE).min(1.0);
+            let trust = t * t * (3.0 - 2.0 * t);
+            let mixed = smooth * trust + direction * (1.0 - trust);
+            (mixed.normalize(), trust * ((0.5 - sample.level) / steepness).clamp(0.0, most))
         } else {
             (*direction, 0.0)
         }

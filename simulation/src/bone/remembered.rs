@@ -4,12 +4,11 @@
 //! last valid. It is recomputed if one of them may overlap it, or if there were more changes than the journal keeps. A cached cell
 //! therefore has the same bits as a new one.
 
-use super::query::MAX_SEEDS;
 use super::spline::SplineCell;
 use super::voxels::Voxels;
 
-/// Cells cached per sphere: as many as it can have seeds, so that one tick's cells are still there in the next.
-const KEPT_CELLS: usize = MAX_SEEDS;
+/// Cells cached per sphere: about as many as its planes look at, so that one tick's cells are still there in the next.
+const KEPT_CELLS: usize = 32;
 
 /// A cell, and when it was last known to be valid.
 #[derive(Debug, Clone, Copy)]

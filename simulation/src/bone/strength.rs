@@ -215,19 +215,26 @@ impl SpentPool {
         Some(Place(self.table[block] as usize * BLOCK_VOXELS + offset))
     }
 
-    /// Sets the fraction at a place from [`Self::claim`].
+    /// Sets the fraction at a place from [`Self::claim`]; true if the voxel was whole before.
     #[inline]
-    pub fn set(&mut self, Place(place): Place, spent: f64) {
+    pub fn set(&mut self, Place(place): Place, spent: f64) -> bool {
         let (segment, place) = (&mut self.segments[place / SEGMENT_VOXELS], place % SEGMENT_VOXELS);
         let kept = &mut segment.spent[place];
+        let first = *kept == 0.0 && spent > 0.0;
         // A bit is never cleared once it is set.
-        if *kept == 0.0 && spent > 0.0 {
+        if first {
             segment.partial[place / BLOCK_EDGE] |= 1 << (place % BLOCK_EDGE);
         }
         *kept = spent;
+        first
     }
 
-    /// Bit b is set if voxel `start + b` of row (j, k), which lies in the grid, may have a spent fraction above 0.
+    /// The voxel whose fraction is stored at a place from [`Self::claim`].
+    pub fn voxel_at(&self, Place(place): Place) -> Option<[usize; 3]> {
+        self.voxel_of(place / BLOCK_VOXELS, place % BLOCK_VOXELS)
+    }
+
+    /// Bit b is set if voxel `start + b` of row (j, k), which lies in the grid, has a spent fraction above 0.
     #[inline]
     pub fn partial_window(&self, start: i64, j: usize, k: usize) -> u8 {
         if self.owners.is_empty() {

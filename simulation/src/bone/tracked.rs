@@ -3,7 +3,7 @@
 //! Which voxels can be nearest to a sphere depends only on the bone around it and on the voxel that contains its centre. For each sphere
 //! the cache stores the voxels that [`Voxels::gather`] finds within a slightly wider reach ([`SLACK_VOXELS`]). The stored voxels contain
 //! all that matter, in the order of a new search, while three conditions hold: the centre stays in its voxel, the query's reach lies
-//! within the stored one, and no voxel in it is removed. Distances are always recomputed. The planes equal those of
+//! within the stored one, and no voxel in it is removed or cut for the first time. Distances are always recomputed. The planes equal those of
 //! [`Voxels::contact_planes`] bit for bit, so the cache is not part of the state.
 
 use pulp::Arch;
@@ -55,6 +55,24 @@ impl Track {
             let to_box = [0, 1, 2].map(|a| outside(sphere.centre[a] - position[a], spacing[a]));
             let distance2 = to_box[0] * to_box[0] + to_box[1] * to_box[1] + to_box[2] * to_box[2];
             // Twice the margin of the search itself.
+            let reach = sphere.reach + 2.0 * widening(spacing);
+            distance2 <= reach * reach
+        });
+        if reached {
+            self.sphere = None;
+        }
+    }
+
+    /// Call for a box of voxels of which some were cut for the first time.
+    fn forget_near_box(&mut self, voxels: &VoxelBox, spacing: [f64; 3]) {
+        let reached = self.sphere.is_some_and(|sphere| {
+            let mut distance2 = 0.0;
+            for axis in 0..3 {
+                let low = (voxels.low[axis] as f64 - 0.5) * spacing[axis] - sphere.centre[axis];
+                let high = sphere.centre[axis] - (voxels.high[axis] as f64 + 0.5) * spacing[axis];
+                let beyond = low.max(high).max(0.0);
+                distance2 += beyond * beyond;
+            }
             let reach = sphere.reach + 2.0 * widening(spacing);
             distance2 <= reach * reach
         });
@@ -142,6 +160,11 @@ impl ContactCache {
             }
         }
         let geometry = voxels.geometry();
+        // What these voxels hid.
+        let first_cut = voxels.journal().first_cut();
+        for track in self.tracks.iter_mut().filter(|track| track.box_searched.meets(first_cut)) {
+            track.forget_near_box(first_cut, geometry.spacing_m);
+        }
         for removed in voxels.removed_this_tick() {
             let position = geometry.voxel_position(geometry.voxel(*removed).map(|x| x as i64));
             self.tracks.iter_mut().for_each(|track| track.forget_near(position, geometry.spacing_m));

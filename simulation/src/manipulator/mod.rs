@@ -72,8 +72,10 @@ pub const MAX_TENDONS: usize = 4;
 pub const MAX_SHAFT_SPHERES: usize = 8;
 /// Shaft, one per segment, burr.
 pub(crate) const MAX_SPHERES: usize = MAX_SHAFT_SPHERES + MAX_JOINTS + 1;
-/// Maximum contacts per step, four per sphere; excess contacts are refused and counted.
-pub const MAX_CONTACTS: usize = 4 * MAX_SPHERES;
+/// Contacts of a sphere that there is room for on average.
+pub const CONTACTS_PER_SPHERE: usize = 12;
+/// Maximum contacts per step; excess contacts are refused and counted.
+pub const MAX_CONTACTS: usize = CONTACTS_PER_SPHERE * MAX_SPHERES;
 
 /// A continuum manipulator.
 #[derive(Debug, Clone)]

@@ -13,8 +13,11 @@ use crate::contact_plane::ContactPlane;
 use crate::manipulator::{ContactResult, ManipulatorModel, SphereKind, StepInput, StepReport};
 use crate::rigid::ToolDrive;
 
-/// A contact plane takes part in a tick if its gap is within the sphere's travel in the tick plus this margin, m.
-const CONTACT_MARGIN_M: f64 = 1.0e-4;
+/// A contact plane of bone takes part in a tick if its gap is within the sphere's travel in the tick plus this margin, m. More of it finds
+/// more planes at a burr in its own tunnel; with less of it a tool that speeds up takes its step twice.
+const CONTACT_MARGIN_M: f64 = 3.0e-5;
+/// The same for free bodies, m.
+const BODY_MARGIN_M: f64 = 1.0e-4;
 
 /// A contact whose force is this share of its strength yields: the solver leaves rounding.
 const AT_STRENGTH: f64 = 1.0 - 1e-9;
@@ -222,7 +225,7 @@ impl Simulation<'_> {
             }
         }
         if let Some(rigid) = &mut self.rigid {
-            rigid.find_contacts(self.manipulator.proxy_spheres(), CONTACT_MARGIN_M, &mut self.planes);
+            rigid.find_contacts(self.manipulator.proxy_spheres(), BODY_MARGIN_M, &mut self.planes);
         }
     }
 }

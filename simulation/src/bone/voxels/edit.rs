@@ -43,7 +43,7 @@ impl Drilling<'_> {
     #[inline]
     pub fn set_spent(&mut self, place: Place, spent: f64) {
         self.cut = true;
-        self.voxels.pool.set(place, spent);
+        self.set(place, spent);
     }
 
     /// True if another voxel may be queued for removal.
@@ -58,7 +58,7 @@ impl Drilling<'_> {
 
     /// Spends the rest of a voxel, whether or not it meets the ball, and queues it for removal.
     pub fn shed(&mut self, voxel: VoxelIndex, place: Place) {
-        self.voxels.pool.set(place, 1.0);
+        self.set(place, 1.0);
         self.queue(voxel);
         self.note(voxel);
     }
@@ -70,7 +70,7 @@ impl Drilling<'_> {
         let queued = ended && self.has_room();
         // If the queue is full, the voxel keeps a trace of strength and ends in a later tick.
         let spent = if queued { 1.0 } else { spent.min(1.0 - 1e-9) };
-        self.voxels.pool.set(place, spent);
+        self.set(place, spent);
         if queued {
             self.queue(voxel);
         }
@@ -91,6 +91,21 @@ impl Drilling<'_> {
         self.voxels.removed_total += count as u64;
     }
 
+    #[inline(always)]
+    fn set(&mut self, place: Place, spent: f64) {
+        if self.voxels.pool.set(place, spent) {
+            self.note_first_cut(place);
+        }
+    }
+
+    #[cold]
+    fn note_first_cut(&mut self, place: Place) {
+        if let Some(voxel) = self.voxels.pool.voxel_at(place) {
+            self.voxels.whole.empty(voxel);
+            self.voxels.journal.note_first_cut(voxel.map(|x| x as i64));
+        }
+    }
+
     fn note(&mut self, voxel: VoxelIndex) {
         let voxel = self.voxels.geometry.voxel(voxel).map(|x| x as i64);
         self.changed = self.changed.with(voxel);
@@ -109,6 +124,7 @@ impl Voxels {
     pub(super) fn take_out(&mut self, voxels: &[[usize; 3]]) {
         for voxel in voxels {
             self.occupancy.empty(*voxel);
+            self.whole.empty(*voxel);
             self.pool.forget(*voxel);
         }
         self.predrilled_count += voxels.len() as u64;
@@ -122,11 +138,12 @@ impl Voxels {
 
     /// Undoes all drilling: voxels and their strength, back to the start of the run. Pilot holes stay.
     pub(in crate::bone) fn reset(&mut self) {
-        let Self { pool, occupancy, .. } = self;
+        let Self { pool, occupancy, whole, .. } = self;
         // Only bone absorbs energy, so every voxel with a spent fraction was bone.
         pool.for_each(|voxel, spent| {
             if spent > 0.0 {
                 occupancy.fill(voxel);
+                whole.fill(voxel);
             }
         });
         self.pool.clear();
@@ -156,8 +173,11 @@ impl Voxels {
         self.removed.extend_from_slice(&snapshot.removed);
         self.waiting.extend_from_slice(&snapshot.waiting);
         self.removed_total = snapshot.removed_total;
-        let Self { pool, occupancy, .. } = self;
+        let Self { pool, occupancy, whole, .. } = self;
         pool.for_each(|voxel, spent| {
+            if spent > 0.0 {
+                whole.empty(voxel);
+            }
             if spent >= 1.0 {
                 occupancy.empty(voxel);
             }

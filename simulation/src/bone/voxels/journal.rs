@@ -57,17 +57,36 @@ pub(in crate::bone) struct Journal {
     regions: u64,
     /// Blocks of the pool that were in use before the last edit.
     blocks_before: usize,
+    /// Around the voxels that the last edit cut for the first time.
+    first_cut: VoxelBox,
 }
 
 impl Journal {
     pub(super) fn new() -> Self {
-        Self { edits: 0, newest: [Region::NOTHING; KEPT_REGIONS], regions: 0, blocks_before: 0 }
+        Self {
+            edits: 0,
+            newest: [Region::NOTHING; KEPT_REGIONS],
+            regions: 0,
+            blocks_before: 0,
+            first_cut: VoxelBox::NOTHING,
+        }
     }
 
     /// Begins an edit by drilling.
     pub(super) fn begin(&mut self, blocks_in_use: usize) {
         self.edits += 1;
         self.blocks_before = blocks_in_use;
+        self.first_cut = VoxelBox::NOTHING;
+    }
+
+    /// Records that the edit cuts a voxel that was whole.
+    pub(super) fn note_first_cut(&mut self, voxel: [i64; 3]) {
+        self.first_cut = self.first_cut.with(voxel);
+    }
+
+    /// Around the voxels that the last edit cut for the first time.
+    pub fn first_cut(&self) -> &VoxelBox {
+        &self.first_cut
     }
 
     /// Ends the edit, which changed voxels in this region.

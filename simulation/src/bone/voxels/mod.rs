@@ -26,6 +26,8 @@ pub struct Voxels {
     parameters: BoneParameters,
     material: MaterialTable,
     occupancy: Occupancy,
+    /// Bone of which nothing is spent.
+    whole: Occupancy,
     pool: SpentPool,
     /// Voxels removed before the run; a reset does not restore them.
     predrilled_count: u64,
@@ -63,11 +65,13 @@ impl Voxels {
         parameters.check()?;
         let waiting_limit = reach::most_voxels(&geometry, &parameters);
         let blocks_per_tick = reach::most_blocks(&geometry, &parameters, BLOCK_EDGE);
+        let occupancy = Occupancy::from_threshold(geometry.dims, hu, parameters.threshold_hu);
         Ok(Self {
             geometry,
             parameters,
             material,
-            occupancy: Occupancy::from_threshold(geometry.dims, hu, parameters.threshold_hu),
+            whole: occupancy.clone(),
+            occupancy,
             pool: SpentPool::new(geometry.dims, parameters.pool_blocks, blocks_per_tick)?,
             predrilled_count: 0,
             removed: Vec::with_capacity(parameters.removed_per_tick.min(waiting_limit)),
@@ -93,6 +97,12 @@ impl Voxels {
     #[inline]
     pub(super) fn occupancy(&self) -> &Occupancy {
         &self.occupancy
+    }
+
+    /// Bone of which nothing is spent.
+    #[inline]
+    pub(super) fn whole(&self) -> &Occupancy {
+        &self.whole
     }
 
     #[inline]

@@ -18,11 +18,11 @@ use super::geometry::{SphereLayout, link_lengths_m, spheres};
 use super::parameters::ManipulatorParameters;
 use super::state::{BaseMotion, ContactResult, ProxySphere, StepReport, Wrench, places_from};
 use super::tendon::{Channels, TendonMemory};
-use super::{MAX_LINKS, MAX_SHAFT_SPHERES};
+use super::{CONTACTS_PER_SPHERE, MAX_LINKS, MAX_SHAFT_SPHERES};
 use arc::Arc;
 
 /// Maximum contacts per step, four per sphere; excess contacts are refused and counted.
-const MAX_CONTACTS: usize = 4 * (MAX_SHAFT_SPHERES + MAX_LINKS + 1);
+const MAX_CONTACTS: usize = CONTACTS_PER_SPHERE * (MAX_SHAFT_SPHERES + MAX_LINKS + 1);
 /// Nodes and weights of five-point Gauss quadrature on (0, 1), used for the mass along the arc.
 const GAUSS: [(f64, f64); 5] = [
     (0.046_910_077_030_668_0, 0.118_463_442_528_094_5),

@@ -24,7 +24,7 @@ use super::parameters::ManipulatorParameters;
 use super::pressed::PressedStops;
 use super::state::{BaseMotion, ContactResult, ProxySphere, StepReport, Wrench};
 use super::tendon::Channels;
-use super::{MAX_LINKS, MAX_SHAFT_SPHERES, modal};
+use super::{CONTACTS_PER_SPHERE, MAX_LINKS, MAX_SHAFT_SPHERES, modal};
 use articulated::Articulated;
 use coupling::Coupling;
 use layout::{Configuration, MOUNT, SpatialLayout};
@@ -35,7 +35,7 @@ use tendon::TendonLoad;
 pub use state::SpatialState;
 
 /// Maximum contacts per step, four per sphere; excess contacts are refused and counted.
-const MAX_CONTACTS: usize = 4 * (MAX_SHAFT_SPHERES + MAX_LINKS + 1);
+const MAX_CONTACTS: usize = CONTACTS_PER_SPHERE * (MAX_SHAFT_SPHERES + MAX_LINKS + 1);
 
 /// A continuum manipulator whose flexures have D degrees of freedom: 1, 3 or 6.
 #[derive(Debug, Clone)]
