@@ -19,6 +19,7 @@ pub mod launcher;
 pub mod machine;
 pub mod output;
 pub mod plan;
+pub mod planned;
 pub mod printer;
 pub mod program;
 mod redirect_file;
