@@ -69,6 +69,8 @@ pub const EXAMPLES: &[Examples] = &[
         &[
             "trabecula log export out/run -o state.parquet",
             "trabecula log export out/run -o pictures --frames",
+            "trabecula log export out/run -o tunnel.stl --geometry tunnel",
+            "trabecula log export out/run -o deviation.vtp --geometry deviation",
         ],
     ),
     ("log cat-files", &["trabecula log cat-files out/run out/other -o both.mcap"]),

@@ -13,6 +13,7 @@ pub mod cli;
 pub mod commands;
 pub mod failure;
 pub mod feasibility;
+pub mod geometry;
 pub mod help;
 mod keeper;
 pub mod launcher;
