@@ -8,8 +8,8 @@ use serde_json::{Value, json};
 const SCHEMA: &str = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/\
                       markups-schema-v1.0.3.json#";
 
-/// An open curve through these points (LPS, mm), as the text of a `.mrk.json`. The points are joined by straight lines: what Slicer shows
-/// is what was given.
+/// An open curve through these points (LPS, mm), as the text of a `.mrk.json`. Slicer draws a smooth line
+/// through the points, so they should lie close together.
 pub fn curve_json(name: &str, points_mm: &[[f64; 3]]) -> String {
     let point = |(index, position): (usize, &[f64; 3])| {
         json!({
@@ -34,7 +34,7 @@ pub fn curve_json(name: &str, points_mm: &[[f64; 3]]) -> String {
             "labelFormat": "%N-%d",
             "lastUsedControlPointNumber": points.len(),
             "controlPoints": points,
-            "display": {"visibility": true, "glyphScale": 0.5, "pointLabelsVisibility": false, "curveType": "linear"},
+            "display": {"visibility": true, "glyphScale": 0.5, "pointLabelsVisibility": false},
         }],
     });
     format!("{file:#}\n")

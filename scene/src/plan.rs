@@ -31,9 +31,13 @@ pub(crate) fn put_in(
     checker: &Checker,
 ) -> Result<bool, SceneError> {
     let Some(Value::Table(tool)) = scene.get_mut("tool") else { return Ok(false) };
-    // A plan that is no text is refused with its type, as every key.
-    let Some(Value::String(named)) = tool.get("plan") else { return Ok(false) };
-    let named = PathBuf::from(named);
+    let named = match tool.get("plan") {
+        None => return Ok(false),
+        Some(Value::String(named)) => PathBuf::from(named),
+        Some(other) => {
+            return Err(checker.invalid("tool.plan", format!("is {other}, expected a path as text")));
+        }
+    };
     tool.remove("plan");
     let plan = load(&folder.join(&named), read).map_err(|problem| checker.invalid("tool.plan", problem))?;
     for key in PLACES.into_iter().chain(plan.is_curved().then_some("bend_toward")) {

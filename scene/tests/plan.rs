@@ -105,7 +105,7 @@ fn errors_name_the_plan_or_the_line_of_the_scene() {
         ("rate_hz = 1.0", "rate = 1.0", "/scenes/a.toml, line 10: `drr.rate`: unknown field"),
         ("rate_hz = 1.0", "rate_hz = 900.0", "/scenes/a.toml: `drr.rate_hz` is 900"),
         ("tension_n = 3.0", "", "needs either `tension_n` or `calibration`"),
-        ("\"plans/hip.mrk.json\"", "3", "line 8: `tool.plan`: invalid type"),
+        ("\"plans/hip.mrk.json\"", "3", "/scenes/a.toml: `tool.plan` is 3, expected a path as text"),
         ("[tool]", "[tool", "/scenes/a.toml, line 7: "),
     ] {
         let error = parse(&SCENE.replacen(from, to, 1)).unwrap_err().to_string();

@@ -20,7 +20,13 @@ pub fn of_a_mask(volume: &Volume) -> Option<String> {
 /// Places of the scene that lie outside of the volume, but inside with the signs of RAS.
 pub fn of_places(volume: &Volume, scene: &Scene) -> Vec<String> {
     let isocentre = scene.drr.as_ref().filter(|drr| drr.carm.is_none()).map(|drr| drr.isocentre_mm);
-    let places = [("tool.burr_start_mm", Some(scene.tool.burr_start_mm)), ("drr.isocentre_mm", isocentre)];
+    let target =
+        scene.controller.iter().find_map(|controller| controller.curved_drilling.as_ref()?.target_mm);
+    let places = [
+        ("tool.burr_start_mm", Some(scene.tool.burr_start_mm)),
+        ("drr.isocentre_mm", isocentre),
+        ("controller.curved_drilling.target_mm", target),
+    ];
     let mirrored = |[x, y, z]: [f64; 3]| [-x, -y, z];
     let is_inside = |place_mm: [f64; 3]| volume.holds(place_mm.map(|x| x * 1e-3));
     places

@@ -219,6 +219,11 @@ fn what_is_no_plan_or_lies_beside_its_volume_ends_with_2_and_writes_nothing() {
     std::fs::write(&plan, PLAN.replace("LPS", "")).unwrap();
     let done = trabecula(&[&"scene", &"check", &scene]);
     assert!(done.code == Some(2) && done.err.contains("s.toml: `tool.plan` "), "{}", done.err);
+    std::fs::write(&plan, PLAN.replace("2,0,0,0,", "2,0,0,17,")).unwrap();
+    let done = trabecula(&[&"scene", &"check", &scene]);
+    let said =
+        "`controller.curved_drilling.target_mm` is [0.0, 0.0, 17.0], expected a place within the volume";
+    assert!(done.code == Some(2) && done.err.contains(said), "{}", done.err);
 }
 
 #[test]
