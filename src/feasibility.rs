@@ -29,7 +29,22 @@ pub fn check(
     if !refused.is_empty() {
         return Err(Failure::bad_input(refused.join("\n")));
     }
+    if let Some((volume, _)) = volume {
+        refuse_outside(scene, source, volume)?;
+    }
     Ok(of(Verdict::Unlikely).map(|finding| format!("warning: {source}: {finding}")).collect())
+}
+
+/// Refuses a target beside the volume: nothing is there to drill, and a plan was made in another CT or says the wrong frame.
+fn refuse_outside(scene: &Scene, source: &dyn std::fmt::Display, volume: &Volume) -> Result<(), Failure> {
+    let drillings = scene.controller.iter().filter_map(|controller| controller.curved_drilling.as_ref());
+    let mut targets = drillings.filter_map(|drilling| drilling.target_mm);
+    match targets.find(|target_mm| !volume.holds(target_mm.map(|x| x * 1e-3))) {
+        None => Ok(()),
+        Some([x, y, z]) => Err(Failure::bad_input(format!(
+            "{source}: `controller.curved_drilling.target_mm` is [{x:.1}, {y:.1}, {z:.1}], expected a place within the volume"
+        ))),
+    }
 }
 
 /// Whether a program's name is that of an executable file: a path, or a name in one of the folders of `PATH`.

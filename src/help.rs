@@ -69,6 +69,8 @@ pub const EXAMPLES: &[Examples] = &[
         &[
             "trabecula log export out/run -o state.parquet",
             "trabecula log export out/run -o pictures --frames",
+            "trabecula log export out/run -o tunnel.stl --geometry tunnel",
+            "trabecula log export out/run -o deviation.vtp --geometry deviation",
         ],
     ),
     ("log cat-files", &["trabecula log cat-files out/run out/other -o both.mcap"]),
@@ -77,6 +79,13 @@ pub const EXAMPLES: &[Examples] = &[
     ("plan", &["trabecula plan scene.toml", "trabecula plan --check out/run", "trabecula plan --list"]),
     ("scene check", &["trabecula scene check scene.toml"]),
     ("scene init", &["trabecula scene init -o my_scenes", "trabecula scene init --scene free_space"]),
+    (
+        "scene from-markups",
+        &[
+            "trabecula scene from-markups plan.mrk.json --ct ct.nrrd -o hip.toml",
+            "trabecula scene from-markups plan.fcsv --ct bones.seg.nrrd --segment femur",
+        ],
+    ),
     ("scene schema", &["trabecula scene schema"]),
     ("volume info", &["trabecula volume info ct.nii.gz", "trabecula volume info dicom_folder --json"]),
     ("volume drilled", &["trabecula volume drilled out/run -o drilled.nrrd --tick 5000"]),

@@ -26,7 +26,7 @@ pub fn within(folder: &Path, names: &[&str]) -> Vec<PathBuf> {
 mod tests {
     /// Commands with an output, and the argument that names it. All are in the table of `tests/processes/outputs.rs`,
     /// except `run`, which creates a folder with a new name, and `proc recorder`, which `run` starts in it.
-    const KNOWN: [&str; 14] = [
+    const KNOWN: [&str; 15] = [
         "calibrate --output",
         "docs install --output",
         "drr --output",
@@ -39,6 +39,7 @@ mod tests {
         "plot --output",
         "replay --output",
         "run --output",
+        "scene from-markups --output",
         "scene init --output",
         "volume drilled --output",
     ];

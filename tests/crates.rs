@@ -10,9 +10,10 @@ use serde_json::Value;
 use test_support::limited::Limited;
 
 /// Each core and its folder.
-const CORES: [(&str, &str); 11] = [
+const CORES: [(&str, &str); 12] = [
     ("foreign_text", "foreign_text"),
     ("openigtlink", "openigtlink"),
+    ("markups", "markups"),
     ("messages", "messages"),
     ("voxel_grid", "voxel_grid"),
     ("scene", "scene"),

@@ -14,6 +14,7 @@ pub mod client_message;
 pub mod keyframe;
 pub mod log;
 pub mod openigtlink;
+pub mod plan;
 pub mod seeds;
 pub mod settings;
 pub mod viewer;
@@ -42,5 +43,6 @@ pub const TARGETS: &[Target] = &[
     Target { name: "nrrd", run: volume::nrrd, seeds: seeds::nrrd },
     Target { name: "metaimage", run: volume::metaimage, seeds: seeds::metaimage },
     Target { name: "dicom", run: volume::dicom, seeds: seeds::dicom },
+    Target { name: "plan", run: plan::plan, seeds: plan::seeds },
     Target { name: "openigtlink", run: openigtlink::openigtlink, seeds: openigtlink::seeds },
 ];

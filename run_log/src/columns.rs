@@ -26,7 +26,12 @@ pub struct Column {
 }
 
 impl Column {
-    /// The column's value in a message.
+    /// A column of computed numbers (`float64`), which no message holds.
+    pub fn computed(name: &str) -> Column {
+        Column { name: name.to_owned(), ros_type: "float64", offset: 0, size: 0 }
+    }
+
+    /// The column's value in a message; `None` if no message holds it.
     pub fn value(&self, body: &[u8]) -> Option<Scalar> {
         Scalar::read(self.ros_type, body.get(self.offset..self.offset + self.size)?)
     }

@@ -37,6 +37,7 @@ mod declaration;
 mod error;
 mod model;
 mod place;
+pub mod plan;
 mod ranges;
 pub mod reference;
 mod schema;
@@ -44,6 +45,7 @@ mod tool;
 
 pub use error::SceneError;
 pub use model::*;
+pub use plan::ReadText;
 pub use schema::json_schema;
 pub use tool::{STANDARD_RADII, ToolRadii};
 
@@ -53,23 +55,54 @@ use std::path::Path;
 /// them. All other counts of ticks, frames and bytes have 64 bits.
 pub const LONGEST_RUN_S: f64 = 86_400.0;
 
+/// The error of a text that was parsed, which is the file's or was completed from it.
+fn malformed(text: &str, path: &Path, parsed: &str, cause: &toml::de::Error) -> SceneError {
+    let start = cause.span().map(|span| span.start);
+    let key = start.and_then(|start| place::key_at(parsed, start));
+    let line = match (&key, start) {
+        (_, Some(start)) if parsed == text => place::line_at(text, start),
+        (Some(key), _) => place::line_of(text, key).unwrap_or(0),
+        _ => 0,
+    };
+    let cause = match key {
+        Some(key) => format!("`{key}`: {}", place::in_words(cause.message())),
+        None => cause.message().to_owned(),
+    };
+    SceneError::Malformed { file: path.to_owned(), line, cause }
+}
+
 impl Scene {
     /// Parses and checks a scene's text; `path` names it in errors, and relative paths in the scene are relative to its folder.
     ///
     /// # Errors
-    /// [`SceneError`]: a key is unknown or missing, or a value is out of its range.
+    /// [`SceneError`]: a key is unknown or missing, or a value is out of its range; the scene names a plan, which [`Scene::parse_with`] reads.
     pub fn parse(text: &str, path: &Path) -> Result<Scene, SceneError> {
-        let malformed = |cause: toml::de::Error| SceneError::Malformed {
-            file: path.to_owned(),
-            line: cause.span().map_or(0, |span| text[..span.start.min(text.len())].matches('\n').count() + 1),
-            cause: match cause.span().and_then(|span| place::key_at(text, span.start)) {
-                Some(key) => format!("`{key}`: {}", place::in_words(cause.message())),
-                None => cause.message().to_owned(),
-            },
+        let refused = |_: &Path| Err(std::io::Error::other("a plan is read with the scene's file alone"));
+        Scene::parse_with(text, path, &refused)
+    }
+
+    /// The same, with a function that reads the plan that the scene may name (`tool.plan`). The scene returned holds what follows from the
+    /// plan, and no plan.
+    ///
+    /// # Errors
+    /// As [`Scene::parse`]; the plan cannot be read, is none, or gives a point that the scene gives, too.
+    pub fn parse_with(text: &str, path: &Path, read: &ReadText) -> Result<Scene, SceneError> {
+        let folder = path.parent().unwrap_or(Path::new("."));
+        let mut given: toml::Table =
+            toml::from_str(text).map_err(|cause| malformed(text, path, text, &cause))?;
+        let planned = plan::put_in(&mut given, folder, read, &check::Checker { file: path })?;
+        let completed = match planned {
+            // The scene as it is written, with its lines.
+            false => text.to_owned(),
+            true => toml::to_string(&given).map_err(|cause| SceneError::Malformed {
+                file: path.to_owned(),
+                line: 0,
+                cause: cause.to_string(),
+            })?,
         };
-        let mut scene: Scene = toml::from_str(text).map_err(malformed)?;
-        let given: toml::Table = toml::from_str(text).map_err(malformed)?;
-        scene.resolve_paths(path.parent().unwrap_or(Path::new(".")));
+        let mut scene: Scene =
+            toml::from_str(&completed).map_err(|cause| malformed(text, path, &completed, &cause))?;
+        scene.resolve_paths(folder);
         check::check(&scene, &given, path)?;
         Ok(scene)
     }

@@ -11,6 +11,38 @@ pub(crate) fn key_at(text: &str, byte: usize) -> Option<String> {
     in_table(document.get_ref(), "", byte)
 }
 
+/// The line, from 1, of a key by its path; `None` where the text has no such key.
+pub(crate) fn line_of(text: &str, wanted: &str) -> Option<usize> {
+    let document = DeTable::parse(text).ok()?;
+    let byte = below_table(document.get_ref(), "", wanted)?;
+    Some(line_at(text, byte))
+}
+
+/// The line, from 1, in which a byte of the text lies.
+pub(crate) fn line_at(text: &str, byte: usize) -> usize {
+    text.bytes().take(byte).filter(|byte| *byte == b'\n').count() + 1
+}
+
+fn below_table(table: &DeTable<'_>, path: &str, wanted: &str) -> Option<usize> {
+    table.iter().find_map(|(key, value)| {
+        let name = key.get_ref();
+        let path = if path.is_empty() { name.to_string() } else { format!("{path}.{name}") };
+        if path == wanted { Some(key.span().start) } else { below_value(value.get_ref(), &path, wanted) }
+    })
+}
+
+fn below_value(value: &DeValue<'_>, path: &str, wanted: &str) -> Option<usize> {
+    match value {
+        DeValue::Table(table) => below_table(table, path, wanted),
+        DeValue::Array(values) => values.iter().enumerate().find_map(|(index, value)| {
+            let path = format!("{path}[{index}]");
+            let here = (path == wanted).then(|| value.span().start);
+            here.or_else(|| below_value(value.get_ref(), &path, wanted))
+        }),
+        _ => None,
+    }
+}
+
 fn in_table(table: &DeTable<'_>, path: &str, byte: usize) -> Option<String> {
     table.iter().find_map(|(key, value)| {
         let name = key.get_ref();

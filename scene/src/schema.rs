@@ -3,7 +3,7 @@
 use schemars::generate::SchemaSettings;
 use schemars::transform::RecursiveTransform;
 use schemars::{JsonSchema, Schema};
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 
 use crate::Scene;
 
@@ -12,7 +12,33 @@ use crate::Scene;
 /// It holds each key's type, range, default and text, and refuses unknown keys. What relates keys to each other, such as "either
 /// `phantom` or `path`", only [`Scene::parse`] checks.
 pub fn json_schema() -> Value {
-    generate::<Scene>(SchemaSettings::draft07())
+    let mut schema = generate::<Scene>(SchemaSettings::draft07());
+    allow_plan(&mut schema);
+    schema
+}
+
+/// Keys that are required, unless `tool.plan` gives them: table and key.
+const OF_A_PLAN: [(&str, &str); 7] = [
+    ("Tool", "burr_start_mm"),
+    ("Tool", "direction"),
+    ("Tool", "bend_toward"),
+    ("Drr", "isocentre_mm"),
+    ("CurvedDrilling", "insertion_mm"),
+    ("CurvedDrilling", "ramp_end_mm"),
+    ("Skiving", "depth_mm"),
+];
+
+/// Lets a scene with a plan leave out what follows from it. An editor sees one table at a time: of the tool it knows whether there is a
+/// plan, of the others it does not.
+fn allow_plan(schema: &mut Value) {
+    for (table, key) in OF_A_PLAN {
+        if let Some(required) = schema["definitions"][table]["required"].as_array_mut() {
+            required.retain(|name| name != key);
+        }
+    }
+    let without: Vec<&str> =
+        OF_A_PLAN.iter().filter(|(table, _)| *table == "Tool").map(|(_, key)| *key).collect();
+    schema["definitions"]["Tool"]["anyOf"] = json!([{"required": ["plan"]}, {"required": without}]);
 }
 
 /// A type's schema as a reader of files sees it, with `$defs`; texts and defaults may stand beside a `$ref`.

@@ -5,6 +5,7 @@ pub mod calibrate;
 pub mod docs;
 pub mod doctor;
 pub mod drr;
+pub mod from_markups;
 pub mod laboratory;
 pub mod log;
 pub mod plan;

@@ -7,6 +7,7 @@ use clap::Subcommand;
 use controllers::Calibration;
 use ipc_types::scene::{Mode, Scene};
 
+use super::from_markups::{self, FromMarkupsArguments};
 use crate::failure::Failure;
 use crate::feasibility;
 use crate::launcher::volume_source::{self, VolumeFiles};
@@ -37,6 +38,8 @@ pub enum SceneCommand {
         #[arg(long, value_enum, default_value_t = BuiltIn::Femur)]
         scene: BuiltIn,
     },
+    /// Write a scene from a plan made in 3D Slicer: entry, bend and target, and the CT that they lie in.
+    FromMarkups(FromMarkupsArguments),
     /// Print the JSON schema of scenes (draft 7), by which an editor completes and checks them.
     Schema,
 }
@@ -49,6 +52,7 @@ pub fn run(command: &SceneCommand) -> Result<(), Failure> {
     match command {
         SceneCommand::Check { file, volume_files, figures } => check(file, *volume_files, *figures),
         SceneCommand::Init { output, scene } => init(output, *scene),
+        SceneCommand::FromMarkups(arguments) => from_markups::run(arguments),
         SceneCommand::Schema => schema(),
     }
 }

@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
-use volume_io::{VolumeInfo, phantom, read_as, write_nrrd};
+use volume_io::{VolumeInfo, phantom, read_as, write_nifti, write_nrrd};
 
 use crate::failure::Failure;
 use crate::launcher::volume_source::{VolumeChoice, VolumeFiles};
 use crate::output::refuse_existing;
-use crate::replay::{OpenedLog, Overrides};
+use crate::replay::{Gone, OpenedLog, Overrides};
 use crate::say::Figures;
 
 /// What to do with a volume.
@@ -25,7 +25,7 @@ pub enum VolumeCommand {
         #[command(flatten)]
         figures: Figures,
     },
-    /// Write a run's CT with the drilled voxels set to air, as NRRD; also works during the run.
+    /// Write a run's CT with the drilled voxels set to air, as NRRD or NIfTI; also works during the run.
     Drilled(DrilledArguments),
 }
 
@@ -34,7 +34,7 @@ pub enum VolumeCommand {
 pub struct DrilledArguments {
     /// Folder of a run, or its `run.mcap`.
     log: PathBuf,
-    /// New file (NRRD, gzip).
+    /// New file: NIfTI if it ends in `.nii` or `.nii.gz`, otherwise NRRD (gzip).
     #[arg(short, long)]
     output: PathBuf,
     /// Show the bone after this tick; default: the last tick of the log.
@@ -61,37 +61,24 @@ fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
         ..Overrides::default()
     };
     let mut log = OpenedLog::open(&arguments.log, &overrides)?;
-    let reader = log.reader()?;
+    let gone = Gone::of(&log, arguments.tick)?;
     let Some((mut volume, _)) = log.volume.take() else {
         return Err(Failure::bad_input(format!("{}: this run has no volume", log.path.display())));
     };
-    let wanted = arguments.tick.unwrap_or(u64::MAX);
-    let mut gone: Vec<u32> = reader.predrilled().to_vec();
-    let mut last = reader.initial().tick;
-    for record in reader {
-        let record = record.map_err(|cause| Failure::failed(cause.to_string()))?;
-        if record.state.tick > wanted {
-            break;
-        }
-        if let Some(restored) = record.restored {
-            gone = restored;
-        }
-        gone.extend(record.removed);
-        last = record.state.tick;
-    }
-    if arguments.tick.is_some_and(|tick| tick > last) {
-        return Err(Failure::bad_input(format!("--tick is {wanted}, but the log ends at tick {last}")));
-    }
-    for index in &gone {
+    for index in &gone.voxels {
         if let Some(hu) = volume.hu.get_mut(*index as usize) {
             *hu = AIR_HU;
         }
     }
-    write_nrrd(&arguments.output, &volume)?;
-    let output = arguments.output.display();
+    let name = arguments.output.to_string_lossy().to_lowercase();
+    match name.ends_with(".nii") || name.ends_with(".nii.gz") {
+        true => write_nifti(&arguments.output, &volume)?,
+        false => write_nrrd(&arguments.output, &volume)?,
+    }
+    let (output, tick, count) = (arguments.output.display(), gone.tick, gone.voxels.len());
     arguments.figures.say(
-        || format!("{output}: the CT after tick {last}, {} voxels removed", gone.len()),
-        || serde_json::json!({"output": arguments.output, "tick": last, "removed_voxels": gone.len()}),
+        || format!("{output}: the CT after tick {tick}, {count} voxels removed"),
+        || serde_json::json!({"output": arguments.output, "tick": tick, "removed_voxels": count}),
     );
     Ok(())
 }

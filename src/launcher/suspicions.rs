@@ -20,12 +20,19 @@ pub fn of_a_mask(volume: &Volume) -> Option<String> {
 /// Places of the scene that lie outside of the volume, but inside with the signs of RAS.
 pub fn of_places(volume: &Volume, scene: &Scene) -> Vec<String> {
     let isocentre = scene.drr.as_ref().filter(|drr| drr.carm.is_none()).map(|drr| drr.isocentre_mm);
-    let places = [("tool.burr_start_mm", Some(scene.tool.burr_start_mm)), ("drr.isocentre_mm", isocentre)];
+    let target =
+        scene.controller.iter().find_map(|controller| controller.curved_drilling.as_ref()?.target_mm);
+    let places = [
+        ("tool.burr_start_mm", Some(scene.tool.burr_start_mm)),
+        ("drr.isocentre_mm", isocentre),
+        ("controller.curved_drilling.target_mm", target),
+    ];
     let mirrored = |[x, y, z]: [f64; 3]| [-x, -y, z];
+    let is_inside = |place_mm: [f64; 3]| volume.holds(place_mm.map(|x| x * 1e-3));
     places
         .into_iter()
         .filter_map(|(key, place)| Some((key, place?)))
-        .filter(|(_, place)| !is_inside(volume, *place) && is_inside(volume, mirrored(*place)))
+        .filter(|(_, place)| !is_inside(*place) && is_inside(mirrored(*place)))
         .map(|(key, [x, y, z])| {
             format!(
                 "warning: `{key}` = [{x}, {y}, {z}] lies outside of the volume, and [{}, {}, {z}] inside: scenes are in LPS; a point from a \
@@ -34,12 +41,6 @@ pub fn of_places(volume: &Volume, scene: &Scene) -> Vec<String> {
             )
         })
         .collect()
-}
-
-/// Whether a place lies in the volume's box, to the voxels' faces.
-fn is_inside(volume: &Volume, place_mm: [f64; 3]) -> bool {
-    let voxel = volume.world_to_voxel(place_mm.map(|x| x * 1e-3));
-    (0..3).all(|axis| (-0.5..=volume.dims[axis] as f64 - 0.5).contains(&voxel[axis]))
 }
 
 #[cfg(test)]

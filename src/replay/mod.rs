@@ -1,12 +1,14 @@
 //! Replays a log: opening it, checking that this build may replay it, and the kinds of replay.
 
 mod frames;
+mod gone;
 mod live;
 mod log;
 mod recording;
 mod replies;
 
 pub use frames::{ComparedFrames, verify_frames};
+pub use gone::Gone;
 pub use live::{LivePlan, run as run_live};
 pub use log::{OpenedLog, Overrides};
 pub use recording::{Recorded, record};

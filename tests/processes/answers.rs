@@ -33,6 +33,7 @@ fn call(command: &str) -> Call {
         "calibrate" => As("calibrate @sweep.toml -o @cal#"),
         "plan" => As("plan @scene.toml"),
         "scene check" => As("scene check @scene.toml"),
+        "scene from-markups" => As("scene from-markups @plan.fcsv --ct @ball.nrrd -o @p#.toml"),
         "scene schema" => As("scene schema"),
         "scene init" => As("scene init -o @scenes#"),
         "volume info" => As("volume info @ball.nrrd"),
@@ -113,6 +114,7 @@ fn an_answer_that_cannot_be_written_ends_with_1_whatever_the_command() {
     fs::rename(folder, place.path("log")).unwrap();
     let (log, ball, two) = (place.path("log"), place.path("ball.nrrd"), place.path("two.mcap"));
     assert_eq!(trabecula(&[&"phantom", &"sphere", &"-o", &ball, &"--spacing-mm", &"2"]).code, Some(0));
+    fs::write(place.path("plan.fcsv"), scenes::PLAN_OF_THE_BALL).unwrap();
     assert_eq!(trabecula(&[&"log", &"cat-files", &log, &log, &"-o", &two]).code, Some(0));
     let here = place.path("");
     let here = here.to_str().unwrap();

@@ -43,6 +43,7 @@ mod openigtlink;
 mod orphans;
 mod outputs;
 mod plan;
+mod plans;
 mod programs;
 mod promise;
 mod readmes;

@@ -56,6 +56,8 @@ fn table(place: &Place) -> Vec<Row> {
         row("log compress @log -o @c.mcap", &["c.mcap"]),
         row("log export @log -o @t.csv", &["t.csv"]),
         row("log export @log -o @t.parquet", &["t.parquet"]),
+        row("log export @log -o @t.stl --geometry tunnel", &["t.stl"]),
+        row("volume drilled @log -o @d.nii.gz", &["d.nii.gz"]),
         row("log cat-files @log @log -o @both.mcap", &["both.mcap"]),
         row("log split @two.mcap -o @runs", &["runs/run1.mcap", "runs/run2.mcap"]),
         row("plot @log t_world_tip.position_m --output @f", &["f.png", "f.svg"]),
@@ -85,6 +87,7 @@ fn table(place: &Place) -> Vec<Row> {
         row("reproduce --quick --only 3 --output @rep", &["rep/reproduce-3-deviation.csv"]),
         row("reproduce --quick --only 4 --output @rep", &["rep/reproduce-4-tension.png"]),
         row("reproduce --quick --output @rep", &["rep/reproduce-5-thrust.csv"]),
+        row("scene from-markups @plan.fcsv --ct @ball.nrrd -o @plan.toml", &["plan.toml"]),
         row("scene init -o @scenes", &["scenes/femur_curved_drilling.toml"]),
         row("bench soak @scene.toml --minutes 0.1 --output @soak", &["soak/run.mcap", "soak/summary.json"]),
     ]
@@ -108,6 +111,7 @@ fn no_command_writes_over_a_file_that_is_there() {
     let folder = place.complete(&scenes::drill("lockstep", 0.1)).folder;
     fs::rename(folder, place.path("log")).unwrap();
     fs::remove_dir(place.path("out")).unwrap();
+    fs::write(place.path("plan.fcsv"), scenes::PLAN_OF_THE_BALL).unwrap();
     for words in ["phantom sphere -o @ball.nrrd --spacing-mm 2", "log cat-files @log @log -o @two.mcap"] {
         let done = run(&row(&place, words, &[]).words);
         assert_eq!(done.code, Some(0), "{}", done.err);

@@ -68,6 +68,12 @@ impl Volume {
         })
     }
 
+    /// Whether a world position lies in the volume's box, to the voxels' faces.
+    pub fn holds(&self, world_m: [f64; 3]) -> bool {
+        let voxel = self.world_to_voxel(world_m);
+        (0..3).all(|axis| (-0.5..=self.dims[axis] as f64 - 0.5).contains(&voxel[axis]))
+    }
+
     /// Smallest, largest and mean Hounsfield units.
     pub fn statistics(&self) -> HuStatistics {
         let mut min_hu = i16::MAX;

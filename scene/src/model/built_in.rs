@@ -14,7 +14,7 @@ pub struct CurvedDrilling {
     /// Feed of the tool base.
     #[schemars(range(min = 0.01, max = 20.0))]
     pub feed_mm_per_s: f64,
-    /// Length of the feed.
+    /// Length of the feed; absent beside `tool.plan`: up to the target.
     #[schemars(range(min = 0.0, max = 200.0))]
     pub insertion_mm: f64,
     /// Tension at the end of the ramp; either this or `calibration`.
@@ -31,13 +31,13 @@ pub struct CurvedDrilling {
     #[serde(default)]
     #[schemars(range(min = 0.0, max = 200.0))]
     pub ramp_start_mm: f64,
-    /// Inserted length at which the ramp ends, more than its begin.
+    /// Inserted length at which the ramp ends, more than its begin; absent beside `tool.plan`: at the target.
     #[schemars(range(min = 0.0, max = 200.0))]
     pub ramp_end_mm: f64,
     /// Burr speed.
     #[schemars(range(min = 0.0, max = 60_000.0))]
     pub burr_speed_rpm: f64,
-    /// Where the burr is to end, patient frame; the feedback corrects the tension toward the arc to it.
+    /// Where the burr is to end, patient frame; the feedback corrects the tension toward the arc to it. From `tool.plan`, if there is one.
     #[schemars(inner(range(min = -FARTHEST_MM, max = FARTHEST_MM)))]
     pub target_mm: Option<[f64; 3]>,
     /// Tension per millimetre of sideways error measured.
@@ -80,7 +80,7 @@ pub struct Skiving {
     /// Feed of the tool base.
     #[schemars(range(min = 0.01, max = 20.0))]
     pub feed_mm_per_s: f64,
-    /// Length of the feed.
+    /// Length of the feed; absent beside `tool.plan`: up to the target.
     #[schemars(range(min = 0.1, max = 200.0))]
     pub depth_mm: f64,
     /// Tension of both tendons, which stiffens the tool.

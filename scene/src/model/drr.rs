@@ -128,7 +128,7 @@ pub struct Drr {
     /// Scheduled frames per simulated second; with 0, frames come only on request.
     #[schemars(range(min = 0.0, max = 200.0))]
     pub rate_hz: f64,
-    /// Point about which the C-arm turns, patient frame.
+    /// Point about which the C-arm turns, patient frame; absent beside `tool.plan`: the middle from start to target.
     #[schemars(inner(range(min = -FARTHEST_MM, max = FARTHEST_MM)))]
     pub isocentre_mm: [f64; 3],
     /// DICOM (0018,1510): 0 is detector in front of the chest, +90 at the patient's left.

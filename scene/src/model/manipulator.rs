@@ -1,5 +1,7 @@
 //! `[tool]`, `[manipulator]` and `[[tendon]]`: the tool.
 
+use std::path::PathBuf;
+
 use messages::MAX_JOINTS;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,12 +12,17 @@ use super::FARTHEST_MM;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Tool {
-    /// Burr centre of the straight tool at the start.
+    /// A plan made in 3D Slicer (`.mrk.json`, `.fcsv`; points named entry, bend, target), from the scene file's folder. From it follow
+    /// `burr_start_mm`, `direction`, `bend_toward`, the pilot hole (`[[predrill]]`), and, where the scene does not give them,
+    /// `drr.isocentre_mm`, target and feed of the built-in controllers.
+    #[schemars(extend("x-kind" = "path"))]
+    pub plan: Option<PathBuf>,
+    /// Burr centre of the straight tool at the start; from `plan`, if there is one.
     #[schemars(inner(range(min = -FARTHEST_MM, max = FARTHEST_MM)))]
     pub burr_start_mm: [f64; 3],
-    /// Insertion direction, any length.
+    /// Insertion direction, any length; from `plan`, if there is one.
     pub direction: [f64; 3],
-    /// Side to which tendon 0 bends the tool; its part across the direction counts.
+    /// Side to which tendon 0 bends the tool; its part across the direction counts. From `plan`, if that bends.
     pub bend_toward: [f64; 3],
 }
 

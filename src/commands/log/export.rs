@@ -14,8 +14,10 @@ use run_log::csv::Csv;
 use run_log::fields::Scalar;
 use run_log::{FrameRecord, LogError, ReadOptions, Topic, Verdict, frames};
 
+use super::geometry::{self, Geometry};
 use super::{Out, concluded, json};
 use crate::failure::Failure;
+use crate::launcher::volume_source::VolumeFiles;
 use crate::output::refuse_existing;
 use crate::say::Figures;
 
@@ -23,10 +25,10 @@ use crate::say::Figures;
 #[derive(Debug, Args)]
 pub struct ExportArguments {
     /// Log file, or the folder of a run.
-    log: PathBuf,
-    /// New `.csv` or `.parquet` file; with `--frames`, a folder for the images.
+    pub(super) log: PathBuf,
+    /// New `.csv` or `.parquet` file; with `--frames`, a folder for the images; with `--geometry`, a file of a format that it has.
     #[arg(short, long)]
-    output: PathBuf,
+    pub(super) output: PathBuf,
     /// Topic to export.
     #[arg(long, default_value = Topic::State.name())]
     topic: String,
@@ -42,13 +44,21 @@ pub struct ExportArguments {
     /// Export one 16-bit PNG per frame, with the recorded pixel values, instead of a table.
     #[arg(long, conflicts_with_all = ["fields"])]
     frames: bool,
+    /// Export geometry instead of a table, in the patient frame (LPS) and mm, as of the last tick (`--to`).
+    #[arg(long, value_enum, value_name = "WHAT", conflicts_with_all = ["fields", "frames", "topic", "from"])]
+    pub(super) geometry: Option<Geometry>,
+    /// With `--geometry tunnel`: current path of the log's CT file.
+    #[arg(long, value_name = "PATH")]
+    pub(super) volume: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) volume_files: VolumeFiles,
     /// How its figures are printed.
     #[command(flatten)]
-    figures: Figures,
+    pub(super) figures: Figures,
 }
 
 impl ExportArguments {
-    fn ticks(&self) -> TickRange {
+    pub(super) fn ticks(&self) -> TickRange {
         TickRange { first: Tick(self.from), last: self.to.map(Tick) }
     }
 }
@@ -59,6 +69,9 @@ impl ExportArguments {
 /// Not a log, no such topic or field, an unknown file extension, an output that already exists (2); a damaged log,
 /// after writing the rows before the damage, or a full disk (1); a log that has a gap, is cut or was not ended (3).
 pub fn run(arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Failure> {
+    if let Some(what) = arguments.geometry {
+        return geometry::export(what, arguments);
+    }
     let log = log_path(&arguments.log);
     let (what, verdict) = match arguments.frames {
         true => pictures(&log, arguments)?,
@@ -81,7 +94,7 @@ pub fn run(arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Failure
 }
 
 /// A file name's extension, in lower case.
-fn ending_of(path: &Path) -> String {
+pub(super) fn ending_of(path: &Path) -> String {
     path.extension().map(|ending| ending.to_string_lossy().to_lowercase()).unwrap_or_default()
 }
 

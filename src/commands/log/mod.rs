@@ -2,6 +2,7 @@
 
 mod cat;
 mod export;
+mod geometry;
 mod json;
 mod make;
 
@@ -43,7 +44,7 @@ pub enum LogCommand {
     Repair(make::RepairArguments),
     /// Recompress a log, or store it uncompressed; the messages stay the same.
     Compress(make::CompressArguments),
-    /// Export a topic as a table (.csv, .parquet), or the X-ray frames as PNG files.
+    /// Export a topic as a table (.csv, .parquet), the X-ray frames as PNG files, or tunnel, tool and path as geometry (.stl, .obj, .vtp, .mrk.json).
     Export(export::ExportArguments),
     /// Join several complete logs into one file.
     CatFiles(make::CatFilesArguments),

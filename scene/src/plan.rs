@@ -1,0 +1,135 @@
+//! `tool.plan`: a file of 3D Slicer's markups in place of the points of a scene.
+//!
+//! The keys that follow from the plan are put into the scene's table before it is parsed, so a [`Scene`](crate::Scene) holds numbers only,
+//! and so does its copy in the session and in the log.
+
+use std::path::{Path, PathBuf};
+
+use markups::{Plan, read};
+use toml::{Table, Value};
+
+use crate::check::Checker;
+use crate::error::SceneError;
+use crate::tool::STANDARD_RADII;
+
+/// Returns the text of a file that a scene names; this crate opens no files itself.
+pub type ReadText<'a> = dyn Fn(&Path) -> std::io::Result<String> + 'a;
+
+/// How much wider than the burr the pilot hole is, mm: as in the scenes of `configs/`, 7 mm for a burr of 6.5 mm.
+const PILOT_PLAY_MM: f64 = 0.5;
+/// The keys that the plan's points give. Beside a plan they would stand twice.
+const PLACES: [&str; 2] = ["burr_start_mm", "direction"];
+
+/// Puts what follows from `tool.plan` into a scene's table, and takes the key out. `false`: the scene names no plan.
+///
+/// # Errors
+/// The file cannot be read or holds no plan; a point of it also stands in the scene.
+pub(crate) fn put_in(
+    scene: &mut Table,
+    folder: &Path,
+    read: &ReadText,
+    checker: &Checker,
+) -> Result<bool, SceneError> {
+    let Some(Value::Table(tool)) = scene.get_mut("tool") else { return Ok(false) };
+    let named = match tool.get("plan") {
+        None => return Ok(false),
+        Some(Value::String(named)) => PathBuf::from(named),
+        Some(other) => {
+            return Err(checker.invalid("tool.plan", format!("is {other}, expected a path as text")));
+        }
+    };
+    tool.remove("plan");
+    let plan = load(&folder.join(&named), read).map_err(|problem| checker.invalid("tool.plan", problem))?;
+    for key in PLACES.into_iter().chain(plan.is_curved().then_some("bend_toward")) {
+        if tool.contains_key(key) {
+            return Err(stands_twice(checker, &format!("tool.{key}")));
+        }
+    }
+    tool.insert("burr_start_mm".to_owned(), numbers(plan.burr_start_mm()));
+    tool.insert("direction".to_owned(), numbers(plan.direction()));
+    tool.entry("bend_toward").or_insert_with(|| numbers(plan.bend_toward()));
+    if let Some(hole) = plan.pilot_hole_mm().filter(|_| scene.contains_key("volume")) {
+        let diameter_mm = burr_diameter_mm(scene) + PILOT_PLAY_MM;
+        drill(scene, hole, diameter_mm);
+    }
+    if let Some(Value::Table(drr)) = scene.get_mut("drr") {
+        drr.entry("isocentre_mm").or_insert_with(|| numbers(plan.middle_mm()));
+    }
+    for controller in tables(scene, "controller") {
+        steer(controller, &plan, checker)?;
+    }
+    Ok(true)
+}
+
+/// Reads a plan.
+///
+/// # Errors
+/// The file cannot be read or holds no plan: a message that names it.
+pub fn load(file: &Path, read_text: &ReadText) -> Result<Plan, String> {
+    let name = foreign_text::foreign_path(file);
+    let text = read_text(file).map_err(|cause| format!("{name}: cannot be read ({cause})"))?;
+    let markups = read(&text).map_err(|cause| format!("{name}: {cause}"))?;
+    Plan::of(&markups).map_err(|cause| format!("{name}: {cause}"))
+}
+
+fn stands_twice(checker: &Checker, key: &str) -> SceneError {
+    checker.invalid(key, "stands beside `tool.plan`, from which it follows; expected one of the two")
+}
+
+/// The scene's burr; the standard one where the key is absent or is refused later.
+fn burr_diameter_mm(scene: &Table) -> f64 {
+    let given = scene.get("manipulator").and_then(|table| table.get("burr_diameter_mm"));
+    let given = given.and_then(|value| value.as_float().or(value.as_integer().map(|whole| whole as f64)));
+    given.unwrap_or(2e3 * STANDARD_RADII.burr_m)
+}
+
+/// Adds the pilot hole behind the scene's own holes, whose numbers in messages stay.
+fn drill(scene: &mut Table, [from_mm, to_mm]: [[f64; 3]; 2], diameter_mm: f64) {
+    let hole = [
+        ("from_mm", numbers(from_mm)),
+        ("to_mm", numbers(to_mm)),
+        ("diameter_mm", Value::Float(diameter_mm)),
+    ];
+    let hole = hole.into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
+    let holes = scene.entry("predrill").or_insert_with(|| Value::Array(Vec::new()));
+    if let Value::Array(holes) = holes {
+        holes.push(Value::Table(hole));
+    }
+}
+
+/// Gives a built-in controller its target and how far it feeds.
+fn steer(controller: &mut Table, plan: &Plan, checker: &Checker) -> Result<(), SceneError> {
+    if let Some(Value::Table(drilling)) = controller.get_mut("curved_drilling") {
+        if drilling.contains_key("target_mm") {
+            return Err(stands_twice(checker, "controller.curved_drilling.target_mm"));
+        }
+        let ramp_start_mm = drilling.get("ramp_start_mm").and_then(Value::as_float).unwrap_or(0.0);
+        let length_mm = Value::Float(ramp_start_mm + plan.arc(ramp_start_mm).length_mm);
+        drilling.insert("target_mm".to_owned(), numbers(plan.target_mm()));
+        drilling.entry("insertion_mm").or_insert_with(|| length_mm.clone());
+        drilling.entry("ramp_end_mm").or_insert(length_mm);
+        if !plan.is_curved() && !drilling.contains_key("calibration") {
+            drilling.entry("tension_n").or_insert(Value::Float(0.0));
+        }
+    }
+    if let Some(Value::Table(skiving)) = controller.get_mut("skiving") {
+        skiving.entry("depth_mm").or_insert_with(|| Value::Float(plan.arc(0.0).length_mm));
+    }
+    Ok(())
+}
+
+/// The tables of an array of tables.
+fn tables<'t>(scene: &'t mut Table, key: &str) -> impl Iterator<Item = &'t mut Table> {
+    let values = match scene.get_mut(key) {
+        Some(Value::Array(values)) => values.as_mut_slice(),
+        _ => &mut [],
+    };
+    values.iter_mut().filter_map(|value| match value {
+        Value::Table(table) => Some(table),
+        _ => None,
+    })
+}
+
+fn numbers(place: [f64; 3]) -> Value {
+    Value::Array(place.map(Value::Float).to_vec())
+}

@@ -1,0 +1,162 @@
+//! `trabecula scene from-markups`: a scene from a plan made in 3D Slicer.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use foreign_text::foreign_path;
+use ipc_types::scene::{Scene, plan};
+use ipc_types::text_file;
+use markups::Plan;
+use volume_io::{Label, ReadOptions, Volume, read_as};
+
+use crate::failure::Failure;
+use crate::feasibility;
+use crate::launcher::volume_source::{self, VolumeFiles};
+use crate::output::refuse_existing;
+use crate::planned::Planned;
+use crate::say::Figures;
+
+/// Arguments of `scene from-markups`.
+#[derive(Debug, Args)]
+pub struct FromMarkupsArguments {
+    /// Markups of 3D Slicer (`.mrk.json`, `.fcsv`): points named entry, target and, for a curve, bend; or a line.
+    plan: PathBuf,
+    /// The CT in which they were set, or a segmentation (`.seg.nrrd`) with `--segment`.
+    #[arg(long)]
+    ct: PathBuf,
+    /// The segment of a segmentation that is bone, by name or value.
+    #[arg(long, value_name = "NAME")]
+    segment: Option<String>,
+    /// New scene file; default: named after the plan, in the current folder.
+    #[arg(short, long)]
+    output: Option<PathBuf>,
+    /// Which files the volume may name.
+    #[command(flatten)]
+    volume_files: VolumeFiles,
+    /// How its figures are printed.
+    #[command(flatten)]
+    figures: Figures,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// No plan, no volume, points outside of it, a scene that makes no sense, an output that exists (2); a full disk (1).
+pub fn run(arguments: &FromMarkupsArguments) -> Result<(), Failure> {
+    let name = name_of(&arguments.plan);
+    let output = arguments.output.clone().unwrap_or_else(|| Path::new(&name).with_extension("toml"));
+    refuse_existing(&[&output])?;
+    let plan = plan::load(&arguments.plan, &text_file::read).map_err(Failure::bad_input)?;
+    let (volume, _) = read_as(&arguments.ct, &options(arguments))?;
+    refuse_outside(arguments, &plan, &volume)?;
+    let folder = absolute(output.parent().unwrap_or(Path::new("")));
+    let [plan_file, ct] = [&arguments.plan, &arguments.ct].map(|file| from(&folder, file));
+    let planned = Planned {
+        name,
+        plan_file: &plan_file,
+        plan,
+        ct: &ct,
+        segment: arguments.segment.as_deref(),
+        thickest_mm: volume.spacing_m.iter().fold(0.0, |most: f64, spacing_m| most.max(spacing_m * 1e3)),
+    };
+    drop(volume);
+    let text = planned.text();
+    let notes = check(&text, &absolute(&output), arguments.volume_files)?;
+    output_file::write(&output, &text)?;
+    say(arguments, &planned, &output, &notes);
+    Ok(())
+}
+
+fn options(arguments: &FromMarkupsArguments) -> ReadOptions {
+    let label = arguments.segment.as_ref().map(|segment| match segment.parse() {
+        Ok(value) => Label::Value(value),
+        Err(_) => Label::Name(segment.clone()),
+    });
+    ReadOptions { data_files: arguments.volume_files.allowed(), label, ..ReadOptions::default() }
+}
+
+/// As `scene check` does; what it warns of.
+fn check(text: &str, file: &Path, volume_files: VolumeFiles) -> Result<Vec<String>, Failure> {
+    let scene = Scene::parse_with(text, file, &text_file::read).map_err(Failure::bad_input)?;
+    let loaded = volume_source::load_with_notes(&scene, volume_files)?;
+    let mut notes = loaded.iter().flat_map(|loaded| loaded.notes.clone()).collect::<Vec<_>>();
+    let volume = loaded.map(|loaded| (loaded.volume, loaded.sha256));
+    notes.extend(feasibility::check(&scene, &"the scene of this plan", volume.as_ref())?);
+    Ok(notes)
+}
+
+/// Refuses a plan whose points lie beside its volume: it was made in another one, or its file says the wrong frame.
+fn refuse_outside(arguments: &FromMarkupsArguments, plan: &Plan, volume: &Volume) -> Result<(), Failure> {
+    let points =
+        [("entry", Some(plan.entry_mm())), ("bend", plan.bend_mm()), ("target", Some(plan.target_mm()))];
+    for (name, point) in points {
+        let Some(point_mm @ [x, y, z]) = point.filter(|point_mm| !volume.holds(point_mm.map(|x| x * 1e-3)))
+        else {
+            continue;
+        };
+        let mirrored = volume.holds([-point_mm[0], -point_mm[1], point_mm[2]].map(|x| x * 1e-3));
+        let advice = match mirrored {
+            true => {
+                "; with x and y negated it lies inside: does the plan's file say the right coordinate system?"
+            }
+            false => "; is it a plan of another CT?",
+        };
+        return Err(Failure::bad_input(format!(
+            "{}: `{name}` is at [{x:.1}, {y:.1}, {z:.1}] (LPS, mm), expected a point within {}{advice}",
+            foreign_path(&arguments.plan),
+            foreign_path(&arguments.ct),
+        )));
+    }
+    Ok(())
+}
+
+fn say(arguments: &FromMarkupsArguments, planned: &Planned, output: &Path, notes: &[String]) {
+    let (plan, arc) = (&planned.plan, planned.arc());
+    let place = |[x, y, z]: [f64; 3]| format!("{x:.1}, {y:.1}, {z:.1}");
+    let bend = plan.bend_mm().map_or(String::new(), |bend_mm| format!("bend         {}\n", place(bend_mm)));
+    arguments.figures.say(
+        || {
+            format!(
+                "{}entry        {} (LPS, mm)\n{bend}target       {}\npath         {:.1} mm, turns by {:.1} deg\nwritten      {}",
+                notes.iter().map(|note| format!("{note}\n")).collect::<String>(),
+                place(plan.entry_mm()),
+                place(plan.target_mm()),
+                arc.length_mm,
+                arc.turn_deg,
+                output.display()
+            )
+        },
+        || {
+            serde_json::json!({
+                "output": output,
+                "scene": planned.name,
+                "entry_mm": plan.entry_mm(),
+                "bend_mm": plan.bend_mm(),
+                "target_mm": plan.target_mm(),
+                "path_mm": arc.length_mm,
+                "turn_deg": arc.turn_deg,
+                "notes": notes,
+            })
+        },
+    );
+}
+
+/// A scene's name from the plan's file: `hip plan.mrk.json` gives `hip_plan`.
+fn name_of(plan: &Path) -> String {
+    let file = plan.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let stem = file.split('.').find(|part| !part.is_empty()).unwrap_or("plan");
+    let plain = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' };
+    stem.chars().take(64).map(plain).collect()
+}
+
+fn absolute(path: &Path) -> PathBuf {
+    // An empty path is the current folder.
+    let path = if path.as_os_str().is_empty() { Path::new(".") } else { path };
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
+}
+
+/// A file as a scene in this folder names it: a folder that is moved as a whole keeps its scene.
+fn from(folder: &Path, file: &Path) -> PathBuf {
+    let file = absolute(file);
+    file.strip_prefix(folder).map(Path::to_owned).unwrap_or(file)
+}

@@ -1,0 +1,281 @@
+//! `trabecula log export --geometry`: tunnel, tool and path for other programs.
+
+use std::io::BufWriter;
+use std::path::Path;
+
+use clap::ValueEnum;
+use ipc_types::messages::{State, Tick};
+use ipc_types::scene::Scene;
+use markups::{curve_json, points_fcsv};
+use output_file::{OutputError, OutputFile};
+use recorder_proc::log_file::{LogFile, log_path};
+use recorder_proc::parquet_file::Parquet;
+use run_log::columns::{Column, Rows};
+use run_log::csv::Csv;
+use run_log::fields::Scalar;
+use run_log::{LogError, LogReader};
+use serde_json::{Value, json};
+
+use super::export::{ExportArguments, ending_of};
+use crate::failure::Failure;
+use crate::geometry::path::{Deviation, Place, Travelled, deviations, planned_mm};
+use crate::geometry::{Mesh, mesh_files, tool, tunnel};
+use crate::output::refuse_existing;
+use crate::replay::{Gone, OpenedLog, Overrides};
+
+/// Distance of two points of a curve, mm: a twentieth of the burr, and few enough for 3D Slicer.
+const CURVE_STEP_MM: f64 = 0.25;
+/// Distance of two rows of the table of deviations, mm.
+const TABLE_STEP_MM: f64 = 0.1;
+
+/// Geometry of a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Geometry {
+    /// The closed surface around all voxels that are gone, pilot holes too (.stl, .obj, .vtp).
+    Tunnel,
+    /// The tool's surface (.stl, .obj, .vtp).
+    Tool,
+    /// The path of the burr's centre (.mrk.json, .fcsv, .vtp).
+    BurrPath,
+    /// The path that the scene plans for it (.mrk.json, .fcsv, .vtp).
+    PlannedPath,
+    /// How far the burr's centre was from the planned path on its way in (.csv, .parquet, .vtp).
+    Deviation,
+}
+
+impl Geometry {
+    fn endings(self) -> &'static [&'static str] {
+        match self {
+            Geometry::Tunnel | Geometry::Tool => &["stl", "obj", "vtp"],
+            Geometry::BurrPath | Geometry::PlannedPath => &["mrk.json", "fcsv", "vtp"],
+            Geometry::Deviation => &["csv", "parquet", "vtp"],
+        }
+    }
+
+    /// The ending of the output's name that chooses the format.
+    fn format(self, output: &Path) -> Result<&'static str, Failure> {
+        let name = output.file_name().map(|name| name.to_string_lossy().to_lowercase()).unwrap_or_default();
+        let endings = self.endings();
+        let found = endings.iter().find(|ending| name.ends_with(&format!(".{ending}")));
+        found.copied().ok_or_else(|| {
+            let expected: Vec<String> = endings.iter().map(|ending| format!(".{ending}")).collect();
+            Failure::bad_input(format!(
+                "--output is {}, expected a file that ends in {}",
+                output.display(),
+                expected.join(" or ")
+            ))
+        })
+    }
+}
+
+/// Exports it.
+///
+/// # Errors
+/// Not a log, an ending that says no format, an output that exists, nothing to export (2); a log that cannot be read to its end, a full
+/// disk (1).
+pub fn export(what: Geometry, arguments: &ExportArguments) -> Result<(), Failure> {
+    let format = what.format(&arguments.output)?;
+    refuse_existing(&[&arguments.output])?;
+    let (said, figures) = match what {
+        Geometry::Tunnel => of_tunnel(format, arguments)?,
+        Geometry::Tool => of_tool(format, arguments)?,
+        Geometry::BurrPath => {
+            let places = Seen::of(arguments, CURVE_STEP_MM)?.places;
+            curve("burr", format, arguments, &places.iter().map(|place| place.burr_mm).collect::<Vec<_>>())?
+        }
+        Geometry::PlannedPath => {
+            let log = log_path(&arguments.log);
+            let reader = LogReader::open(&LogFile::at(&log))?;
+            curve("plan", format, arguments, &planned(&log, &scene_of(&reader, &log)?)?)?
+        }
+        Geometry::Deviation => of_deviation(format, arguments)?,
+    };
+    let output = arguments.output.display();
+    arguments.figures.say(
+        || format!("{output}: {said}"),
+        || {
+            let mut all = json!({"output": arguments.output, "exported": said});
+            if let (Value::Object(all), Value::Object(figures)) = (&mut all, figures) {
+                all.extend(figures);
+            }
+            all
+        },
+    );
+    Ok(())
+}
+
+fn of_tunnel(format: &str, arguments: &ExportArguments) -> Result<(String, Value), Failure> {
+    let overrides = Overrides {
+        volume: arguments.volume.clone(),
+        volume_files: arguments.volume_files,
+        ..Overrides::default()
+    };
+    let log = OpenedLog::open(&arguments.log, &overrides)?;
+    let gone = Gone::of(&log, arguments.ticks().last.map(|tick| tick.0))?;
+    let Some((volume, _)) = &log.volume else {
+        return Err(Failure::bad_input(format!("{}: this run has no volume", log.path.display())));
+    };
+    let grid = volume.grid(&log.path)?;
+    let mesh = tunnel::surface(&grid, &gone.voxels);
+    if mesh.triangles.is_empty() {
+        return Err(Failure::bad_input(format!(
+            "{}: no voxel is gone after tick {}, so there is no tunnel",
+            log.path.display(),
+            gone.tick
+        )));
+    }
+    write_mesh(format, &arguments.output, &mesh)?;
+    let voxel_mm3: f64 = volume.spacing_m.iter().map(|spacing_m| 1e3 * spacing_m).product();
+    let (count, voxels_mm3, surface_mm3) =
+        (gone.voxels.len(), gone.voxels.len() as f64 * voxel_mm3, mesh.volume_mm3());
+    let said = format!(
+        "the tunnel after tick {}: {} triangles around {surface_mm3:.1} mm3; {count} voxels of {voxels_mm3:.1} mm3 are gone",
+        gone.tick,
+        mesh.triangles.len()
+    );
+    let figures = json!({"tick": gone.tick, "triangles": mesh.triangles.len(), "surface_volume_mm3": surface_mm3,
+        "removed_voxels": count, "removed_volume_mm3": voxels_mm3});
+    Ok((said, figures))
+}
+
+fn of_tool(format: &str, arguments: &ExportArguments) -> Result<(String, Value), Failure> {
+    let seen = Seen::of(arguments, f64::INFINITY)?;
+    let mesh = tool::surface(&seen.last, &seen.scene.manipulator.radii());
+    write_mesh(format, &arguments.output, &mesh)?;
+    let (tick, count) = (seen.last.tick, mesh.triangles.len());
+    Ok((format!("the tool after tick {tick}: {count} triangles"), json!({"tick": tick, "triangles": count})))
+}
+
+fn of_deviation(format: &str, arguments: &ExportArguments) -> Result<(String, Value), Failure> {
+    let log = log_path(&arguments.log);
+    let seen = Seen::of(arguments, TABLE_STEP_MM)?;
+    let found = deviations(&planned(&log, &seen.scene)?, &seen.places);
+    let at = |of: fn(&Deviation) -> f64| found.iter().map(of).collect::<Vec<f64>>();
+    let deviation_mm = at(|one| one.deviation_mm);
+    match format {
+        "vtp" => {
+            let points: Vec<[f64; 3]> = found.iter().map(|one| one.place.burr_mm).collect();
+            let values = [
+                ("deviation_mm", deviation_mm.clone()),
+                ("along_mm", at(|one| one.along_mm)),
+                ("sim_time_s", at(|one| one.place.time_s)),
+            ];
+            output_file::write(&arguments.output, mesh_files::curve_vtp(&points, &values))?;
+        }
+        _ => write_table(&arguments.output, &found)?,
+    }
+    let most_mm = deviation_mm.iter().fold(0.0, |most: f64, one| most.max(*one));
+    let mean = deviation_mm.iter().map(|one| one * one).sum::<f64>() / deviation_mm.len().max(1) as f64;
+    let (rms_mm, last_mm) = (mean.sqrt(), deviation_mm.last().copied().unwrap_or(0.0));
+    let said = format!(
+        "{} places of the burr, {most_mm:.2} mm off the planned path at most, {rms_mm:.2} r.m.s., {last_mm:.2} at the end",
+        found.len()
+    );
+    let figures =
+        json!({"rows": found.len(), "most_mm": most_mm, "rms_mm": rms_mm, "at_the_end_mm": last_mm});
+    Ok((said, figures))
+}
+
+/// The states of a log up to the tick asked for: its scene, the burr's path and the last state.
+struct Seen {
+    scene: Scene,
+    places: Vec<Place>,
+    last: State,
+}
+
+impl Seen {
+    fn of(arguments: &ExportArguments, step_mm: f64) -> Result<Seen, Failure> {
+        let log = log_path(&arguments.log);
+        let reader = LogReader::open(&LogFile::at(&log))?;
+        let scene = scene_of(&reader, &log)?;
+        let range = arguments.ticks();
+        let (mut path, mut last) = (Travelled::new(step_mm), *reader.initial());
+        path.see(&last);
+        for record in reader {
+            let record = record.map_err(|cause| Failure::failed(cause.to_string()))?;
+            if !range.contains(Tick(record.state.tick)) {
+                break;
+            }
+            path.see(&record.state);
+            last = record.state;
+        }
+        if let Some(wanted) = range.last.filter(|wanted| wanted.0 > last.tick) {
+            return Err(Failure::bad_input(format!(
+                "--to is {wanted}, but the log ends at tick {}",
+                last.tick
+            )));
+        }
+        Ok(Seen { scene, places: path.places(), last })
+    }
+}
+
+fn scene_of(reader: &LogReader, log: &Path) -> Result<Scene, Failure> {
+    Scene::parse(&reader.header().scene_toml, log).map_err(Failure::bad_input)
+}
+
+fn planned(log: &Path, scene: &Scene) -> Result<Vec<[f64; 3]>, Failure> {
+    planned_mm(scene).ok_or_else(|| {
+        Failure::bad_input(format!(
+            "{}: the scene of this run plans no path: expected a controller `curved_drilling` or `skiving`",
+            log.display()
+        ))
+    })
+}
+
+fn write_mesh(format: &str, output: &Path, mesh: &Mesh) -> Result<(), Failure> {
+    match format {
+        "stl" => output_file::write(output, mesh_files::stl(mesh))?,
+        "obj" => output_file::write(output, mesh_files::obj(mesh))?,
+        _ => output_file::write(output, mesh_files::vtp(mesh))?,
+    }
+    Ok(())
+}
+
+fn curve(
+    name: &str,
+    format: &str,
+    arguments: &ExportArguments,
+    points_mm: &[[f64; 3]],
+) -> Result<(String, Value), Failure> {
+    let text = match format {
+        "mrk.json" => curve_json(name, points_mm),
+        "fcsv" => points_fcsv(name, points_mm),
+        _ => mesh_files::curve_vtp(points_mm, &[]),
+    };
+    output_file::write(&arguments.output, text)?;
+    Ok((format!("a curve of {} points", points_mm.len()), json!({"points": points_mm.len()})))
+}
+
+fn write_table(output: &Path, found: &[Deviation]) -> Result<(), Failure> {
+    let names = ["sim_time_s", "burr_x_mm", "burr_y_mm", "burr_z_mm", "along_mm", "deviation_mm"];
+    let columns = names.map(Column::computed);
+    let failure = |error| match error {
+        LogError::Output { source } => OutputError::write(output)(source).into(),
+        other => Failure::from(other),
+    };
+    let file = OutputFile::create(output)?;
+    let out = BufWriter::new(file.handle()?);
+    let written = if ending_of(output) == "csv" {
+        Csv::new(out, &columns).and_then(|mut table| {
+            fill(&mut table, found)?;
+            table.finish()
+        })
+    } else {
+        Parquet::new(out, &columns).and_then(|mut table| {
+            fill(&mut table, found)?;
+            table.finish()
+        })
+    };
+    written.map_err(failure)?;
+    Ok(file.keep()?)
+}
+
+fn fill(table: &mut dyn Rows, found: &[Deviation]) -> Result<(), LogError> {
+    for Deviation { place, along_mm, deviation_mm } in found {
+        let [x, y, z] = place.burr_mm;
+        let values = [place.time_s, x, y, z, *along_mm, *deviation_mm].map(Scalar::Float64);
+        let time_ns = (place.time_s * 1e9 + 0.5) as u64;
+        table.row(Tick(place.tick), time_ns, &values)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,71 @@
+//! A surface of triangles.
+
+/// Triangles that share their corners; LPS, mm.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Mesh {
+    /// Corners.
+    pub points_mm: Vec<[f64; 3]>,
+    /// Three corners each, counterclockwise seen from outside.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+impl Mesh {
+    /// The corners of a triangle.
+    pub fn corners_mm(&self, triangle: [u32; 3]) -> [[f64; 3]; 3] {
+        triangle.map(|corner| self.points_mm[corner as usize])
+    }
+
+    /// Volume within a closed surface: the sum of the tetrahedra between its triangles and its first point (the divergence theorem for the
+    /// field x/3). The first point and not the origin, because a patient's tunnel lies far from the origin and the parts would cancel.
+    pub fn volume_mm3(&self) -> f64 {
+        let Some(origin) = self.points_mm.first() else { return 0.0 };
+        let from_origin = |point: [f64; 3]| [0, 1, 2].map(|axis| point[axis] - origin[axis]);
+        let six_times = |triangle: &[u32; 3]| {
+            let [a, b, c] = self.corners_mm(*triangle).map(from_origin);
+            let cross = cross(b, c);
+            a[0] * cross[0] + a[1] * cross[1] + a[2] * cross[2]
+        };
+        self.triangles.iter().map(six_times).sum::<f64>() / 6.0
+    }
+
+    /// Adds another surface.
+    pub fn add(&mut self, other: &Mesh) {
+        let first = self.points_mm.len() as u32;
+        self.points_mm.extend(&other.points_mm);
+        self.triangles.extend(other.triangles.iter().map(|triangle| triangle.map(|corner| corner + first)));
+    }
+}
+
+/// Product of two vectors, across both.
+pub fn cross([ax, ay, az]: [f64; 3], [bx, by, bz]: [f64; 3]) -> [f64; 3] {
+    [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use std::collections::HashMap;
+
+    use super::*;
+
+    /// Every edge is passed as often in one direction as in the other.
+    pub(crate) fn assert_closed(mesh: &Mesh) {
+        let mut passed: HashMap<[u32; 2], i64> = HashMap::new();
+        for [a, b, c] in &mesh.triangles {
+            for [from, to] in [[a, b], [b, c], [c, a]] {
+                *passed.entry([*from.min(to), *from.max(to)]).or_default() += if from < to { 1 } else { -1 };
+            }
+        }
+        assert!(!passed.is_empty() && passed.values().all(|balance| *balance == 0));
+    }
+
+    /// A tetrahedron far from the origin: a sixth of the product of its legs.
+    #[test]
+    fn the_volume_of_a_tetrahedron_is_a_sixth_of_its_legs_wherever_it_lies() {
+        let at = |x: f64, y: f64, z: f64| [1e4 + x, -2e4 + y, 3e4 + z];
+        let points_mm = vec![at(0.0, 0.0, 0.0), at(2.0, 0.0, 0.0), at(0.0, 3.0, 0.0), at(0.0, 0.0, 4.0)];
+        let triangles = vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
+        let mesh = Mesh { points_mm, triangles };
+        assert_closed(&mesh);
+        assert!((mesh.volume_mm3() - 4.0).abs() < 1e-9, "{}", mesh.volume_mm3());
+    }
+}

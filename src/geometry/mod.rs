@@ -1,0 +1,12 @@
+//! What a run made, as geometry for other programs: the tunnel, the tool, the burr's path and how far it left the plan. Patient frame (LPS),
+//! mm.
+//!
+//! **Boundary:** numbers in, numbers and bytes out; commands open and write the files.
+
+pub mod mesh;
+pub mod mesh_files;
+pub mod path;
+pub mod tool;
+pub mod tunnel;
+
+pub use mesh::Mesh;

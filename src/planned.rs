@@ -1,0 +1,233 @@
+//! The scene of a plan, as text that its user goes on with.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use markups::{Arc, Plan};
+
+/// Bend of the standard tool in air per newton on its tendon, deg: `configs/calibration/tension_sweep.csv`. Feedback corrects what bone adds.
+const BEND_DEG_PER_N: f64 = 8.65;
+/// Feed, mm/s: that of the default scene.
+const FEED_MM_PER_S: f64 = 1.5;
+/// Simulated time after the feed, s: the tool comes to rest.
+const REST_S: f64 = 2.0;
+/// Slices thicker than this, mm, are resampled: they would make a rough wall that jams the tool.
+const THICK_MM: f64 = 1.0;
+/// The voxels that they are resampled to, mm: as `configs/pelvis_ct.toml`.
+const RESAMPLED_MM: f64 = 0.75;
+
+/// What a scene is made of.
+#[derive(Debug)]
+pub struct Planned<'a> {
+    /// Name of the scene.
+    pub name: String,
+    /// The plan's file, as the scene names it.
+    pub plan_file: &'a Path,
+    /// The plan.
+    pub plan: Plan,
+    /// The volume, as the scene names it.
+    pub ct: &'a Path,
+    /// The segment that is bone, if the volume is a segmentation.
+    pub segment: Option<&'a str>,
+    /// Distance of voxels along the axis where it is largest, mm.
+    pub thickest_mm: f64,
+}
+
+impl Planned<'_> {
+    /// The path from the burr's start to the target.
+    pub fn arc(&self) -> Arc {
+        self.plan.arc(0.0)
+    }
+
+    /// The scene's text.
+    pub fn text(&self) -> String {
+        [self.head(), self.volume(), self.tool(), self.x_ray(), self.controller()].join("\n")
+    }
+
+    fn head(&self) -> String {
+        let duration_s = (self.arc().length_mm / FEED_MM_PER_S + REST_S).ceil();
+        let drilled = match self.plan.is_curved() {
+            true => "A pilot hole from the entry to the bend, and a curve from there to the target.",
+            false => "Straight from the entry to the target.",
+        };
+        format!(
+            "# Made by `trabecula scene from-markups`; yours to change. All places are in the patient frame (LPS: +x left, +y posterior, +z head).\n\
+             # Every key: docs/scene.md, or `trabecula docs scene`. Check it: `trabecula scene check`.\n\n\
+             name = {}\n\
+             description = {}\n\n\
+             [run]\n\
+             mode = \"lockstep\"        # as fast as it goes; \"realtime\" follows the wall clock\n\
+             duration_s = {duration_s:?}        # the feed, and {REST_S} s of rest\n",
+            quoted(&self.name),
+            quoted(drilled)
+        )
+    }
+
+    fn volume(&self) -> String {
+        let mut text = format!("[volume]\npath = {}\n", quoted(&self.ct.display().to_string()));
+        if let Some(segment) = self.segment {
+            let label = segment.parse::<i32>().map_or_else(|_| quoted(segment), |value| value.to_string());
+            let _ = write!(
+                text,
+                "mask = true              # a segmentation: filled with synthetic Hounsfield units\n\
+                 label = {label}          # the segment that is bone\n"
+            );
+        }
+        if self.thickest_mm > THICK_MM {
+            let _ = writeln!(
+                text,
+                "resample_mm = {RESAMPLED_MM:?}       # its slices are {:.2} mm apart; thick voxels make a rough wall that jams the tool",
+                self.thickest_mm
+            );
+        }
+        text.push_str("bone_threshold_hu = 150  # voxels at or above it are bone\n");
+        text
+    }
+
+    fn tool(&self) -> String {
+        let plan = &self.plan;
+        let mut text = format!(
+            "[tool]\n\
+             # The points of the plan stand there and nowhere else. Move them in 3D Slicer, save, and run again.\n\
+             plan = {}\n\
+             # What follows from it, when this was written. To go on by hand, delete `plan` and take the # off the lines that begin with #>.\n\
+             #> burr_start_mm = {}\n\
+             #> direction = {}\n\
+             #> bend_toward = {}\n",
+            quoted(&self.plan_file.display().to_string()),
+            place(plan.burr_start_mm()),
+            direction(plan.direction()),
+            direction(plan.bend_toward()),
+        );
+        if let Some([from_mm, to_mm]) = plan.pilot_hole_mm() {
+            let _ = write!(
+                text,
+                "\n# The pilot hole, from 10 mm outside of the entry to the bend; 0.5 mm wider than the burr.\n\
+                 #> [[predrill]]\n\
+                 #> from_mm = {}\n\
+                 #> to_mm = {}\n\
+                 #> diameter_mm = 7.0\n",
+                place(from_mm),
+                place(to_mm),
+            );
+        }
+        text
+    }
+
+    fn x_ray(&self) -> String {
+        format!(
+            "[drr]\n\
+             rate_hz = 2.0\n\
+             #> isocentre_mm = {}\n\
+             primary_angle_deg = 0.0  # anterior-posterior; 90: from the patient's left\n\
+             columns = 384\n\
+             rows = 384\n\
+             pixel_pitch_mm = 0.5\n\
+             photons_per_pixel = 20000.0\n\
+             blur_pixels = 0.6\n",
+            place(self.plan.middle_mm())
+        )
+    }
+
+    fn controller(&self) -> String {
+        let arc = self.arc();
+        let guidance = match self.plan.is_curved() {
+            true => format!(
+                "tension_n = {:.2}         # at the end of the ramp; the arc turns by {:.1} deg\n\
+                 feedback = \"shape\"       # corrects the tension by the measured shape; \"image\": by the burr in X-ray frames\n\
+                 guidance_gain_n_per_mm = 0.2\n",
+                arc.turn_deg / BEND_DEG_PER_N,
+                arc.turn_deg,
+            ),
+            false => "feedback = \"none\"\n#> tension_n = 0.0\n".to_owned(),
+        };
+        format!(
+            "[[controller]]\n\
+             name = \"reference\"\n\
+             drives = [\"tendon\", \"arm\", \"burr\"]\n\n\
+             [controller.curved_drilling]\n\
+             feed_mm_per_s = {FEED_MM_PER_S:?}\n\
+             #> target_mm = {}\n\
+             #> insertion_mm = {:.3}\n\
+             #> ramp_end_mm = {:.3}\n\
+             {guidance}\
+             burr_speed_rpm = 8000.0\n",
+            place(self.plan.target_mm()),
+            arc.length_mm,
+            arc.length_mm,
+        )
+    }
+}
+
+/// A text as TOML writes it.
+fn quoted(text: &str) -> String {
+    toml::Value::String(text.to_owned()).to_string()
+}
+
+fn place([x, y, z]: [f64; 3]) -> String {
+    format!("[{x:.3}, {y:.3}, {z:.3}]")
+}
+
+fn direction([x, y, z]: [f64; 3]) -> String {
+    format!("[{x:.6}, {y:.6}, {z:.6}]")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ipc_types::scene::Scene;
+
+    const CURVE: &str = r#"{"markups": [{"type": "Curve", "coordinateSystem": "LPS", "controlPoints": [
+        {"position": [0, 0, 0]}, {"position": [0, 0, 45.5]}, {"position": [5, 0, 65.25]}]}]}"#;
+    const LINE: &str = r#"{"markups": [{"type": "Line", "coordinateSystem": "LPS", "controlPoints": [
+        {"position": [0, 0, 0]}, {"position": [0, 0, 30]}]}]}"#;
+
+    fn text_of(file: &str) -> String {
+        let plan = Plan::of(&markups::read(file).unwrap()).unwrap();
+        let planned = Planned {
+            name: "hip".to_owned(),
+            plan_file: Path::new("plan.mrk.json"),
+            plan,
+            ct: Path::new("a \"b\".nrrd"),
+            segment: Some("left hip"),
+            thickest_mm: 3.0,
+        };
+        planned.text()
+    }
+
+    /// Every number of a scene, by its key.
+    fn numbers(value: &toml::Value, path: &str, out: &mut Vec<(String, f64)>) {
+        match value {
+            toml::Value::Table(table) => {
+                table.iter().for_each(|(key, value)| numbers(value, &format!("{path}.{key}"), out));
+            }
+            toml::Value::Array(values) => values.iter().for_each(|value| numbers(value, path, out)),
+            toml::Value::Float(number) => out.push((path.to_owned(), *number)),
+            toml::Value::Integer(number) => out.push((path.to_owned(), *number as f64)),
+            _ => {}
+        }
+    }
+
+    /// "To go on by hand" is no use if the lines that it offers are another scene.
+    #[test]
+    fn the_lines_for_going_on_by_hand_are_the_same_scene_to_their_decimals() {
+        for file in [CURVE, LINE] {
+            let text = text_of(file);
+            let read = |_: &Path| Ok(file.to_owned());
+            let planned = Scene::parse_with(&text, Path::new("/s.toml"), &read).unwrap();
+            let lines = text.lines().filter(|line| !line.starts_with("plan = "));
+            let by_hand: Vec<&str> = lines.map(|line| line.strip_prefix("#> ").unwrap_or(line)).collect();
+            let by_hand = Scene::parse(&by_hand.join("\n"), Path::new("/s.toml")).unwrap();
+            let [planned, by_hand] = [planned, by_hand].map(|scene| {
+                let mut all = Vec::new();
+                numbers(&toml::Value::try_from(&scene).unwrap(), "", &mut all);
+                all
+            });
+            assert_eq!(planned.len(), by_hand.len(), "{planned:?}\n{by_hand:?}");
+            for ((key, planned), (_, by_hand)) in planned.iter().zip(&by_hand) {
+                // Three decimals of mm.
+                assert!((planned - by_hand).abs() <= 0.5e-3, "{key}: {planned} {by_hand}");
+            }
+        }
+    }
+}

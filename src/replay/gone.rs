@@ -1,0 +1,43 @@
+//! The voxels that are gone.
+
+use super::log::OpenedLog;
+use crate::failure::Failure;
+
+/// What of the bone is gone after a tick: pilot holes and what was drilled.
+#[derive(Debug)]
+pub struct Gone {
+    /// The tick: the one asked for, or the log's last.
+    pub tick: u64,
+    /// The voxels.
+    pub voxels: Vec<u32>,
+}
+
+impl Gone {
+    /// Reads it from a log, up to a tick.
+    ///
+    /// # Errors
+    /// The log ends before the tick (2), or cannot be read that far.
+    pub fn of(log: &OpenedLog, tick: Option<u64>) -> Result<Gone, Failure> {
+        let reader = log.reader()?;
+        let wanted = tick.unwrap_or(u64::MAX);
+        let mut gone = Gone { tick: reader.initial().tick, voxels: reader.predrilled().to_vec() };
+        for record in reader {
+            let record = record.map_err(|cause| Failure::failed(cause.to_string()))?;
+            if record.state.tick > wanted {
+                break;
+            }
+            if let Some(restored) = record.restored {
+                gone.voxels = restored;
+            }
+            gone.voxels.extend(record.removed);
+            gone.tick = record.state.tick;
+        }
+        let last = gone.tick;
+        if tick.is_some_and(|tick| tick > last) {
+            return Err(Failure::bad_input(format!(
+                "tick {wanted} is asked for, but the log ends at tick {last}"
+            )));
+        }
+        Ok(gone)
+    }
+}

@@ -1,0 +1,254 @@
+//! Plans of 3D Slicer in, results out, with peers that are not ours: `slicerio`, `trimesh`, `vtk`, `nibabel`.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use parquet::file::reader::{FileReader, SerializedFileReader};
+use serde_json::Value;
+use test_support::python::or_skip;
+
+use crate::common::logs::{assert_replays, read};
+use crate::common::program::{Ended, Place, Run, trabecula};
+use crate::common::scenes::PLAN_OF_THE_BALL as PLAN;
+use crate::languages::output_within_limit;
+
+/// How far from its target a planned drilling may end, mm: what the issue asks for.
+const WITHIN_MM: f64 = 1.0;
+
+fn slicer() -> Option<PathBuf> {
+    let packages = ["slicerio==1.4.0", "trimesh==5.2.0", "vtk==9.5.2", "nibabel==5.4.2", "numpy==2.3.5"];
+    or_skip("slicerio-1.4.0", &packages, "slicerio, trimesh, vtkmodules.vtkIOXML, nibabel")
+}
+
+fn peer(python: &Path, words: &[&dyn AsRef<std::ffi::OsStr>]) -> Value {
+    let mut command = Command::new(python);
+    command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/processes/plans.py"));
+    words.iter().for_each(|word| _ = command.arg(word));
+    serde_json::from_str(&output_within_limit(&mut command)).unwrap()
+}
+
+fn pelvis(place: &Place) -> PathBuf {
+    let ct = place.path("pelvis.nrrd");
+    let done = trabecula(&[&"phantom", &"pelvis", &"-o", &ct]);
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    ct
+}
+
+fn three(value: &Value) -> [f64; 3] {
+    serde_json::from_value(value.clone()).unwrap()
+}
+
+fn apart(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
+}
+
+/// Makes a scene of a plan, runs it, and returns how far from the target the burr ended, mm.
+fn drilled(place: &Place, plan: &str, ct: &Path, target_mm: [f64; 3]) -> (Ended, f64) {
+    let scene = place.path("scene.toml");
+    let done =
+        trabecula(&[&"scene", &"from-markups", &place.path(plan), &"--ct", &ct, &"-o", &scene, &"--json"]);
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    let said: Value = serde_json::from_str(&done.out).unwrap();
+    // Sums of a few numbers of three digits round by less than a nanometre.
+    assert!(apart(three(&said["target_mm"]), target_mm) < 1e-9, "{said}");
+    let checked = trabecula(&[&"scene", &"check", &scene]);
+    assert_eq!(checked.code, Some(0), "{}", checked.err);
+    let ended = Run::start(&scene, place.path("out"), &[]).end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let last = read(&ended.folder).ticks.last().unwrap().state;
+    assert!(last.removed_total > 100, "{} voxels drilled", last.removed_total);
+    let burr_mm = last.t_world_burr.position_m.map(|x| 1e3 * x);
+    std::fs::remove_file(&scene).unwrap();
+    (ended, apart(burr_mm, target_mm))
+}
+
+#[test]
+fn a_plan_of_slicer_is_drilled_to_its_target_and_what_was_made_opens_there() {
+    let Some(python) = slicer() else { return };
+    let place = Place::new();
+    let ct = pelvis(&place);
+    let targets = peer(&python, &[&"plan", &place.path(""), &"RAS"]);
+    let (ended, off_mm) = drilled(&place, "curve.mrk.json", &ct, three(&targets["curve"]));
+    println!("curve on the phantom: {off_mm:.3} mm off");
+    assert!(off_mm < WITHIN_MM, "{off_mm} mm off the target");
+    assert_replays(&ended.folder);
+    assert_exports(&python, &place, &ended.folder, three(&targets["curve"]), off_mm);
+
+    peer(&python, &[&"plan", &place.path(""), &"LPS"]);
+    std::fs::remove_dir_all(place.path("out")).unwrap();
+    let (_, off_mm) = drilled(&place, "line.fcsv", &ct, three(&targets["line"]));
+    println!("line on the phantom: {off_mm:.3} mm off");
+    assert!(off_mm < WITHIN_MM, "{off_mm} mm off the target");
+}
+
+/// Where the CT of `configs/pelvis_ct.toml` lies.
+#[test]
+fn a_plan_of_slicer_on_a_real_ct_is_drilled_to_its_target() {
+    let data = std::env::var_os("TRABECULA_SHARED_DATA")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"), PathBuf::from);
+    let ct = data.join("totalsegmentator_example/example_ct.nii.gz");
+    if !ct.exists() {
+        println!("\n*** SKIPPED: {} is absent; set TRABECULA_SHARED_DATA ***\n", ct.display());
+        return;
+    }
+    let Some(python) = slicer() else { return };
+    let place = Place::new();
+    let targets = peer(&python, &[&"plan", &place.path(""), &"RAS"]);
+    let (_, off_mm) = drilled(&place, "curve.mrk.json", &ct, three(&targets["curve"]));
+    println!("curve on the real CT: {off_mm:.3} mm off");
+    assert!(off_mm < WITHIN_MM, "{off_mm} mm off the target");
+}
+
+/// Exports everything that a log has, and compares what the peers read.
+fn assert_exports(python: &Path, place: &Place, log: &Path, target_mm: [f64; 3], off_mm: f64) {
+    let folder = place.path("results");
+    std::fs::create_dir(&folder).unwrap();
+    let export = |what: &str, name: &str| {
+        let done =
+            trabecula(&[&"log", &"export", &log, &"-o", &folder.join(name), &"--geometry", &what, &"--json"]);
+        assert_eq!(done.code, Some(0), "{name}: {}", done.err);
+        serde_json::from_str::<Value>(&done.out).unwrap()
+    };
+    for ending in ["stl", "obj", "vtp"] {
+        export("tool", &format!("tool.{ending}"));
+        export("tunnel", &format!("tunnel.{ending}"));
+    }
+    let tunnel = export("tunnel", "again.stl");
+    for (what, name) in [
+        ("burr-path", "burr.mrk.json"),
+        ("planned-path", "plan.fcsv"),
+        ("deviation", "deviation.vtp"),
+        ("deviation", "deviation.csv"),
+    ] {
+        export(what, name);
+    }
+    let deviation = export("deviation", "deviation.parquet");
+    for name in ["drilled.nrrd", "drilled.nii.gz"] {
+        let done = trabecula(&[&"volume", &"drilled", &log, &"-o", &folder.join(name)]);
+        assert_eq!(done.code, Some(0), "{}", done.err);
+    }
+    let seen = peer(python, &[&"read", &folder]);
+    println!("{tunnel}\n{deviation}\n{seen}");
+
+    // The surface rounds off the edges of voxels: in voxels of 1 mm, of a tunnel of 7 mm, by less than 8 %.
+    let (removed_mm3, surface_mm3) =
+        (tunnel["removed_volume_mm3"].as_f64().unwrap(), tunnel["surface_volume_mm3"].as_f64().unwrap());
+    assert!((0.92..=1.0).contains(&(surface_mm3 / removed_mm3)), "{surface_mm3} of {removed_mm3} mm³");
+    for ending in ["stl", "obj", "vtp"] {
+        let theirs = seen[format!("tunnel.{ending}")]["volume_mm3"].as_f64().unwrap();
+        // STL and trimesh hold single precision; vtkMassProperties averages three projections.
+        assert!((theirs / surface_mm3 - 1.0).abs() < 1e-3, "{ending}: {theirs} {surface_mm3}");
+    }
+    let volumes =
+        ["stl", "obj", "vtp"].map(|ending| seen[format!("tool.{ending}")]["volume_mm3"].as_f64().unwrap());
+    assert!(volumes.iter().all(|volume| (volume / volumes[0] - 1.0).abs() < 0.02), "{volumes:?}");
+    assert_eq!(
+        (&seen["burr.mrk.json"]["frame"], &seen["burr.mrk.json"]["type"]),
+        (&"LPS".into(), &"Curve".into())
+    );
+    let burr_mm = three(&seen["burr.mrk.json"]["last_mm"]);
+    assert!((apart(burr_mm, target_mm) - off_mm).abs() < 1e-9, "{burr_mm:?}");
+    assert_eq!(seen["plan.fcsv"]["frame"], "LPS");
+    assert!(apart(three(&seen["plan.fcsv"]["last_mm"]), target_mm) < 1e-9);
+    assert_eq!((&seen["deviation"]["lines"], &seen["deviation"]["same"]), (&1.into(), &true.into()));
+    assert!(
+        seen["deviation"]["last_mm"].as_f64().unwrap() <= off_mm + 1e-9,
+        "the way in ends nearest to the target"
+    );
+    let table = std::fs::File::open(folder.join("deviation.parquet")).unwrap();
+    let rows = SerializedFileReader::new(table).unwrap().metadata().file_metadata().num_rows();
+    assert_eq!((seen["deviation"]["rows"].as_i64(), deviation["rows"].as_i64()), (Some(rows), Some(rows)));
+    assert_eq!(seen["drilled"]["same_voxels"], true);
+    // Single precision of NIfTI at 0.3 m.
+    assert!(seen["drilled"]["apart_mm"].as_f64().unwrap() < 1e-4, "{}", seen["drilled"]);
+}
+
+#[test]
+fn a_segment_of_slicer_is_bone_by_its_name() {
+    let Some(python) = slicer() else { return };
+    let place = Place::new();
+    let (ct, bones) = (place.path("ct.nrrd"), place.path("bones.seg.nrrd"));
+    assert_eq!(trabecula(&[&"phantom", &"pelvis", &"-o", &ct, &"--spacing-mm", &"2"]).code, Some(0));
+    assert_eq!(peer(&python, &[&"segment", &ct, &bones])["segments"], serde_json::json!(["hip bone"]));
+    peer(&python, &[&"plan", &place.path(""), &"LPS"]);
+    let (plan, scene) = (place.path("curve.mrk.json"), place.path("seg.toml"));
+    let from = |segment: &str| {
+        trabecula(&[&"scene", &"from-markups", &plan, &"--ct", &bones, &"--segment", &segment, &"-o", &scene])
+    };
+    let done = from("femur");
+    assert!(done.code == Some(2) && done.err.contains("hip bone") && !scene.exists(), "{}", done.err);
+    let done = from("hip bone");
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    let text = std::fs::read_to_string(&scene).unwrap();
+    assert!(text.contains("mask = true") && text.contains("label = \"hip bone\""), "{text}");
+    assert!(
+        text.contains("path = \"bones.seg.nrrd\"") && text.contains("plan = \"curve.mrk.json\""),
+        "{text}"
+    );
+    let checked = trabecula(&[&"scene", &"check", &scene]);
+    assert_eq!(checked.code, Some(0), "{}", checked.err);
+}
+
+#[test]
+fn what_is_no_plan_or_lies_beside_its_volume_ends_with_2_and_writes_nothing() {
+    let place = Place::new();
+    let (ball, plan, scene) = (place.path("ball.nrrd"), place.path("plan.fcsv"), place.path("s.toml"));
+    assert_eq!(trabecula(&[&"phantom", &"sphere", &"-o", &ball]).code, Some(0));
+    let deep = "[".repeat(100_000);
+    for (text, said) in [
+        (PLAN.replace("LPS", "IJK"), "`line 1: # CoordinateSystem` is IJK, expected LPS or RAS"),
+        (
+            PLAN.replace("2,0,0,0,", "2,0,0,80,"),
+            "`target` is at [0.0, 0.0, 80.0] (LPS, mm), expected a point within",
+        ),
+        (PLAN.replace("2,0,0,0,", "2,1e999,0,0,"), "`line 3: x, y, z` is [1e999, 0, 0]"),
+        (PLAN.replace("target", "goal"), "named `entry` and none named `target`"),
+        (format!("{{\"markups\": {deep}"), "is not JSON: recursion limit exceeded"),
+        (String::from_utf8_lossy(&[b'#'; 300]).into_owned(), "has no `# CoordinateSystem = `"),
+        ("x".repeat(20 << 20), "longer than 16777216 bytes"),
+    ] {
+        std::fs::write(&plan, text).unwrap();
+        let done = trabecula(&[&"scene", &"from-markups", &plan, &"--ct", &ball, &"-o", &scene]);
+        assert!(done.code == Some(2) && done.err.contains(said), "{}\nis not\n{said}", done.err);
+        assert!(done.err.contains("plan.fcsv") && !scene.exists() && done.err.len() < 1000, "{}", done.err);
+    }
+    std::fs::write(&plan, PLAN).unwrap();
+    let done = trabecula(&[&"scene", &"from-markups", &plan, &"--ct", &ball, &"-o", &scene]);
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    // The plan is read again with the scene: what is wrong with it then is said of the scene's key.
+    std::fs::write(&plan, PLAN.replace("LPS", "")).unwrap();
+    let done = trabecula(&[&"scene", &"check", &scene]);
+    assert!(done.code == Some(2) && done.err.contains("s.toml: `tool.plan` "), "{}", done.err);
+    std::fs::write(&plan, PLAN.replace("2,0,0,0,", "2,0,0,17,")).unwrap();
+    let done = trabecula(&[&"scene", &"check", &scene]);
+    let said =
+        "`controller.curved_drilling.target_mm` is [0.0, 0.0, 17.0], expected a place within the volume";
+    assert!(done.code == Some(2) && done.err.contains(said), "{}", done.err);
+}
+
+#[test]
+fn geometry_that_a_log_has_not_is_refused_by_name() {
+    let place = Place::new();
+    let folder = place.complete(&crate::common::scenes::hold("lockstep", 0.05)).folder;
+    for (what, name, said) in [
+        ("tunnel", "a.ply", "expected a file that ends in .stl or .obj or .vtp"),
+        ("burr-path", "a.json", "expected a file that ends in .mrk.json or .fcsv or .vtp"),
+        ("deviation", "a.stl", "expected a file that ends in .csv or .parquet or .vtp"),
+        ("planned-path", "a.vtp", "plans no path: expected a controller `curved_drilling` or `skiving`"),
+        ("deviation", "a.csv", "plans no path"),
+        ("tunnel", "a.stl", "this run has no volume"),
+    ] {
+        let output = place.path(name);
+        let done = trabecula(&[&"log", &"export", &folder, &"-o", &output, &"--geometry", &what]);
+        assert!(done.code == Some(2) && done.err.contains(said), "{what} {name}: {}", done.err);
+        assert!(!output.exists(), "{name}");
+    }
+    let output = place.path("tool.stl");
+    let done =
+        trabecula(&[&"log", &"export", &folder, &"-o", &output, &"--geometry", &"tool", &"--to", &"99"]);
+    assert!(
+        done.code == Some(2) && done.err.contains("--to is 99, but the log ends at tick 50"),
+        "{}",
+        done.err
+    );
+}
