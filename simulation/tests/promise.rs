@@ -58,7 +58,7 @@ const GOLDEN: [Golden; 3] = [
         in_bone: true,
         command: feed,
         ticks: 1000,
-        hash: "42b6e46bc638d206bd70b93276e45884",
+        hash: "5d0f07d67beba6c6c7e8d31a92e15a82",
     },
     Golden {
         scene: BODIES,

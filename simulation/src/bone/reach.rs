@@ -10,7 +10,7 @@
 use nalgebra::Vector3;
 use pulp::Arch;
 
-use super::drilling::{BurrState, CuttingLaw};
+use super::cutting::{BurrState, CuttingLaw};
 use super::gather::{outside, widening};
 use super::grid::{GridGeometry, VoxelIndex, floor_to_i64};
 use super::occupancy::{VoxelBox, WINDOW_VOXELS};

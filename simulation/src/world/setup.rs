@@ -62,6 +62,7 @@ pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulat
         cutting_energy_j: 0.0,
         crushing_energy_j: 0.0,
         indentations: Vec::with_capacity(PLANES_PER_SPHERE * sphere_count),
+        burr_contacts: Vec::with_capacity(PLANES_PER_SPHERE),
         uncut_voxels: 0,
         left_out_contacts: 0,
         state: State::zeroed(),
