@@ -247,6 +247,7 @@ impl<'v> Simulation<'v> {
         }
         self.apply(latched);
         let base = self.move_arm()?;
+        self.manipulator.set_burr_turns(self.burr_speed_rad_per_s != 0.0);
         self.report_arm_fault();
         let tendon = self.tendon.step(self.dt_s);
         let report = self.move_tool(&ToolDrive { base, tendon, tip_wrench: Wrench::zero() })?;
