@@ -6,6 +6,12 @@
 //! burr, 8r/(3 pi) for its side ([`super::cutting::lever_share`]); the pole itself stands still and cuts nothing. Pressure wears each
 //! contact on its own, so the forces add up as numbers: a burr pinched between two walls cuts both, although their forces cancel.
 //!
+//! **Edge.** Edges that are not sharp plough before they cut: of the forces' sum F only what exceeds
+//! `F_edge = sum of p_e(HU) x area` over the touched voxels cuts, so E is multiplied by `max(1 - F_edge / F, 0)`, and below F_edge nothing
+//! is cut at any speed. The area of a voxel is that of its faces toward the burr that no other bone covers, as seen along the contacts'
+//! normals, weighted by their forces: a burr that fills its hole touches the hole's cross-section, whatever the voxels' size.
+//! The split into ploughing and shearing is that of measured sawing forces (J. Manuf. Sci. Eng. 143:121009).
+//!
 //! **Sharing.** The voxels whose surface (as defined in [`super::query`]) lies within the burr grown by `reach_m` share the energy by
 //! pressure times area. The pressure is proportional to the depth (an elastic foundation of thickness `reach_m`), so the weight is
 //! min(depth / width, 1), because all voxels have the same volume. Soft bone therefore recedes until the hard bone beside it carries the
@@ -24,10 +30,11 @@
 //! **Slivers.** Voxels beside the path are only partly cut. Once the burr has withdrawn from a voxel by `reach_m`, the rest of it falls
 //! off if less than `sliver_fraction` remains. The hole in the voxels then has the burr's size on average.
 
+use nalgebra::Vector3;
 use pulp::Arch;
 
 use super::BoneError;
-use super::cutting::{Work, check_time_step};
+use super::cutting::{BurrContact, Work, check_time_step};
 use super::grid::VoxelIndex;
 use super::reach::{Press, ReachedVoxels};
 use super::removal::Removal;
@@ -53,6 +60,8 @@ pub struct GrindReport {
     pub cut_count: usize,
     /// Voxels in reach that could not absorb energy because there is no memory for them.
     pub refused_count: usize,
+    /// Force in N below which the burr's edges plough and do not cut; 0 while it does not press.
+    pub edge_force_n: f64,
     /// Cutting energy of the tick in J.
     pub energy_offered_j: f64,
     /// The part of it that bone absorbed.
@@ -220,6 +229,11 @@ impl DrillCache {
             }
             tick.collect();
             match parameters.removal {
+                Removal::Energy if parameters.material.edge_pressure_ref_pa > 0.0 => {
+                    let edge_n = tick.edge_force_n(hu, &press.centre, contacts);
+                    tick.report.edge_force_n = edge_n;
+                    tick.spend(arch, energy_j * (1.0 - edge_n / burr.normal_force_n).max(0.0));
+                }
                 Removal::Energy => tick.spend(arch, energy_j),
                 rule => tick.remove_by_rule(rule, hu, burr.speed_rad_s.abs()),
             }
@@ -251,6 +265,44 @@ impl DrillTick<'_> {
             }
         }
         self.scratch.keep(&self.reached.depth, &self.reached.room_j);
+    }
+
+    /// Sum of edge pressure times projected area over the touched voxels, N: see the module. Without contacts the burr's own direction is
+    /// unknown, and each voxel counts with its whole face toward the burr.
+    fn edge_force_n(&self, hu: &[i16], centre: &Vector3<f64>, contacts: &[BurrContact]) -> f64 {
+        let geometry = self.edit.geometry();
+        let [hx, hy, hz] = geometry.spacing_m;
+        let face_m2 = [hy * hz, hz * hx, hx * hy];
+        // Normals weighted by force, apart by sign: a face is seen by the contacts whose normal has its direction.
+        let mut seen = [[0.0; 2]; 3];
+        let force_n: f64 = contacts.iter().map(|contact| contact.normal_force_n).sum();
+        for contact in contacts {
+            let normal =
+                geometry.direction_world_grid.tr_mul(&contact.normal) * (contact.normal_force_n / force_n);
+            for axis in 0..3 {
+                seen[axis][usize::from(normal[axis] >= 0.0)] += normal[axis].abs();
+            }
+        }
+        if contacts.is_empty() {
+            seen = [[1.0; 2]; 3];
+        }
+        let mut edge_n = 0.0;
+        for voxel in (0..self.reached.index.len()).filter(|voxel| self.reached.depth[*voxel] > 0.0) {
+            let index = self.reached.index[voxel];
+            let offset = self.reached.offset(voxel, centre);
+            let at = geometry.voxel(index).map(|x| x as i64);
+            let mut area_m2 = 0.0;
+            for axis in 0..3 {
+                let up = offset[axis] >= 0.0;
+                let mut beside = at;
+                beside[axis] += if up { 1 } else { -1 };
+                if !self.edit.occupancy().is_solid_at(beside) {
+                    area_m2 += face_m2[axis] * seen[axis][usize::from(up)];
+                }
+            }
+            edge_n += self.edit.material().edge_pressure_pa(hu[index.at()]) * area_m2;
+        }
+        edge_n
     }
 
     /// Removes slivers that the burr has left behind.

@@ -241,6 +241,12 @@ fn bone<'v>(
     if let Some(coefficient) = drilling.cutting_coefficient {
         parameters.cutting.cutting_friction = coefficient;
     }
+    if let Some(pressure) = drilling.edge_pressure_mpa {
+        parameters.material.edge_pressure_ref_pa = pressure * 1e6;
+    }
+    if let Some(exponent) = drilling.edge_exponent {
+        parameters.material.edge_exponent = exponent;
+    }
     if let Some(strength) = scene.contact.strength_mpa {
         parameters.material.strength_ref_pa = strength * 1e6;
     }
