@@ -84,6 +84,8 @@ pub struct Trial {
     pub burr_rpm: f64,
     /// Specific cutting energy in J/mm³ at 1900 kg/m³, and the exponent of the density, instead of the standard law's.
     pub cutting_law: Option<[f64; 2]>,
+    /// Edge pressure in MPa at 1900 kg/m³, and the exponent of the density, instead of the standard law's.
+    pub edge_law: Option<[f64; 2]>,
     /// Compressive strength of cortical bone, MPa, instead of the standard law's.
     pub strength_mpa: Option<f64>,
     /// Whether the scene drills a pilot hole for the flexible part.
@@ -105,6 +107,7 @@ impl Trial {
             insertion_mm,
             burr_rpm: 2250.0,
             cutting_law: None,
+            edge_law: None,
             strength_mpa: None,
             pilot: true,
         }
@@ -119,12 +122,15 @@ impl Trial {
         let law = self.cutting_law.map_or_else(String::new, |[energy, exponent]| {
             format!("specific_energy_j_per_mm3 = {energy:?}\ndensity_exponent = {exponent:?}\n")
         });
+        let edge = self.edge_law.map_or_else(String::new, |[pressure, exponent]| {
+            format!("edge_pressure_mpa = {pressure:?}\nedge_exponent = {exponent:?}\n")
+        });
         let strength = self.strength_mpa.map_or_else(String::new, |mpa| format!("strength_mpa = {mpa:?}\n"));
         let text = format!(
             "name = \"reproduce\"\n[run]\nmode = \"lockstep\"\ndt_ms = {:?}\nduration_s = 10.0\n\
              [volume]\nphantom = \"block\"\nbone_threshold_hu = {THRESHOLD_HU}\n{pilot}\
              [manipulator]\nmodel = \"{}\"\ntendon_friction = {:?}\nstiffness_scale = {:?}\n\
-             [contact]\nfriction = {:?}\n{strength}[drilling]\nremoval = \"{}\"\n{law}\
+             [contact]\nfriction = {:?}\n{strength}[drilling]\nremoval = \"{}\"\n{law}{edge}\
              [tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
              [[controller]]\nname = \"feed\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nexternal = true\n",
             self.dt_ms, self.rung, self.tendon_friction, self.stiffness, self.contact_friction, self.removal

@@ -7,8 +7,10 @@ mod common;
 
 use common::block::{Block, RADIUS_M, block, proportional};
 use nalgebra::Vector3;
+use simulation::bone::cutting::lever_share;
 use simulation::bone::{
-    BoneError, BoneField, BoneParameters, BurrState, ContactBuffer, CuttingLaw, GridGeometry, MaterialLaw,
+    BoneError, BoneField, BoneParameters, BurrContact, BurrState, ContactBuffer, CuttingLaw, GridGeometry,
+    MaterialLaw, Work,
 };
 
 /// 2250 rpm, the speed of the published curved-drilling experiments.
@@ -179,6 +181,42 @@ fn energy_is_conserved() {
     );
     assert!(block.field.voxels().removed_total() > 200);
     assert!((booked - given).abs() < 1e-9 * given);
+}
+
+/// Below the force of its edges a burr cuts nothing, above it what exceeds that force cuts.
+#[test]
+fn a_burr_whose_edges_only_plough_cuts_nothing() {
+    let material = MaterialLaw { edge_pressure_ref_pa: 2.0e6, ..MaterialLaw::default() };
+    let mut block = block([9e-3, 9e-3, 14e-3], 0.5e-3, material, |_| 600).unwrap();
+    let start = Vector3::new(4.53e-3, 4.41e-3, block.top_m + RADIUS_M);
+    let bored = drill(&mut block, start, 60.0, 1.0e-3, 0.6).unwrap();
+    println!("bored {:.2} mm deep", bored.depth_m * 1e3);
+    assert!(bored.depth_m > RADIUS_M && bored.depth_m < 9.0e-3);
+    let burr = |normal_force_n: f64| BurrState {
+        centre_m: start + bored.drift_m,
+        radius_m: RADIUS_M,
+        speed_rad_s: SPEED_RAD_S,
+        normal_force_n,
+    };
+    let up = BurrContact { normal: Vector3::z(), normal_force_n: 1.0, axis_cosine: 1.0 };
+    let mut tick = |normal_force_n: f64| {
+        let contacts = [BurrContact { normal_force_n, ..up }];
+        let burr = burr(normal_force_n);
+        let work = Work { burr: &burr, contacts: &contacts, indentations: &[] };
+        block.field.wear(&block.hu, work, 1.0e-3).unwrap()
+    };
+    let edge_n = tick(1.0e-3).edge_force_n;
+    let before = (tick(0.99 * edge_n), tick(0.5 * edge_n));
+    let above = tick(1.5 * edge_n);
+    println!(
+        "edge {edge_n:.3} N: {} J at 0.99 of it, {:.3e} J at 1.5",
+        before.0.energy_used_j, above.energy_offered_j
+    );
+    assert!(edge_n > 0.0 && before.0.energy_used_j == 0.0 && before.1.energy_used_j == 0.0);
+    let power_w =
+        CuttingLaw::default().cutting_friction * 0.5 * edge_n * SPEED_RAD_S * RADIUS_M * lever_share(1.0);
+    assert!((above.energy_offered_j / (power_w * 1.0e-3) - 1.0).abs() < 1e-9);
+    assert!(above.energy_used_j > 0.0);
 }
 
 /// In bone too weak to use the burr's energy the feed is limited by the teeth, not by the tick. Where two layers of voxels lie

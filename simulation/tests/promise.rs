@@ -58,7 +58,7 @@ const GOLDEN: [Golden; 3] = [
         in_bone: true,
         command: feed,
         ticks: 1000,
-        hash: "f7f7c2fe834937de59a79e903116db4c",
+        hash: "af9cb064e89bfdb41e36dd01bef7fa61",
     },
     Golden {
         scene: BODIES,

@@ -3,7 +3,7 @@
 mod common;
 
 use messages::{
-    ARM_MOVE_CP, BURR_SPEED, Command, Latched, LatchedCommand, SOURCE_FRESH, SOURCE_HELD, State,
+    ARM_MOVE_CP, BURR_SPEED, Command, ContactPart, Latched, LatchedCommand, SOURCE_FRESH, SOURCE_HELD, State,
     TENDON_SERVO_JF,
 };
 use nalgebra::Vector3;
@@ -55,6 +55,33 @@ fn the_burr_cuts_in_a_tunnel_in_which_every_sphere_has_several_planes() {
     assert!(state.removed_total > 500, "{} voxels", state.removed_total);
     // 3 N of tension and a few newtons of thrust, friction and staircase; not hundreds.
     assert!(force_n < 60.0, "{force_n} N");
+}
+
+/// Bug: a burr that stood still slid on bone as if it turned, without friction.
+#[test]
+fn a_burr_rubs_on_bone_like_the_tube_while_it_stands_still_and_not_while_it_turns() {
+    let scene = scene(TUNNEL);
+    let (geometry, hu) = bone();
+    let friction_share = |burr_speed_rad_per_s: f64| {
+        let mut simulation = Simulation::new(&scene, Some(CtView { geometry, hu: &hu })).unwrap();
+        let start = *simulation.state();
+        let mut most = 0.0_f64;
+        for tick in 0..500 {
+            let mut latched = latched(tick, &start);
+            latched.commands[0].command.burr_speed_rad_per_s = burr_speed_rad_per_s;
+            simulation.step(&latched).unwrap();
+            let state = simulation.state();
+            let contacts = &state.contacts[..state.contact_count as usize];
+            for contact in contacts.iter().filter(|contact| contact.part == ContactPart::Burr.code()) {
+                most = most.max(Vector3::from(contact.friction_force_n).norm() / contact.normal_force_n);
+            }
+        }
+        most
+    };
+    let (still, turning) = (friction_share(0.0), friction_share(1.0));
+    println!("friction over normal force: {still:.4} at rest, {turning:.4} while it turns");
+    // The tube's coefficient is 0.2, which a sliding contact reaches.
+    assert!((still - 0.2).abs() < 1e-6 && turning == 0.0);
 }
 
 #[test]

@@ -11,6 +11,7 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 use simulation::bone::yielding::MOST_PLANES;
 use simulation::bone::{
     BoneField, BoneParameters, BurrState, ContactBuffer, GridGeometry, Indentation, MaterialLaw, Removal,
+    Work,
 };
 use simulation::contact_plane::ContactPlane;
 use simulation::{CtView, Simulation};
@@ -130,7 +131,9 @@ fn press(voxel_m: f64, turn: &Rotation3<f64>, up: &Vector3<f64>, to_m: f64) -> P
                 }
             }
         }
-        let report = field.wear(&hu, &NO_BURR, &indentations, 1e-3).unwrap();
+        let report = field
+            .wear(&hu, Work { burr: &NO_BURR, contacts: &[], indentations: &indentations }, 1e-3)
+            .unwrap();
         pressed.absorbed_j += report.crushed.energy_j;
         pressed.work_j += force_n * step_m;
         pressed.curve.push((depth_m, force_n));

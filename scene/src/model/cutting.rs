@@ -46,9 +46,15 @@ pub struct Drilling {
     /// Exponent of the density in that energy.
     #[schemars(range(min = 0.0, max = 4.0))]
     pub density_exponent: Option<f64>,
-    /// Cutting force over normal force.
-    #[schemars(range(min = 0.01, max = 2.0))]
+    /// Cutting force over normal force: tangential over normal. Measured torque over thrust gives 2 to 4 for twist drills.
+    #[schemars(range(min = 0.01, max = 5.0))]
     pub cutting_coefficient: Option<f64>,
+    /// Pressure of the burr's edges on cortical bone of 1.9 g/cm³ below which they plough and do not cut; 0 is the standard.
+    #[schemars(range(min = 0.0, max = 1e3))]
+    pub edge_pressure_mpa: Option<f64>,
+    /// Exponent of the density in that pressure.
+    #[schemars(range(min = 0.0, max = 4.0))]
+    pub edge_exponent: Option<f64>,
     /// How voxels end: `energy` is the standard; the others are published rules, for experiments.
     pub removal: Option<Removal>,
 }

@@ -4,13 +4,13 @@ use nalgebra::Vector3;
 use pulp::Arch;
 
 use super::BoneError;
-use super::drilling::{BurrState, DrillCache, GrindReport};
+use super::cutting::{BurrState, Work};
+use super::drilling::{DrillCache, GrindReport};
 use super::grid::{GridGeometry, VoxelIndex};
 use super::parameters::BoneParameters;
 use super::query::ContactBuffer;
 use super::tracked::ContactCache;
 use super::voxels::{BoneSnapshot, Voxels};
-use super::yielding::Indentation;
 
 /// The bone of one CT, for contact queries and drilling: the [`Voxels`] and one cache for each of the two.
 ///
@@ -68,27 +68,21 @@ impl BoneField {
         }
     }
 
-    /// One tick of drilling, `dt_s` long. `hu` is the CT that the field was built from. [`Voxels::removed_this_tick`] then lists the
+    /// One tick of drilling with the burr's end, `dt_s` long. `hu` is the CT that the field was built from. [`Voxels::removed_this_tick`] then lists the
     /// removed voxels.
     ///
     /// # Errors
     /// A CT of the wrong size, or a burr that is not finite or too large; nothing has changed then.
     pub fn grind(&mut self, hu: &[i16], burr: &BurrState, dt_s: f64) -> Result<GrindReport, BoneError> {
-        self.wear(hu, burr, &[], dt_s)
+        self.wear(hu, Work { burr, contacts: &[], indentations: &[] }, dt_s)
     }
 
     /// One tick of drilling and of crushing: [`Self::grind`] after the bone under each indentation has receded (see [`super::yielding`]).
     ///
     /// # Errors
     /// As [`Self::grind`].
-    pub fn wear(
-        &mut self,
-        hu: &[i16],
-        burr: &BurrState,
-        indentations: &[Indentation],
-        dt_s: f64,
-    ) -> Result<GrindReport, BoneError> {
-        self.drill_cache.wear(&mut self.voxels, self.arch, hu, (burr, indentations), dt_s)
+    pub fn wear(&mut self, hu: &[i16], work: Work, dt_s: f64) -> Result<GrindReport, BoneError> {
+        self.drill_cache.wear(&mut self.voxels, self.arch, hu, work, dt_s)
     }
 
     /// Takes memory for the partly cut voxels of the next tick; called between ticks, it leaves the tick nothing to allocate. Changes no

@@ -2,9 +2,10 @@
 
 use super::BoneError;
 
-/// Density law, specific cutting energy and compressive strength.
+/// Density law, specific cutting energy, compressive strength and edge pressure.
 ///
-/// `rho(HU) = clamp(offset + slope HU, minimum, maximum)`, `u(rho) = u_ref (rho / rho_ref)^p` and `s(rho) = s_ref (rho / rho_ref)^q`.
+/// `rho(HU) = clamp(offset + slope HU, minimum, maximum)`, `u(rho) = u_ref (rho / rho_ref)^p`, `s(rho) = s_ref (rho / rho_ref)^q` and
+/// `p_e(rho) = p_ref (rho / rho_ref)^a`.
 ///
 /// Sources. The default density line, 131 + 1.067 HU kg/m3, is the apparent density of Rho, Hobatho and Ashman 1995 (Med. Eng. Phys.
 /// 17:347) as used in finite-element work. The exponent 2 is that of compressive strength in Carter and Hayes 1977 (J. Bone Joint Surg.
@@ -12,6 +13,10 @@ use super::BoneError;
 /// J/m3. Strength is Carter and Hayes' own law, 68 MPa (strain rate in 1/s)^0.06 (density in g/cm3)^2, at 0.01/s: 186 MPa at 1.9 g/cm3,
 /// 1.3 MPa at 0.16 g/cm3. Closed-cell polyurethane foam of that density crushes at 0.9 to 2.2 MPa. These are defaults, not a calibration:
 /// a scene gives its own values.
+///
+/// The edge pressure is what a cutter's edges press with before they cut: the ploughing that measurements of sawing split off from
+/// shearing (J. Manuf. Sci. Eng. 143:121009). It is 0 unless a scene sets it; its exponent 1.7 lies between those
+/// of two fits to published thrusts, 1.5 and 1.8 (docs/reproduction.md).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MaterialLaw {
     /// Density at 0 HU in kg/m3.
@@ -32,6 +37,10 @@ pub struct MaterialLaw {
     pub strength_ref_pa: f64,
     /// Exponent q.
     pub strength_exponent: f64,
+    /// Edge pressure at the reference density in Pa; 0 for edges that cut under any force.
+    pub edge_pressure_ref_pa: f64,
+    /// Exponent a.
+    pub edge_exponent: f64,
 }
 
 impl Default for MaterialLaw {
@@ -46,6 +55,8 @@ impl Default for MaterialLaw {
             exponent: 2.0,
             strength_ref_pa: 186.2e6,
             strength_exponent: 2.0,
+            edge_pressure_ref_pa: 0.0,
+            edge_exponent: 1.7,
         }
     }
 }
@@ -74,10 +85,21 @@ impl MaterialLaw {
         self.strength_ref_pa * libm::pow(ratio, self.strength_exponent)
     }
 
+    /// Edge pressure in Pa.
+    pub fn edge_pressure_pa(&self, hu: i16) -> f64 {
+        let ratio = self.density_kg_m3(hu) / self.density_ref_kg_m3;
+        self.edge_pressure_ref_pa * libm::pow(ratio, self.edge_exponent)
+    }
+
     fn check(&self) -> Result<(), BoneError> {
         let value = self.strength_ref_pa;
         if value.is_nan() || value <= 0.0 {
             return Err(BoneError::Parameter { name: "strength_ref_pa", value, expected: "above 0" });
+        }
+        let value = self.edge_pressure_ref_pa;
+        if !(value.is_finite() && value >= 0.0) {
+            let expected = "a finite number of at least 0";
+            return Err(BoneError::Parameter { name: "edge_pressure_ref_pa", value, expected });
         }
         let positive = [
             ("density_min_kg_m3", self.density_min_kg_m3),
@@ -95,6 +117,7 @@ impl MaterialLaw {
             ("density_slope_kg_m3_hu", self.density_slope_kg_m3_hu),
             ("exponent", self.exponent),
             ("strength_exponent", self.strength_exponent),
+            ("edge_exponent", self.edge_exponent),
         ];
         for (name, value) in finite {
             if !value.is_finite() {
@@ -112,6 +135,7 @@ pub(super) struct MaterialTable {
     specific_energy_j_m3: Vec<f64>,
     strength_pa: Vec<f64>,
     least_strength_pa: f64,
+    edge_pressure_pa: Vec<f64>,
 }
 
 impl MaterialTable {
@@ -122,7 +146,8 @@ impl MaterialTable {
         let strength_pa: Vec<f64> = (threshold_hu..=i16::MAX).map(|hu| law.strength_pa(hu)).collect();
         let least_strength_pa =
             strength_pa.iter().fold(f64::INFINITY, |least, strength| least.min(*strength));
-        Ok(Self { threshold_hu, specific_energy_j_m3, strength_pa, least_strength_pa })
+        let edge_pressure_pa = (threshold_hu..=i16::MAX).map(|hu| law.edge_pressure_pa(hu)).collect();
+        Ok(Self { threshold_hu, specific_energy_j_m3, strength_pa, least_strength_pa, edge_pressure_pa })
     }
 
     /// Specific cutting energy in J/m3; values below the threshold return that of the threshold.
@@ -135,6 +160,12 @@ impl MaterialTable {
     #[inline]
     pub fn strength_pa(&self, hu: i16) -> f64 {
         self.strength_pa[self.step(hu)]
+    }
+
+    /// Edge pressure in Pa; values below the threshold return that of the threshold.
+    #[inline]
+    pub fn edge_pressure_pa(&self, hu: i16) -> f64 {
+        self.edge_pressure_pa[self.step(hu)]
     }
 
     /// Least compressive strength of any bone, Pa.

@@ -15,6 +15,7 @@
 //! Only construction, snapshots, [`BoneField::predrill_capsule`] and [`BoneField::make_room`] allocate memory.
 
 mod buried;
+pub mod cutting;
 mod distance;
 pub mod drilling;
 mod error;
@@ -36,8 +37,9 @@ mod tracked;
 mod voxels;
 pub mod yielding;
 
+pub use cutting::{BurrContact, BurrState, CuttingLaw, Work};
 pub use distance::Matter;
-pub use drilling::{BurrState, CuttingLaw, GrindReport};
+pub use drilling::GrindReport;
 pub use error::BoneError;
 pub use field::BoneField;
 pub use grid::{GridGeometry, VoxelIndex};

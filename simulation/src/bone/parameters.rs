@@ -1,7 +1,7 @@
 //! Bone parameters.
 
 use super::BoneError;
-use super::drilling::CuttingLaw;
+use super::cutting::CuttingLaw;
 use super::material::MaterialLaw;
 use super::query::ContactKind;
 use super::removal::Removal;

@@ -10,7 +10,7 @@
 use nalgebra::Vector3;
 use pulp::Arch;
 
-use super::drilling::{BurrState, CuttingLaw};
+use super::cutting::{BurrState, CuttingLaw};
 use super::gather::{outside, widening};
 use super::grid::{GridGeometry, VoxelIndex, floor_to_i64};
 use super::occupancy::{VoxelBox, WINDOW_VOXELS};
@@ -194,9 +194,14 @@ impl ReachedVoxels {
         self
     }
 
+    /// From a voxel's centre to a point in the grid's metric frame, m.
+    pub fn offset(&self, voxel: usize, to: &Vector3<f64>) -> Vector3<f64> {
+        Vector3::from([0, 1, 2].map(|axis| to[axis] - self.position[axis][voxel]))
+    }
+
     /// True if the burr has left the voxel behind and less than `sliver_fraction` of it remains.
     pub fn is_sliver(&self, voxel: usize, press: &Press, sliver_fraction: f64) -> bool {
-        let offset = [0, 1, 2].map(|axis| press.centre[axis] - self.position[axis][voxel]);
+        let offset = self.offset(voxel, &press.centre).into();
         is_sliver(self.spent[voxel], self.surface[voxel], offset, &press.reach, sliver_fraction)
     }
 }

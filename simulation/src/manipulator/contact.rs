@@ -61,10 +61,11 @@ impl ContactStep<'_> {
 
 impl ContactParameters {
     /// Coulomb coefficient of a sphere.
-    pub(super) fn friction_of(&self, kind: SphereKind) -> f64 {
-        match kind {
-            SphereKind::Burr => self.burr_friction_coefficient,
-            _ => self.friction_coefficient,
+    pub(super) fn friction_of(&self, kind: SphereKind, burr_turns: bool) -> f64 {
+        if kind == SphereKind::Burr && burr_turns {
+            self.burr_friction_coefficient
+        } else {
+            self.friction_coefficient
         }
     }
 }
@@ -101,6 +102,8 @@ pub(super) struct ContactSolver<const N: usize> {
     free_motion: Vec<[f64; N]>,
     pub refused: usize,
     pub max_overlap_m: f64,
+    /// Whether the burr turns; if not, it rubs like the tube.
+    pub burr_turns: bool,
     /// SIMD support of this CPU.
     pub arch: pulp::Arch,
 }
@@ -119,6 +122,7 @@ impl<const N: usize> ContactSolver<N> {
             free_motion: vec![[0.0; N]; links],
             refused: 0,
             max_overlap_m: 0.0,
+            burr_turns: true,
             arch: pulp::Arch::new(),
         }
     }
@@ -155,7 +159,7 @@ impl<const N: usize> ContactSolver<N> {
             let base_velocity = step.drive.linear + step.drive.angular.cross(&point);
             let mut row = ContactRow::new(link, force);
             row.drive = direction.map(|d| d.dot(&base_velocity));
-            row.friction = step.parameters.friction_of(spheres[sphere].kind);
+            row.friction = step.parameters.friction_of(spheres[sphere].kind, self.burr_turns);
             row.compliance = step.compliance();
             (row.target, row.impulse) = last.start(step, plane, &[t0, t1]);
             row.strength = plane.strength_n * step.dt;

@@ -154,6 +154,11 @@ impl Manipulator {
         self.contact.arch = pulp::Arch::Scalar;
     }
 
+    /// Says whether the burr turns in the next steps; one that stands still rubs like the tube. It turns at first.
+    pub fn set_burr_turns(&mut self, turns: bool) {
+        self.contact.burr_turns = turns;
+    }
+
     /// Links and spheres for the present state.
     fn update_configuration(&mut self) {
         let state = &self.state;

@@ -213,6 +213,17 @@ impl AnyManipulator {
         })
     }
 
+    /// Says whether the burr turns in the next steps; one that stands still rubs like the tube. It turns at first.
+    pub fn set_burr_turns(&mut self, turns: bool) {
+        match self {
+            Self::ConstantCurvature(tool) => tool.set_burr_turns(turns),
+            Self::Planar(tool) => tool.set_burr_turns(turns),
+            Self::LongPlanar(tool) => tool.set_burr_turns(turns),
+            Self::Spatial(tool) => tool.set_burr_turns(turns),
+            Self::Full(tool) => tool.set_burr_turns(turns),
+        }
+    }
+
     /// Disables SIMD where it is used: slower, same bits.
     pub fn use_plain_instructions(&mut self) {
         match self {

@@ -40,10 +40,9 @@ pub struct TendonParameters {
 /// Contact model and its solver.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ContactParameters {
-    /// Coulomb coefficient of the shaft and segment spheres.
+    /// Coulomb coefficient of the shaft and segment spheres, and of a burr that stands still.
     pub friction_coefficient: f64,
-    /// Coulomb coefficient of the burr. A spinning burr slides about its own axis, which leaves no dry friction to resist the feed: 0
-    /// unless a scene overrides it.
+    /// Coulomb coefficient of a burr that turns. It slides about its own axis, which leaves no dry friction to resist the feed: 0.
     pub burr_friction_coefficient: f64,
     /// Stiffness of one contact, N/m: the overlap at rest is force / stiffness.
     pub stiffness_n_per_m: f64,

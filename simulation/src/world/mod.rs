@@ -7,8 +7,8 @@
 //! 3. find the contact planes between the manipulator's proxy spheres and the bone and rigid bodies;
 //! 4. step the manipulator with these planes and the tendon tensions, contact impulses inside its implicit solve; free bodies
 //!    step with it; without bodies, again from 3 if a sphere came farther than its planes were looked for, or into bone that bears more;
-//! 5. let bone that was pressed beyond its strength recede, and remove bone with the burr, which presses with the normal force of that
-//!    solve;
+//! 5. let bone that was pressed beyond its strength recede, and remove bone with the burr, whose contacts press with the normal forces
+//!    of that solve;
 //! 6. extend the hash chain with commands, state and removed voxels.
 
 mod apply;
@@ -28,7 +28,8 @@ use zerocopy::IntoBytes;
 
 use crate::arm::{Arm, ArmError, ArmSnapshot, Compliance, ComplianceState};
 use crate::bone::{
-    BoneError, BoneField, BoneSnapshot, BurrState, ContactBuffer, GridGeometry, Indentation, VoxelIndex,
+    BoneError, BoneField, BoneSnapshot, BurrContact, BurrState, ContactBuffer, GridGeometry, Indentation,
+    VoxelIndex, Work,
 };
 use crate::contact_plane::ContactPlane;
 use crate::manipulator::{
@@ -115,6 +116,8 @@ pub struct Simulation<'v> {
     planes: Vec<ContactPlane>,
     /// Where the last step pressed bone beyond its strength.
     indentations: Vec<Indentation>,
+    /// The burr's contacts with bone that carried force in the last step.
+    burr_contacts: Vec<BurrContact>,
     /// One per proxy sphere.
     reach: Vec<Reach>,
     /// Workspace: the tool before the tick.
@@ -244,13 +247,13 @@ impl<'v> Simulation<'v> {
         }
         self.apply(latched);
         let base = self.move_arm()?;
+        self.manipulator.set_burr_turns(self.burr_speed_rad_per_s != 0.0);
         self.report_arm_fault();
         let tendon = self.tendon.step(self.dt_s);
         let report = self.move_tool(&ToolDrive { base, tendon, tip_wrench: Wrench::zero() })?;
         let dropped = self.bone.as_ref().map_or(0, |bone| bone.contacts.dropped());
         self.left_out_contacts = dropped + report.refused_contact_count;
-        self.find_indentations();
-        let removed = self.wear(self.burr_force_on_bone_n(&report))?;
+        let removed = self.wear()?;
         self.update_state(latched, removed);
         self.update_hash(latched);
         Ok(())
@@ -277,29 +280,36 @@ impl<'v> Simulation<'v> {
         })
     }
 
-    /// Normal force of the burr on bone only, N.
-    fn burr_force_on_bone_n(&self, report: &StepReport) -> f64 {
-        let Some(rigid) = &self.rigid else { return report.burr_normal_force_n.norm() };
+    /// Lists the burr's contacts with bone that carry force.
+    fn find_burr_contacts(&mut self) {
+        self.burr_contacts.clear();
         let spheres = self.manipulator.proxy_spheres();
-        let mut force_n = Vector3::zeros();
-        for result in self.manipulator.contact_results() {
+        let axis = self.manipulator.t_world_tip().rotation * Vector3::z();
+        for result in self.manipulator.contact_results().iter().filter(|result| result.normal_force_n > 0.0) {
             let burr = spheres.get(result.sphere_index).is_some_and(|sphere| sphere.kind == SphereKind::Burr);
-            if burr && rigid.body_of_plane(result.contact_index).is_none() {
-                force_n += result.normal * result.normal_force_n;
+            let body = self.rigid.as_ref().and_then(|rigid| rigid.body_of_plane(result.contact_index));
+            if burr && body.is_none() {
+                self.burr_contacts.push(BurrContact {
+                    normal: result.normal,
+                    normal_force_n: result.normal_force_n,
+                    axis_cosine: result.normal.dot(&axis),
+                });
             }
         }
-        force_n.norm()
     }
 
-    fn wear(&mut self, normal_force_n: f64) -> Result<usize, SimulationError> {
+    fn wear(&mut self) -> Result<usize, SimulationError> {
+        self.find_indentations();
+        self.find_burr_contacts();
         let Some(bone) = &mut self.bone else { return Ok(0) };
         let burr = BurrState {
             centre_m: self.manipulator.t_world_tip().translation.vector,
             radius_m: self.manipulator.parameters().burr_radius_m,
             speed_rad_s: self.burr_speed_rad_per_s,
-            normal_force_n,
+            normal_force_n: self.burr_contacts.iter().map(|contact| contact.normal_force_n).sum(),
         };
-        let report = bone.field.wear(bone.hu, &burr, &self.indentations, self.dt_s)?;
+        let work = Work { burr: &burr, contacts: &self.burr_contacts, indentations: &self.indentations };
+        let report = bone.field.wear(bone.hu, work, self.dt_s)?;
         self.cutting_energy_j += report.energy_used_j;
         self.crushing_energy_j += report.crushed.energy_j;
         self.uncut_voxels = report.refused_count + report.crushed.refused_count;

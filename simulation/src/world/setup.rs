@@ -62,6 +62,7 @@ pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulat
         cutting_energy_j: 0.0,
         crushing_energy_j: 0.0,
         indentations: Vec::with_capacity(PLANES_PER_SPHERE * sphere_count),
+        burr_contacts: Vec::with_capacity(PLANES_PER_SPHERE),
         uncut_voxels: 0,
         left_out_contacts: 0,
         state: State::zeroed(),
@@ -239,6 +240,12 @@ fn bone<'v>(
     }
     if let Some(coefficient) = drilling.cutting_coefficient {
         parameters.cutting.cutting_friction = coefficient;
+    }
+    if let Some(pressure) = drilling.edge_pressure_mpa {
+        parameters.material.edge_pressure_ref_pa = pressure * 1e6;
+    }
+    if let Some(exponent) = drilling.edge_exponent {
+        parameters.material.edge_exponent = exponent;
     }
     if let Some(strength) = scene.contact.strength_mpa {
         parameters.material.strength_ref_pa = strength * 1e6;

@@ -240,6 +240,11 @@ impl<const D: usize> SpatialChain<D> {
         self.contact.arch = pulp::Arch::Scalar;
     }
 
+    /// Says whether the burr turns in the next steps; one that stands still rubs like the tube. It turns at first.
+    pub fn set_burr_turns(&mut self, turns: bool) {
+        self.contact.burr_turns = turns;
+    }
+
     /// Contacts of the last step, ordered by sphere.
     pub fn contact_results(&self) -> &[ContactResult] {
         &self.state.results[..self.state.result_count]

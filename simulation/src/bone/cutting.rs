@@ -1,0 +1,154 @@
+//! The burr, and how it turns force and speed into cutting energy.
+
+use nalgebra::Vector3;
+
+use super::BoneError;
+use super::yielding::Indentation;
+
+/// How a burr turns force and speed into cutting energy.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CuttingLaw {
+    /// Ratio mu_cut of cutting power to normal force times sliding speed. 0.3 is an
+    /// assumption, for an abrasive burr; torque over thrust times 2r/3 of twist drills of 2.5 mm is 2.4 and 2.5 in bovine, 2.1 to 4.0 in other
+    /// femurs (table 6 of Orelaja et al. 2020, J. Healthcare Eng. 8817422).
+    pub cutting_friction: f64,
+    /// How far beyond its surface the burr cuts, in metres: contact compliance and tool run-out. The hole's radius is the burr's plus
+    /// this.
+    pub reach_m: f64,
+    /// Maximum feed per revolution in metres: the depth of the teeth.
+    pub feed_per_revolution_max_m: f64,
+    /// Partly cut voxels beside the path fall off when less than this fraction is left; 0 keeps them.
+    pub sliver_fraction: f64,
+}
+
+impl Default for CuttingLaw {
+    fn default() -> Self {
+        Self {
+            cutting_friction: 0.3,
+            reach_m: 1.0e-4,
+            feed_per_revolution_max_m: 2.0e-4,
+            sliver_fraction: 0.5,
+        }
+    }
+}
+
+impl CuttingLaw {
+    /// Cutting power in W of a burr that cuts with its end: see the module.
+    pub fn power_w(&self, burr: &BurrState) -> f64 {
+        self.cutting_friction * burr.normal_force_n * burr.speed_rad_s.abs() * burr.radius_m * (2.0 / 3.0)
+    }
+
+    /// Cutting power in W of a burr with these contacts, or with its end if none is given: see the module.
+    pub(super) fn power_of_contacts_w(&self, burr: &BurrState, contacts: &[BurrContact]) -> f64 {
+        if contacts.is_empty() {
+            return self.power_w(burr);
+        }
+        let force_lever = |contact: &BurrContact| contact.normal_force_n * lever_share(contact.axis_cosine);
+        let force_lever_n: f64 = contacts.iter().map(force_lever).sum();
+        self.cutting_friction * force_lever_n * burr.speed_rad_s.abs() * burr.radius_m
+    }
+
+    /// Steady feed in m/s of a burr under its force in bone of the given specific cutting energy, below the feed limit: power / (u x
+    /// cross-section of the hole). For calibration.
+    pub fn steady_feed_m_s(&self, burr: &BurrState, specific_energy_j_m3: f64) -> f64 {
+        let hole = burr.radius_m + self.reach_m;
+        self.power_w(burr) / (specific_energy_j_m3 * core::f64::consts::PI * hole * hole)
+    }
+
+    pub(super) fn check(&self) -> Result<(), BoneError> {
+        let above_zero = [
+            ("cutting_friction", self.cutting_friction),
+            ("reach_m", self.reach_m),
+            ("feed_per_revolution_max_m", self.feed_per_revolution_max_m),
+        ];
+        for (name, value) in above_zero {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(BoneError::Parameter { name, value, expected: "a finite number above 0" });
+            }
+        }
+        let value = self.sliver_fraction;
+        if !(0.0..=1.0).contains(&value) {
+            return Err(BoneError::Parameter { name: "sliver_fraction", value, expected: "0 to 1" });
+        }
+        Ok(())
+    }
+}
+
+/// A spinning ball burr in contact.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BurrState {
+    /// Centre in the world, metres.
+    pub centre_m: Vector3<f64>,
+    /// Radius in metres.
+    pub radius_m: f64,
+    /// Spin in rad/s; the sign does not matter.
+    pub speed_rad_s: f64,
+    /// Sum of the normal contact forces on the burr in N.
+    pub normal_force_n: f64,
+}
+
+impl BurrState {
+    pub(super) fn check(&self, max_burr_radius_m: f64) -> Result<(), BoneError> {
+        let refuse =
+            |name, value, expected| Err(BoneError::Burr { name, value, expected, max_burr_radius_m });
+        if let Some(value) = self.centre_m.iter().find(|x| !x.is_finite()) {
+            return refuse("centre_m", *value, "finite coordinates");
+        }
+        if !(self.radius_m > 0.0 && self.radius_m <= max_burr_radius_m) {
+            return refuse("radius_m", self.radius_m, "above 0 and not above the largest");
+        }
+        if !self.speed_rad_s.is_finite() {
+            return refuse("speed_rad_s", self.speed_rad_s, "a finite number");
+        }
+        if !(self.normal_force_n.is_finite() && self.normal_force_n >= 0.0) {
+            return refuse("normal_force_n", self.normal_force_n, "a finite number of at least 0");
+        }
+        Ok(())
+    }
+}
+
+/// A contact of the burr with bone.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BurrContact {
+    /// From the bone to the burr, world, unit length.
+    pub normal: Vector3<f64>,
+    /// N.
+    pub normal_force_n: f64,
+    /// Cosine of the angle between the normal and the burr's axis; the sign does not matter.
+    pub axis_cosine: f64,
+}
+
+/// What the tool does to the bone in a tick.
+#[derive(Debug, Clone, Copy)]
+pub struct Work<'a> {
+    /// The burr.
+    pub burr: &'a BurrState,
+    /// Its contacts with bone, whose forces add up to the burr's; none for a burr that cuts with its end.
+    pub contacts: &'a [BurrContact],
+    /// What the tool's spheres crushed.
+    pub indentations: &'a [Indentation],
+}
+
+/// Mean distance from the axis, as a share of the radius, of a ball's half that faces a contact, weighted by its area as seen along the
+/// contact's normal: the lever at which the contact cuts. `axis_cosine` is the cosine of the angle between normal and axis.
+///
+/// `L = (1/pi) integral over n.u > 0 of sqrt(1 - (u.a)^2) (n.u) dS`, for unit vectors n (normal), a (axis) and u. The lever of a point,
+/// the sine of its angle from the axis, is a sum of Legendre polynomials, pi/4 (1 - 5/8 P2 - 9/64 P4 - 65/1024 P6); facing the contact
+/// multiplies each with the coefficient of a clamped cosine, 1, 1/4, -1/24 and 1/64 (Funk and Hecke's theorem; the coefficients in
+/// Ramamoorthi and Hanrahan 2001, J. Opt. Soc. Am. A 18:2448, over pi). The four terms are within 2e-4 of the integral, which is 2/3 at
+/// the end and 8/(3 pi) at the side.
+pub fn lever_share(axis_cosine: f64) -> f64 {
+    let c2 = (axis_cosine * axis_cosine).min(1.0);
+    let p2 = 0.5 * (3.0 * c2 - 1.0);
+    let p4 = 0.125 * ((35.0 * c2 - 30.0) * c2 + 3.0);
+    let p6 = 0.0625 * (((231.0 * c2 - 315.0) * c2 + 105.0) * c2 - 5.0);
+    core::f64::consts::FRAC_PI_4 * (1.0 - 5.0 / 32.0 * p2 + 3.0 / 512.0 * p4 - 65.0 / 65_536.0 * p6)
+}
+
+pub(super) fn check_time_step(dt_s: f64, max_burr_radius_m: f64) -> Result<(), BoneError> {
+    if dt_s.is_finite() && dt_s > 0.0 {
+        return Ok(());
+    }
+    let expected = "a finite number of seconds above 0";
+    Err(BoneError::Burr { name: "time step", value: dt_s, expected, max_burr_radius_m })
+}
