@@ -48,7 +48,7 @@ impl Planned<'_> {
         let duration_s = (self.arc().length_mm / FEED_MM_PER_S + REST_S).ceil();
         let drilled = match self.plan.is_curved() {
             true => "A pilot hole from the entry to the bend, and a curve from there to the target.",
-            false => "Straight from the entry to the target.",
+            false => "A pilot hole from the entry, and straight from its end to the target.",
         };
         format!(
             "# Made by `trabecula scene from-markups`; yours to change. All places are in the patient frame (LPS: +x left, +y posterior, +z head).\n\
@@ -99,18 +99,17 @@ impl Planned<'_> {
             direction(plan.direction()),
             direction(plan.bend_toward()),
         );
-        if let Some([from_mm, to_mm]) = plan.pilot_hole_mm() {
-            let _ = write!(
-                text,
-                "\n# The pilot hole, from 10 mm outside of the entry to the bend; 0.5 mm wider than the burr.\n\
-                 #> [[predrill]]\n\
-                 #> from_mm = {}\n\
-                 #> to_mm = {}\n\
-                 #> diameter_mm = 7.0\n",
-                place(from_mm),
-                place(to_mm),
-            );
-        }
+        let [from_mm, to_mm] = plan.pilot_hole_mm();
+        let _ = write!(
+            text,
+            "\n# The pilot hole, from 10 mm outside of the entry to the burr's start; 0.5 mm wider than the burr.\n\
+             #> [[predrill]]\n\
+             #> from_mm = {}\n\
+             #> to_mm = {}\n\
+             #> diameter_mm = 7.0\n",
+            place(from_mm),
+            place(to_mm),
+        );
         text
     }
 

@@ -1,7 +1,8 @@
 //! The plan of a drilling: where it enters, where it bends, where it ends.
 //!
 //! The tool goes straight from the entry to the bend, in a pilot hole, and from there on a circular arc that leaves that line as its
-//! tangent and ends at the target. Without a bend it goes straight from the entry to the target.
+//! tangent and ends at the target. Without a bend all of it is straight: a pilot hole, and the last 10 mm for the tool. A tool that bends
+//! does not begin a hole in a slanting surface: it slides off.
 
 use crate::error::PlanError;
 use crate::markup::{Kind, Markup, Point};
@@ -11,8 +12,8 @@ use crate::vector::{across, dot, length, minus, plus, unit};
 const SHORTEST_MM: f64 = 1.0;
 /// A target this near the line, mm, is on it.
 const ON_THE_LINE_MM: f64 = 0.05;
-/// A straight drilling begins this far outside of the entry, mm: the burr (6.5 mm) must not start inside bone.
-const CLEARANCE_MM: f64 = 5.0;
+/// What the tool drills itself of a straight plan, mm: so short a piece of it sticks out of the pilot hole that it stays on the line.
+const LAST_MM: f64 = 10.0;
 /// The pilot hole begins this far outside of the entry, mm: surfaces of bone are rough, and the entry is set by hand.
 const OUTSIDE_MM: f64 = 10.0;
 
@@ -119,9 +120,13 @@ impl Plan {
         unit(minus(self.bend_mm.unwrap_or(self.target_mm), self.entry_mm))
     }
 
-    /// Where the burr's centre starts: at the bend, or 5 mm outside of the entry. LPS, mm.
+    /// Where the burr's centre starts: at the bend, or, in a straight plan, 10 mm before the target, but not before the entry. LPS, mm.
     pub fn burr_start_mm(&self) -> [f64; 3] {
-        self.bend_mm.unwrap_or_else(|| plus(self.entry_mm, -CLEARANCE_MM, self.direction()))
+        let straight = || {
+            let hole_mm = length(minus(self.target_mm, self.entry_mm)) - LAST_MM;
+            plus(self.entry_mm, hole_mm.max(0.0), self.direction())
+        };
+        self.bend_mm.unwrap_or_else(straight)
     }
 
     /// Whether the plan has a curve.
@@ -144,9 +149,9 @@ impl Plan {
         unit(self.beside().unwrap_or(any))
     }
 
-    /// The pilot hole, from 10 mm outside of the entry to the bend; LPS, mm. None without a bend.
-    pub fn pilot_hole_mm(&self) -> Option<[[f64; 3]; 2]> {
-        Some([plus(self.entry_mm, -OUTSIDE_MM, self.direction()), self.bend_mm?])
+    /// The pilot hole, from 10 mm outside of the entry to the burr's start; LPS, mm.
+    pub fn pilot_hole_mm(&self) -> [[f64; 3]; 2] {
+        [plus(self.entry_mm, -OUTSIDE_MM, self.direction()), self.burr_start_mm()]
     }
 
     /// The middle between the burr's start and the target, LPS, mm.

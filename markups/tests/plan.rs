@@ -72,7 +72,7 @@ fn a_curve_gives_every_place_of_a_scene() {
     let plan = Plan::new(ENTRY, Some(BEND), TARGET).unwrap();
     assert_eq!((plan.burr_start_mm(), plan.direction()), (BEND, [0.0, 0.0, 1.0]));
     assert_eq!(plan.bend_toward(), [0.6, 0.8, 0.0]);
-    assert_eq!(plan.pilot_hole_mm(), Some([[0.0, 0.0, -10.0], BEND]));
+    assert_eq!(plan.pilot_hole_mm(), [[0.0, 0.0, -10.0], BEND]);
     assert_eq!(plan.middle_mm(), [1.5, 2.0, 47.5]);
     // 15 ahead and 5 beside: a circle of radius (15² + 5²) / (2 · 5) = 25, of which the chord sees 2 atan(1/3).
     let turn_rad = 2.0 * (1.0_f64 / 3.0).atan();
@@ -82,15 +82,23 @@ fn a_curve_gives_every_place_of_a_scene() {
     );
 }
 
+/// Without a pilot hole the tool slid off the cortex, or did not, as the third decimal of the entry had it.
 #[test]
-fn a_straight_plan_begins_outside_and_may_bend_anywhere() {
-    for target in [[0.0, 0.0, 30.0], [0.0, 0.0, -30.0], [30.0, 0.0, 0.0], [1.0, -2.0, 3.0]] {
+fn a_straight_plan_has_a_pilot_hole_up_to_its_last_10_mm_and_may_bend_anywhere() {
+    let dot = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    for (target, hole_mm) in [
+        ([0.0, 0.0, 30.0], 20.0),
+        ([0.0, 0.0, -30.0], 20.0),
+        ([30.0, 0.0, 0.0], 20.0),
+        // As short as this, the tool drills all of it, from the entry on.
+        ([1.0, -2.0, 3.0], 0.0),
+    ] {
         let plan = Plan::new(ENTRY, None, target).unwrap();
         let (d, b, s) = (plan.direction(), plan.bend_toward(), plan.burr_start_mm());
-        let dot = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         assert!(dot(d, b).abs() < 1e-12 && (dot(b, b) - 1.0).abs() < 1e-12, "{target:?}: {d:?} {b:?}");
-        assert!((dot(s, d) + 5.0).abs() < 1e-12 && !plan.is_curved() && plan.pilot_hole_mm().is_none());
-        assert!((plan.arc(0.0).length_mm - dot(target, target).sqrt() - 5.0).abs() < 1e-12);
+        assert!((dot(s, d) - hole_mm).abs() < 1e-12 && !plan.is_curved(), "{target:?}: {s:?}");
+        assert_eq!(plan.pilot_hole_mm(), [d.map(|x| -10.0 * x), s]);
+        assert!((plan.arc(0.0).length_mm - dot(target, target).sqrt() + hole_mm).abs() < 1e-12);
     }
 }
 

@@ -48,9 +48,9 @@ pub(crate) fn put_in(
     tool.insert("burr_start_mm".to_owned(), numbers(plan.burr_start_mm()));
     tool.insert("direction".to_owned(), numbers(plan.direction()));
     tool.entry("bend_toward").or_insert_with(|| numbers(plan.bend_toward()));
-    if let Some(hole) = plan.pilot_hole_mm().filter(|_| scene.contains_key("volume")) {
+    if scene.contains_key("volume") {
         let diameter_mm = burr_diameter_mm(scene) + PILOT_PLAY_MM;
-        drill(scene, hole, diameter_mm);
+        drill(scene, plan.pilot_hole_mm(), diameter_mm);
     }
     if let Some(Value::Table(drr)) = scene.get_mut("drr") {
         drr.entry("isocentre_mm").or_insert_with(|| numbers(plan.middle_mm()));
