@@ -15,7 +15,10 @@ fn points(labels: &[(&str, [f64; 3])]) -> String {
     )
 }
 
-fn plan(markups: &[(&str, &[(&str, [f64; 3])])]) -> Result<Plan, PlanError> {
+/// Markups by name: their points, by label, mm.
+type Named<'a> = (&'a str, &'a [(&'a str, [f64; 3])]);
+
+fn plan(markups: &[Named<'_>]) -> Result<Plan, PlanError> {
     let each: Vec<String> =
         markups.iter().map(|(kind, labels)| points(labels).replace("KIND", kind)).collect();
     Plan::of(&read(&format!("{{\"markups\": [{}]}}", each.join(", "))).unwrap())
@@ -29,7 +32,7 @@ const TARGET: [f64; 3] = [3.0, 4.0, 55.0];
 fn the_same_plan_is_found_by_names_in_any_list_and_by_the_order_of_a_curve() {
     let expected = Plan::new(ENTRY, Some(BEND), TARGET).unwrap();
     let other = ("F-4", [9.0; 3]);
-    let lists: [&[(&str, &[(&str, [f64; 3])])]; 4] = [
+    let lists: [&[Named<'_>]; 4] = [
         &[("Fiducial", &[("Target", TARGET), ("ENTRY ", ENTRY), other, ("bend", BEND)])],
         &[("Fiducial", &[("bend", BEND)]), ("Line", &[("L-1", ENTRY), ("L-2", TARGET)])],
         &[("Curve", &[("C-1", ENTRY), ("C-2", BEND), ("C-3", TARGET)])],

@@ -11,8 +11,8 @@ use zerocopy::FromBytes;
 use crate::common::logs::assert_replays;
 use crate::common::program::Place;
 
-/// 39 spheres (32 links) of 6 mm between four walls, with the tip in bone: 156 contacts with the walls, and at least nine with the bone. The
-/// planar solver has room for 164.
+/// 39 spheres (32 links) of 6 mm between four walls and in a hole that is hardly wider: 156 contacts with the walls, and about 300 with the
+/// bone. The planar solver has room for 410.
 const CROWDED: &str = "
 name = \"crowded\"
 [run]
@@ -22,7 +22,12 @@ seed = 7
 
 [volume]
 phantom = \"block\"
-spacing_mm = 1.0
+spacing_mm = 0.5
+
+[[predrill]]
+from_mm = [0.0, 0.0, -90.0]
+to_mm = [0.0, 0.0, 0.0]
+diameter_mm = 6.2
 
 [manipulator]
 links = 32

@@ -20,7 +20,6 @@
 use nalgebra::{Unit, Vector3};
 
 use crate::contact_plane::ContactPlane;
-use crate::manipulator::CONTACTS_PER_SPHERE;
 
 use super::gather::{Sphere, outside};
 use super::grid::floor_to_i64;
@@ -52,7 +51,6 @@ const NEAR_APART_COSINE: f64 = 0.985;
 /// Planes less than [`FAR_APART_COSINE`] apart are looked for up to this gap, m: what a sphere moves in a few ticks.
 const NEAR_GAP_M: f64 = 1.0e-4;
 
-const _: () = assert!(MAX_PLANES <= CONTACTS_PER_SPHERE, "the solver has room for all planes of bone");
 /// A smoothed normal whose cosine with the seed's direction is below this is not trusted: thin sheets, single voxels.
 const NORMAL_AGREEMENT_COSINE: f64 = 0.3;
 

@@ -67,9 +67,9 @@ impl Track {
     fn forget_near_box(&mut self, voxels: &VoxelBox, spacing: [f64; 3]) {
         let reached = self.sphere.is_some_and(|sphere| {
             let mut distance2 = 0.0;
-            for axis in 0..3 {
-                let low = (voxels.low[axis] as f64 - 0.5) * spacing[axis] - sphere.centre[axis];
-                let high = sphere.centre[axis] - (voxels.high[axis] as f64 + 0.5) * spacing[axis];
+            for (axis, spacing) in spacing.into_iter().enumerate() {
+                let low = (voxels.low[axis] as f64 - 0.5) * spacing - sphere.centre[axis];
+                let high = sphere.centre[axis] - (voxels.high[axis] as f64 + 0.5) * spacing;
                 let beyond = low.max(high).max(0.0);
                 distance2 += beyond * beyond;
             }

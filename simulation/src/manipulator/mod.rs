@@ -72,8 +72,8 @@ pub const MAX_TENDONS: usize = 4;
 pub const MAX_SHAFT_SPHERES: usize = 8;
 /// Shaft, one per segment, burr.
 pub(crate) const MAX_SPHERES: usize = MAX_SHAFT_SPHERES + MAX_JOINTS + 1;
-/// Contacts of a sphere that there is room for on average.
-pub const CONTACTS_PER_SPHERE: usize = 12;
+/// Contacts for each sphere that there is room for. Most spheres have none to four; in a hole as narrow as itself one may have more.
+pub const CONTACTS_PER_SPHERE: usize = 10;
 /// Maximum contacts per step; excess contacts are refused and counted.
 pub const MAX_CONTACTS: usize = CONTACTS_PER_SPHERE * MAX_SPHERES;
 
