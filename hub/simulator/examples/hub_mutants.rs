@@ -2,18 +2,17 @@
 //!
 //! `cargo run --release -p hub_simulator --example hub_mutants [-- PART OF A NAME]`: ends with 1 if one survives ten thousand seeds.
 
+use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
 use hub_simulator::mutants::{MUTANTS, Mutant};
+use serde_json::Value;
 use test_support::limited::Limited;
 
 /// Seeds within which each is to be found.
 const SEEDS: u64 = 10_000;
-/// What the copy consists of.
-const CRATES: [&str; 8] =
-    ["voxel_grid", "messages", "scene", "foreign_text", "run_log", "hub", "hub/simulator", "tests/support"];
 
 fn main() -> ExitCode {
     let wanted = std::env::args().nth(1).unwrap_or_default();
@@ -46,7 +45,8 @@ fn try_all(wanted: &str) -> Result<usize, Box<dyn Error>> {
 
 /// A copy of what the simulator needs, as a workspace of its own.
 fn copy_workspace(root: &Path, place: &Path) -> Result<(), Box<dyn Error>> {
-    for folder in CRATES {
+    let folders = needed_folders(root)?;
+    for folder in &folders {
         let target = place.join(folder);
         std::fs::create_dir_all(&target)?;
         std::fs::copy(root.join(folder).join("Cargo.toml"), target.join("Cargo.toml"))?;
@@ -59,10 +59,46 @@ fn copy_workspace(root: &Path, place: &Path) -> Result<(), Box<dyn Error>> {
     let manifest = std::fs::read_to_string(root.join("Cargo.toml"))?;
     let (head, _) = manifest.split_once("\n[package]\n").ok_or("Cargo.toml has no [package]")?;
     let (_, rest) = head.split_once("resolver").ok_or("Cargo.toml has no resolver")?;
-    let members = CRATES.map(|folder| format!("\"{folder}\"")).join(", ");
+    let members = folders.iter().map(|folder| format!("{folder:?}")).collect::<Vec<_>>().join(", ");
     std::fs::write(place.join("Cargo.toml"), format!("[workspace]\nmembers = [{members}]\nresolver{rest}"))?;
     std::fs::copy(root.join("Cargo.lock"), place.join("Cargo.lock"))?;
     Ok(())
+}
+
+/// The folders of the simulator's crate and of every crate of this workspace that it needs, by the manifests.
+fn needed_folders(root: &Path) -> Result<Vec<String>, Box<dyn Error>> {
+    let output = Command::new(cargo())
+        .args(["metadata", "--offline", "--locked", "--no-deps", "--format-version", "1"])
+        .current_dir(root)
+        .limited_output()?;
+    if !output.status.success() {
+        return Err(format!("cargo metadata: {}", String::from_utf8_lossy(&output.stderr)).into());
+    }
+    let metadata: Value = serde_json::from_slice(&output.stdout)?;
+    let list = |value: &Value| value.as_array().cloned().unwrap_or_default();
+    let packages: BTreeMap<String, Value> = list(&metadata["packages"])
+        .into_iter()
+        .map(|package| (package["name"].to_string(), package))
+        .collect();
+    let mut folders: Vec<String> = Vec::new();
+    let mut open = vec![Value::from("hub_simulator").to_string()];
+    while let Some(name) = open.pop() {
+        let package = packages.get(&name).ok_or_else(|| format!("the workspace has no crate {name}"))?;
+        let manifest = Path::new(package["manifest_path"].as_str().unwrap_or_default());
+        let folder = manifest.parent().unwrap_or(manifest).strip_prefix(root)?.to_string_lossy().into_owned();
+        if folders.contains(&folder) {
+            continue;
+        }
+        folders.push(folder);
+        let within =
+            list(&package["dependencies"]).into_iter().filter(|dependency| dependency["path"].is_string());
+        open.extend(within.map(|dependency| dependency["name"].to_string()));
+    }
+    Ok(folders)
+}
+
+fn cargo() -> String {
+    std::env::var("CARGO").unwrap_or_else(|_| "cargo".to_owned())
 }
 
 fn copy_folder(from: &Path, to: &Path) -> std::io::Result<()> {
@@ -88,8 +124,7 @@ fn try_one(mutant: &Mutant, root: &Path, place: &Path) -> Result<Option<String>,
         );
     }
     std::fs::write(&target, right.replace(mutant.right, mutant.wrong))?;
-    let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".to_owned());
-    let built = Command::new(cargo)
+    let built = Command::new(cargo())
         .args(["build", "--release", "--offline", "--quiet", "-p", "hub_simulator", "--bin", "hub_simulator"])
         .env("RUSTFLAGS", "-Awarnings")
         .env("CARGO_TARGET_DIR", place.join("target"))
