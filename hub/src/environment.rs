@@ -5,7 +5,7 @@ use messages::{
     RunStatus, Severity, State, Tick, TickTiming,
 };
 
-use crate::machine::ControllerFault;
+use crate::machine::Blame;
 use crate::pacing::Start;
 use crate::rate_limit::Connection;
 
@@ -130,7 +130,7 @@ pub trait Environment: Outputs {
     fn send_event(&mut self, note: &Note<'_>) -> Result<(), Self::Error>;
 
     /// Leaves word of why the run ends early, before the end is told: whoever hears of the end finds the reason.
-    fn leave_blame(&mut self, fault: &ControllerFault);
+    fn leave_blame(&mut self, blame: &Blame);
 
     /// Wakes sleeping controllers.
     fn wake_controllers(&mut self);

@@ -95,5 +95,5 @@ pub mod viewer;
 pub mod x_ray;
 
 pub use environment::{Environment, Incoming, Note, Outputs, Report};
-pub use machine::{Awaited, ControllerFault, Hub, HubError, Next, Settings, Wait};
+pub use machine::{Awaited, Blame, ControllerFault, Hub, HubError, Next, Settings, Wait};
 pub use pacing::Start;

@@ -38,9 +38,11 @@ fn complete_run(
     let result = run_scene(plan, end, show).map_err(failed)?;
     match &result.outcome {
         Outcome::Completed => Ok(result),
-        Outcome::Stopped | Outcome::Interrupted | Outcome::LogGone(_) | Outcome::ControllerFailed(_) => {
-            Err(Failure::failed(result.outcome.text()))
-        }
+        Outcome::Stopped
+        | Outcome::Interrupted
+        | Outcome::LogGone(_)
+        | Outcome::ControllerFailed(_)
+        | Outcome::SimulationFailed(_) => Err(Failure::failed(result.outcome.text())),
         Outcome::PartDied { name, how, last_words } => {
             Err(Failure::failed(format!("part `{name}` died ({how}): {}", last_words.join("; "))))
         }

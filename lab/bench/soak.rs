@@ -255,7 +255,10 @@ fn check(
     sheet: &mut Sheet,
 ) -> Result<Vec<String>, Failure> {
     let mut problems = Vec::new();
-    if matches!(result.outcome, Outcome::PartDied { .. } | Outcome::ControllerFailed(_)) {
+    if matches!(
+        result.outcome,
+        Outcome::PartDied { .. } | Outcome::ControllerFailed(_) | Outcome::SimulationFailed(_)
+    ) {
         problems.push(result.outcome.text());
     }
     let mut simulated_s = 0.0;

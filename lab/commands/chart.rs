@@ -22,7 +22,7 @@ pub enum ChartCommand {
     /// Physics: random scenes with a tolerance, planned and run; how many exceed it.
     Promise(PromiseArguments),
     /// Physics: the step sizes at which each method converges, is inaccurate or diverges.
-    Stability(ChartArguments),
+    Stability(StabilityArguments),
 }
 /// Arguments of `chart drr`.
 #[derive(Debug, Args)]
@@ -44,6 +44,23 @@ pub struct DrrChartArguments {
     rungs: Option<PathBuf>,
 }
 /// Arguments of `chart stability`.
+#[derive(Debug, Args)]
+pub struct StabilityArguments {
+    /// Output folder and effort of the map.
+    #[command(flatten)]
+    common: ChartArguments,
+    /// In place of the map, judge so many random scenes at the ends of the documented ranges, 1 to 100000.
+    #[arg(long, value_name = "SCENES", conflicts_with = "quick", value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    random: Option<u64>,
+    /// Seed of the first random scene; the others follow.
+    #[arg(long, default_value_t = 1, requires = "random", value_parser = clap::value_parser!(u64).range(0..=1_000_000_000))]
+    seed: u64,
+    /// How the figures of the random scenes are printed.
+    #[command(flatten)]
+    figures: Figures,
+}
+
+/// Where to, and how much.
 #[derive(Debug, Args)]
 pub struct ChartArguments {
     /// Output folder.
@@ -141,7 +158,16 @@ pub fn run(command: &ChartCommand) -> Result<(), Failure> {
             }
         }
         ChartCommand::Stability(arguments) => {
-            stability::run(&arguments.output, Effort::of_option(arguments.quick))
+            let Some(count) = arguments.random else {
+                return stability::run(&arguments.common.output, Effort::of_option(arguments.common.quick));
+            };
+            let mut sheet = Sheet::new(arguments.figures);
+            let wrong = stability::survey::run(count, arguments.seed, &mut sheet)?;
+            sheet.end();
+            match wrong {
+                0 => Ok(()),
+                wrong => Err(Failure::failed(format!("{wrong} of {count} scenes are not as they should be"))),
+            }
         }
     }
 }

@@ -31,6 +31,7 @@ const PARTS: [Part; 5] = [
             "reproduce-2-skiving.csv",
             "reproduce-2-skiving.png",
             "reproduce-2-skiving.svg",
+            "reproduce-2-edge.csv",
             "reproduce-2-rules.csv",
             "reproduce-2-planar-burr.csv",
             "reproduce-2-planar-burr.png",

@@ -84,7 +84,7 @@ pub struct Trial {
     pub burr_rpm: f64,
     /// Specific cutting energy in J/mm³ at 1900 kg/m³, and the exponent of the density, instead of the standard law's.
     pub cutting_law: Option<[f64; 2]>,
-    /// Edge pressure in MPa at 1900 kg/m³, and the exponent of the density, instead of the standard law's.
+    /// Edge force in N per mm of the hole's diameter at 1900 kg/m³, and the exponent of the density; none: no edge force.
     pub edge_law: Option<[f64; 2]>,
     /// Compressive strength of cortical bone, MPa, instead of the standard law's.
     pub strength_mpa: Option<f64>,
@@ -122,8 +122,8 @@ impl Trial {
         let law = self.cutting_law.map_or_else(String::new, |[energy, exponent]| {
             format!("specific_energy_j_per_mm3 = {energy:?}\ndensity_exponent = {exponent:?}\n")
         });
-        let edge = self.edge_law.map_or_else(String::new, |[pressure, exponent]| {
-            format!("edge_pressure_mpa = {pressure:?}\nedge_exponent = {exponent:?}\n")
+        let edge = self.edge_law.map_or_else(String::new, |[force, exponent]| {
+            format!("edge_force_n_per_mm = {force:?}\nedge_exponent = {exponent:?}\n")
         });
         let strength = self.strength_mpa.map_or_else(String::new, |mpa| format!("strength_mpa = {mpa:?}\n"));
         let text = format!(

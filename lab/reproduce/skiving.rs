@@ -24,17 +24,28 @@ pub const INSERTION_MM: f64 = 14.0;
 const MEETS_MM: f64 = 7.0;
 /// Angle between the axis and the boundary: 30 degrees.
 const NORMAL: [f64; 3] = [0.866_025_403_784_438_6, 0.0, 0.5];
+/// Edge force, N/mm, and exponent of the density: fitted by length in part 5.
+const EDGE: [f64; 2] = [7.0, 1.5];
+/// With an edge force the tool is to leave its line by so much into 1:10 at the experiment's feed, and to keep to it into 1:1, mm.
+const SKIVES_MM: f64 = 2.0;
+const STRAIGHT_MM: f64 = 0.02;
+/// Ticks that the decrement takes for a voxel of the dense side at most, at the burr's speed.
+const DECREMENT_TICKS: f64 = 150.0;
 const COLOURS: [RGBColor; 4] =
     [RGBColor(0, 114, 178), RGBColor(213, 94, 0), RGBColor(0, 158, 115), RGBColor(204, 121, 167)];
 
 /// Foam, and beyond an oblique plane material denser by `ratio`.
 pub fn block(foam_kg_per_m3: f64, ratio: f64, effort: Effort) -> Block {
-    let voxel_mm = if effort == Effort::Quick { 1.0 } else { 0.5 };
+    let voxel_mm = voxel_mm(effort);
     let (normal, point) = (Vector3::from(NORMAL), Vector3::new(0.0, 0.0, MEETS_MM * 1e-3));
     let density = move |p: &Vector3<f64>| {
         if (p - point).dot(&normal) > 0.0 { foam_kg_per_m3 * ratio } else { foam_kg_per_m3 }
     };
     Block::new([-16.0, -8.0, -38.0], [16.0, 8.0, 24.0], voxel_mm, density)
+}
+
+fn voxel_mm(effort: Effort) -> f64 {
+    if effort == Effort::Quick { 1.0 } else { 0.5 }
 }
 
 /// The straight insertion.
@@ -44,6 +55,8 @@ pub fn trial(feed_mm_per_s: f64) -> Trial {
 
 pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
     sweep(plan)?;
+    say!("");
+    edge(plan)?;
     say!("");
     rules(plan)?;
     say!("");
@@ -93,29 +106,66 @@ fn sweep(plan: &Plan) -> Result<(), Failure> {
     plan.draw(&draw(&outcomes, feeds)?, "reproduce-2-skiving")
 }
 
-/// Repeats the insertion with the published removal rules.
-fn rules(plan: &Plan) -> Result<(), Failure> {
-    let jobs: Vec<(&'static str, f64)> = ["energy", "naive", "capped", "decrement"]
-        .into_iter()
-        .flat_map(|removal| [1.0, 10.0].map(|ratio| (removal, ratio)))
-        .collect();
-    let outcomes: Vec<(&str, f64, Outcome)> = jobs
+/// The insertion at the experiments' feeds with the edge force of part 5.
+fn edge(plan: &Plan) -> Result<(), Failure> {
+    let feeds: &[f64] = if plan.effort == Effort::Quick { &[1.0] } else { &[0.1, 0.5] };
+    let jobs: Vec<(f64, f64)> =
+        [1.0, 10.0].into_iter().flat_map(|ratio| feeds.iter().map(move |feed| (ratio, *feed))).collect();
+    let outcomes: Vec<(f64, f64, Outcome)> = jobs
         .into_par_iter()
-        .map(|(removal, ratio)| {
+        .map(|(ratio, feed)| {
             let block = block(FOAM_KG_PER_M3, ratio, plan.effort);
-            let trial = Trial { removal, ..trial(1.0) };
-            trial.play(&block, |_, _| {}).map(|outcome| (removal, ratio, outcome))
+            let trial = Trial { edge_law: Some(EDGE), ..trial(feed) };
+            trial.play(&block, |_, _| {}).map(|outcome| (ratio, feed, outcome))
+        })
+        .collect::<Result<_, _>>()?;
+    let mut table = Table::new(&HEAD);
+    outcomes.iter().for_each(|(ratio, feed, outcome)| table.row(cells(*ratio, *feed, outcome)));
+    table.finish(&plan.out, "reproduce-2-edge.csv")?;
+    say!("edge force {} N/mm, exponent {}", EDGE[0], EDGE[1]);
+    for (ratio, feed, outcome) in &outcomes {
+        let aside_mm = outcome.burr_m().x.hypot(outcome.burr_m().y) * 1e3;
+        let wanted = if *ratio > 1.0 { aside_mm >= SKIVES_MM } else { aside_mm <= STRAIGHT_MM };
+        let verdict = if wanted { "as wanted" } else { "NOT as wanted" };
+        say!("1:{ratio} at {feed} mm/s: {aside_mm:.3} mm aside, {verdict}");
+    }
+    Ok(())
+}
+
+/// Repeats the insertion with the published removal rules, the paper's own also at feeds at and above its clearance rate.
+fn rules(plan: &Plan) -> Result<(), Failure> {
+    let at_1_mm_per_s = ["energy", "naive", "capped", "decrement"].map(|removal| (removal, 1.0));
+    let clearance = clearance_mm_per_s(plan.effort);
+    let above = [1.0, 2.0].map(|share| ("decrement", share * clearance));
+    let jobs: Vec<(&'static str, f64, f64)> = at_1_mm_per_s
+        .into_iter()
+        .chain(above)
+        .flat_map(|(removal, feed)| [1.0, 10.0].map(|ratio| (removal, feed, ratio)))
+        .collect();
+    let outcomes: Vec<(&str, f64, f64, Outcome)> = jobs
+        .into_par_iter()
+        .map(|(removal, feed, ratio)| {
+            let block = block(FOAM_KG_PER_M3, ratio, plan.effort);
+            let trial = Trial { removal, ..trial(feed) };
+            trial.play(&block, |_, _| {}).map(|outcome| (removal, feed, ratio, outcome))
         })
         .collect::<Result<_, _>>()?;
     let mut head = vec!["removal"];
     head.extend(HEAD);
     let mut table = Table::new(&head);
-    for (removal, ratio, outcome) in &outcomes {
+    for (removal, feed, ratio, outcome) in &outcomes {
         let mut row = vec![(*removal).to_owned()];
-        row.extend(cells(*ratio, 1.0, outcome));
+        row.extend(cells(*ratio, (*feed * 1e3).round() * 1e-3, outcome));
         table.row(row);
     }
-    table.finish(&plan.out, "reproduce-2-rules.csv")
+    table.finish(&plan.out, "reproduce-2-rules.csv")?;
+    say!("decrement: the dense side is cleared at {clearance:.2} mm/s (a voxel in {DECREMENT_TICKS} ticks)");
+    Ok(())
+}
+
+/// The feed at which the decrement removes the densest voxels in time: one voxel in as many ticks as it takes at most.
+fn clearance_mm_per_s(effort: Effort) -> f64 {
+    voxel_mm(effort) / (DECREMENT_TICKS * trial(1.0).dt_ms * 1e-3)
 }
 
 /// Title, unit and value of a panel.

@@ -1,8 +1,9 @@
 //! Thrust of drills and burrs in closed form, and of the simulated burr, compared with published ranges.
 //!
-//! A cutter of radius r that advances by v in bone of density rho needs `F = p0 (rho/1900)^a A + K (rho/1900)^b A v / (w r_eff)`, A being
-//! the cross-section of its hole: what its edges plough with, and what it cuts with (K is specific energy over cutting coefficient). A
-//! drill is a disc, whose mean lever by area is 2r/3; the end of a ball has the same lever, and its hole is wider by the reach.
+//! A cutter of radius r that advances by v in bone of density rho needs `F = E (rho/1900)^a + K (rho/1900)^b A v / (w r_eff)`, A being the
+//! cross-section of its hole: what its edges plough with, and what it cuts with (K is specific energy over cutting coefficient). The
+//! edges plough in proportion to the hole's area, `E = p0 A`, or to its diameter, `E = e D`, as edges have a length. A drill is a disc,
+//! whose mean lever by area is 2r/3; the end of a ball has the same lever, and its hole is wider by the reach.
 
 use core::f64::consts::{PI, TAU};
 
@@ -119,11 +120,21 @@ const ROWS: [Row; 15] = [
 /// Rows before those of shafts whose tools are unknown.
 const FIRST: usize = 9;
 
+/// What the edge force is in proportion to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Edge {
+    /// The hole's cross-section.
+    Area,
+    /// The hole's diameter.
+    Length,
+}
+
 /// Constants of the law.
 #[derive(Debug, Clone, Copy)]
 struct Law {
-    /// p0, MPa.
-    edge_mpa: f64,
+    by: Edge,
+    /// p0, MPa, or e, N/mm.
+    edge: f64,
     /// a.
     edge_exponent: f64,
     /// K, MPa.
@@ -137,7 +148,8 @@ impl Law {
     fn standard() -> Law {
         let law = MaterialLaw::default();
         Law {
-            edge_mpa: law.edge_pressure_ref_pa * 1e-6,
+            by: Edge::Area,
+            edge: law.edge_pressure_ref_pa * 1e-6,
             edge_exponent: law.edge_exponent,
             cut_mpa: law.specific_energy_ref_j_m3 / CuttingLaw::default().cutting_friction * 1e-6,
             cut_exponent: law.exponent,
@@ -154,9 +166,13 @@ impl Law {
         let area_mm2 = PI * hole_mm * hole_mm;
         let ratio = row.density_kg_per_m3 / DENSITY_REF;
         let speed_mm_per_s = rpm * TAU / 60.0 * radius_mm * 2.0 / 3.0;
-        let edge_mpa = self.edge_mpa * ratio.powf(self.edge_exponent);
+        let extent = match self.by {
+            Edge::Area => area_mm2,
+            Edge::Length => 2.0 * hole_mm,
+        };
+        let edge_n = self.edge * ratio.powf(self.edge_exponent) * extent;
         let cut_mpa = self.cut_mpa * ratio.powf(self.cut_exponent);
-        (edge_mpa + cut_mpa * row.feed_mm_per_s / speed_mm_per_s) * area_mm2
+        edge_n + cut_mpa * row.feed_mm_per_s / speed_mm_per_s * area_mm2
     }
 
     fn is_inside(&self, row: &Row) -> bool {
@@ -174,15 +190,20 @@ impl Law {
     }
 
     /// The constants of a grid that bring most of some rows into range, and of those the ones that miss the others least.
-    fn fitted_on(rows: &[&Row]) -> Law {
+    fn fitted_on(rows: &[&Row], by: Edge) -> Law {
         let steps = |low: f64, high: f64, count: i32| {
             (0..=count).map(move |k| low * (high / low).powf(f64::from(k) / f64::from(count)))
         };
-        let laws = steps(0.5, 8.0, 60).flat_map(|edge_mpa| {
+        let (low, high) = match by {
+            Edge::Area => (0.5, 8.0),
+            Edge::Length => (1.0, 16.0),
+        };
+        let laws = steps(low, high, 60).flat_map(|edge| {
             (10..=24).flat_map(move |a| {
                 steps(5.0, 500.0, 60).flat_map(move |cut_mpa| {
                     (0..=20).map(move |b| Law {
-                        edge_mpa,
+                        by,
+                        edge,
                         edge_exponent: f64::from(a) * 0.1,
                         cut_mpa,
                         cut_exponent: f64::from(b) * 0.1,
@@ -203,12 +224,17 @@ impl Law {
 pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
     let half: Vec<&Row> = ROWS.iter().filter(|row| row.fit).collect();
     let first: Vec<&Row> = ROWS.iter().take(FIRST).collect();
-    let laws = [Law::standard(), Law::fitted_on(&half), Law::fitted_on(&first)];
-    let [standard, by_half, by_first] = &laws;
+    let laws = [
+        Law::standard(),
+        Law::fitted_on(&half, Edge::Area),
+        Law::fitted_on(&first, Edge::Area),
+        Law::fitted_on(&half, Edge::Length),
+    ];
+    let [standard, area, _, length] = &laws;
     let simulated: Vec<Option<f64>> = ROWS
         .par_iter()
         .map(|row| match row.tool {
-            Tool::Ball => simulated_n(row, by_first, plan.effort).map(Some),
+            Tool::Ball => simulated_n(row, length, plan.effort).map(Some),
             Tool::Drill(_) => Ok(None),
         })
         .collect::<Result<_, Failure>>()?;
@@ -224,10 +250,10 @@ pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
         "standard_n",
         "standard_inside",
         "half",
-        "by_half_n",
-        "by_half_inside",
-        "by_nine_n",
-        "by_nine_inside",
+        "by_area_n",
+        "by_area_inside",
+        "by_length_n",
+        "by_length_inside",
         "simulated_n",
         "source",
     ]);
@@ -254,10 +280,10 @@ pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
             at(standard),
             yes(standard.is_inside(row)),
             if row.fit { "fitted" } else { "checked" }.to_owned(),
-            at(by_half),
-            yes(by_half.is_inside(row)),
-            at(by_first),
-            yes(by_first.is_inside(row)),
+            at(area),
+            yes(area.is_inside(row)),
+            at(length),
+            yes(length.is_inside(row)),
             simulated.map_or_else(String::new, |thrust_n| format!("{thrust_n:.3}")),
             row.source.to_owned(),
         ]);
@@ -268,9 +294,14 @@ pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
             (0..).zip(&ROWS).filter(|(place, row)| rows(*place, row)).map(|(_, row)| row).collect();
         format!("{} of {}", chosen.iter().filter(|row| law.is_inside(row)).count(), chosen.len())
     };
-    for (name, law) in ["standard", "by_half", "by_nine"].iter().zip(&laws) {
-        let Law { edge_mpa, edge_exponent, cut_mpa, cut_exponent } = law;
-        say!("{name}: p0 {edge_mpa:.2} MPa, a {edge_exponent:.1}, K {cut_mpa:.1} MPa, b {cut_exponent:.1}");
+    let names = ["standard", "by area, half", "by area, all nine", "by length, half"];
+    for (name, law) in names.iter().zip(&laws) {
+        let Law { by, edge, edge_exponent, cut_mpa, cut_exponent } = law;
+        let edge = match by {
+            Edge::Area => format!("p0 {edge:.2} MPa"),
+            Edge::Length => format!("e {edge:.2} N/mm"),
+        };
+        say!("{name}: {edge}, a {edge_exponent:.1}, K {cut_mpa:.1} MPa, b {cut_exponent:.1}");
         say!(
             "    inside: {} of the half fitted on, {} of the other rows, {} measured, {} of the first nine, {} in all",
             count(law, &|_, row| row.fit),
@@ -293,7 +324,7 @@ fn simulated_n(row: &Row, law: &Law, effort: Effort) -> Result<f64, Failure> {
         stiffness: 1000.0,
         burr_rpm: row.rpm[0],
         cutting_law: Some([energy_j_per_mm3, law.cut_exponent]),
-        edge_law: Some([law.edge_mpa, law.edge_exponent]),
+        edge_law: Some([law.edge, law.edge_exponent]),
         ..Trial::new(0.0, row.feed_mm_per_s, insertion_mm)
     };
     trial.play(&block, |_, _| {}).map(|outcome| outcome.mean_force_n)

@@ -322,6 +322,8 @@ codes! {
         ControllerLate = EVENT_CONTROLLER_LATE, 11, "controller_late";
         /// The simulation was reset before this tick; `text` says which tick began from the initial state.
         Reset = EVENT_RESET, 12, "reset";
+        /// The run ends: the simulation could not compute a tick, or its result was no state of the tool; `text` says which tick, and why.
+        SimulationFailed = EVENT_SIMULATION_FAILED, 13, "simulation_failed";
     }
 }
 

@@ -22,15 +22,17 @@ const LOG_MOVED: &str = "log moved";
 const PART_DIED: &str = "part died: ";
 const CONTROLLER_MISSING: &str = "controller missing: ";
 const CONTROLLER_LATE: &str = "controller late: ";
+const SIMULATION_FAILED: &str = "simulation failed: ";
 
-/// A reason that names a part or controller: its word, and how it is made.
+/// A reason that names a part or controller, or says why: its word, and how it is made.
 type NamedReason = (&'static str, fn(String) -> EndReason);
 
-/// The reasons that name who caused the end, by what their text begins with.
-const NAMED: [NamedReason; 3] = [
+/// The reasons that name who or what caused the end, by what their text begins with.
+const NAMED: [NamedReason; 4] = [
     (PART_DIED, EndReason::PartDied),
     (CONTROLLER_MISSING, EndReason::ControllerMissing),
     (CONTROLLER_LATE, EndReason::ControllerLate),
+    (SIMULATION_FAILED, EndReason::SimulationFailed),
 ];
 
 /// Why a run ended.
@@ -48,6 +50,8 @@ pub enum EndReason {
     ControllerMissing(String),
     /// In lockstep, a controller did not answer in time; holds its name.
     ControllerLate(String),
+    /// The simulation could not compute a tick, whose commands are the log's last; holds the tick and the cause, as `tick 81: …`.
+    SimulationFailed(String),
     /// The log, or its folder, was moved while it was being written.
     LogMoved,
     /// The log was damaged or truncated, then repaired; holds its earlier reason if that could be read.
@@ -64,6 +68,7 @@ impl EndReason {
             EndReason::PartDied(part) => format!("{PART_DIED}{part}"),
             EndReason::ControllerMissing(name) => format!("{CONTROLLER_MISSING}{name}"),
             EndReason::ControllerLate(name) => format!("{CONTROLLER_LATE}{name}"),
+            EndReason::SimulationFailed(cause) => format!("{SIMULATION_FAILED}{cause}"),
             EndReason::LogMoved => LOG_MOVED.to_string(),
             EndReason::Repaired(None) => "repaired".to_string(),
             EndReason::Repaired(Some(before)) => format!("repaired, before: {}", before.text()),

@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use messages::services::MAX_KEYFRAME_BYTES;
-use messages::{Keyframe, Latched, Removed, Reset, Restores, State, Tick};
+use messages::{Keyframe, Latched, Plant, Removed, Reset, Restores, State, Tick};
 use zerocopy::FromBytes;
 
-use crate::end::Ending;
+use crate::end::{EndReason, Ending};
 use crate::error::LogError;
 use crate::header::LogHeader;
 use crate::source::LogSource;
@@ -24,6 +24,31 @@ pub struct TickRecord {
     pub removed: Vec<u32>,
     /// After a reset, which restores all voxels: the predrilled voxels, removed again before `removed`.
     pub restored: Option<Vec<u32>>,
+}
+
+/// The tick that a run's simulation could not compute.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordedFailure {
+    /// Its commands, the log's last.
+    pub latched: Box<Latched>,
+    /// The log's end reason: which tick, and why.
+    pub text: String,
+}
+
+impl RecordedFailure {
+    /// Steps a plant in the last state with these commands.
+    ///
+    /// # Errors
+    /// It does not fail, or for another reason: says so.
+    pub fn reproduce(&self, plant: &mut impl Plant) -> Result<(), String> {
+        let Err(cause) = plant.step(&self.latched) else {
+            return Err(format!("it does not fail here; the log says: {}", self.text));
+        };
+        match format!("tick {}: {cause}", self.latched.tick) {
+            told if told == self.text => Ok(()),
+            told => Err(format!("{told}; the log says: {}", self.text)),
+        }
+    }
 }
 
 /// A complete keyframe of a log.
@@ -233,6 +258,20 @@ impl LogReader {
     /// `State.tick` of the last complete tick so far.
     pub fn last_complete_tick(&self) -> Tick {
         self.last
+    }
+
+    /// The commands of the tick that the simulation could not compute, and its words for why, if the run ended by that. Known once the
+    /// iteration has ended without an error.
+    pub fn failure(&self) -> Option<RecordedFailure> {
+        if !self.done || self.at_gap {
+            return None;
+        }
+        match &self.ending().marker.as_ref()?.reason {
+            EndReason::SimulationFailed(text) => {
+                Some(RecordedFailure { latched: Box::new(self.pending.latched?), text: text.clone() })
+            }
+            _ => None,
+        }
     }
 
     /// How the file ends. Known once the iteration has ended without an error.

@@ -19,7 +19,7 @@ use zerocopy::IntoBytes;
 use crate::difference::{Divergence, compare};
 use crate::end::Ending;
 use crate::error::LogError;
-use crate::reader::{LogReader, SavedState, TickRecord};
+use crate::reader::{LogReader, RecordedFailure, SavedState, TickRecord};
 use crate::topics::Topic;
 use crate::verify::{ReplayReport, compare_state, compare_tick};
 
@@ -116,6 +116,8 @@ enum Block {
     Ticks(Vec<TickRecord>),
     /// The last block: the keyframe of the last tick.
     Keyframe(SavedState),
+    /// The last block of the log: the tick that the simulation could not compute.
+    Failure(RecordedFailure),
 }
 
 /// What reading the log came to.
@@ -134,6 +136,8 @@ struct Outcome {
     keyframes: u64,
     last_tick: Tick,
     hash: [u64; 2],
+    /// The simulation failed as it had in the run.
+    failure: Option<String>,
     problem: Option<Problem>,
 }
 
@@ -211,10 +215,8 @@ fn feed(
         {
             hand_over(&blocks, Block::Ticks(std::mem::take(&mut waiting)));
             hand_over(&blocks, Block::Keyframe(saved.clone()));
-            blocks = match record {
-                Some(Ok(_)) => begin(Start { state: last.clone(), keyframe: Some(saved) }),
-                _ => None,
-            };
+            let goes_on = matches!(record, Some(Ok(_))) || reader.failure().is_some();
+            blocks = goes_on.then(|| begin(Start { state: last.clone(), keyframe: Some(saved) })).flatten();
         }
         match record {
             Some(Ok(record)) => {
@@ -243,6 +245,9 @@ fn feed(
             }
             ended => {
                 hand_over(&blocks, Block::Ticks(waiting));
+                if let Some(failure) = reader.failure() {
+                    hand_over(&blocks, Block::Failure(failure));
+                }
                 return ended.and_then(Result::err);
             }
         }
@@ -298,6 +303,7 @@ impl Outcome {
             keyframes: 0,
             last_tick: Tick(start.state.tick),
             hash: start.state.hash,
+            failure: None,
             problem: None,
         }
     }
@@ -310,6 +316,7 @@ impl Outcome {
             keyframes: 0,
             last_tick: start_tick,
             hash: [0; 2],
+            failure: None,
             problem: Some(Problem::Cannot(start_tick, PANICKED.to_owned())),
         }
     }
@@ -326,6 +333,7 @@ impl Outcome {
             self.problem = match block {
                 Block::Ticks(ticks) => ticks.iter().find_map(|tick| self.tick(simulation, tick)),
                 Block::Keyframe(saved) => self.keyframe(simulation, &saved),
+                Block::Failure(failure) => self.failure(simulation, failure),
             };
         }
     }
@@ -341,6 +349,16 @@ impl Outcome {
         self.last_tick = Tick(recorded.state.tick);
         self.hash = recorded.state.hash;
         None
+    }
+
+    fn failure<S: Plant>(&mut self, simulation: &mut S, recorded: RecordedFailure) -> Option<Problem> {
+        match recorded.reproduce(simulation) {
+            Ok(()) => {
+                self.failure = Some(recorded.text);
+                None
+            }
+            Err(other) => Some(Problem::Cannot(Tick(recorded.latched.tick), other)),
+        }
     }
 
     fn keyframe<S: Plant>(&mut self, simulation: &mut S, recorded: &SavedState) -> Option<Problem> {
@@ -400,6 +418,7 @@ fn merge(
             hash: options.start.as_ref().map_or(reader.initial().hash, |start| start.hash),
             divergence: None,
             simulation_error: None,
+            failure: None,
             log_error,
             ending: Ending::default(),
         },
@@ -412,6 +431,7 @@ fn merge(
         replay.identical_ticks += outcome.identical_ticks;
         replay.last_tick = outcome.last_tick;
         replay.hash = outcome.hash;
+        replay.failure = outcome.failure;
         report.identical_keyframes += outcome.keyframes;
         if let Some(problem) = outcome.problem {
             // Problems after it do not matter.

@@ -32,6 +32,8 @@ pub struct ReplayReport {
     pub divergence: Option<Divergence>,
     /// Tick that the simulation failed to compute, and why.
     pub simulation_error: Option<(Tick, String)>,
+    /// The simulation failed behind the last tick, as it had in the run: which tick, and why.
+    pub failure: Option<String>,
     /// Why the log could not be read further (a gap, damage).
     pub log_error: Option<LogError>,
     /// How the file ends, if it was read to its end.
@@ -55,6 +57,7 @@ pub fn verify(reader: &mut LogReader, simulation: &mut impl Plant, options: Veri
         hash: reader.initial().hash,
         divergence: compare_state(reader.initial(), simulation.state()),
         simulation_error: None,
+        failure: None,
         log_error: None,
         ending: Ending::default(),
     };
@@ -62,6 +65,12 @@ pub fn verify(reader: &mut LogReader, simulation: &mut impl Plant, options: Veri
         match reader.next() {
             None => {
                 report.ending = reader.ending().clone();
+                if let Some(failure) = reader.failure() {
+                    match failure.reproduce(simulation) {
+                        Ok(()) => report.failure = Some(failure.text),
+                        Err(other) => report.simulation_error = Some((Tick(failure.latched.tick), other)),
+                    }
+                }
                 break;
             }
             Some(Err(error)) => {

@@ -123,6 +123,7 @@ fn symbol(word: &str) -> Option<&'static str> {
         ("rpm", "rpm"),
         ("n", "N"),
         ("nm", "N m"),
+        ("nmm", "N mm"),
         ("nms", "N m s"),
         ("j", "J"),
         ("kg", "kg"),

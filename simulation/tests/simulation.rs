@@ -7,7 +7,7 @@ use messages::{
     TENDON_SERVO_JF,
 };
 use nalgebra::Vector3;
-use simulation::{CtView, Simulation};
+use simulation::{CtView, Simulation, SimulationError};
 use zerocopy::IntoBytes;
 
 use common::{TUNNEL, bone, scene};
@@ -132,4 +132,21 @@ fn each_part_of_a_command_acts_or_is_refused_on_its_own() {
     assert_eq!(state.arm_joint_position_rad, start.arm_joint_position_rad, "the arm stands");
     assert_eq!(state.burr_speed_rad_per_s, 800.0);
     assert!(state.tendon_tension_n[0] > 2.0, "{} N", state.tendon_tension_n[0]);
+}
+
+/// Both values are within their ranges; the tip came to 1e110 mm.
+#[test]
+fn a_lost_tool_is_an_error_and_its_last_state_is_sound() {
+    let scene = scene(
+        "name = \"lost\"\nrun = { mode = \"lockstep\", duration_s = 5.0 }\nmanipulator = { stiffness_scale = 0.001 }\n",
+    );
+    let mut simulation = Simulation::new(&scene, None).unwrap();
+    let start = *simulation.state();
+    let lost = (0..5000).find_map(|tick| {
+        let mut latched = latched(tick, &start);
+        latched.commands[0].command.tendon_force_n[0] = 60.0;
+        simulation.step(&latched).err()
+    });
+    println!("{}", lost.as_ref().map(ToString::to_string).unwrap_or_default());
+    assert!(matches!(lost, Some(SimulationError::Lost(_))), "{lost:?}");
 }

@@ -266,6 +266,13 @@ fn step_only(
         }
     }
     let (tick, hash) = (Tick(simulation.state().tick), simulation.state().hash);
+    // The simulation is unusable after its failure: last.
+    let failure = reader.failure();
+    if let Some(failure) = &failure {
+        failure
+            .reproduce(&mut simulation)
+            .map_err(|other| Failure::failed(format!("the simulation: {other}")))?;
+    }
     let replay = ReplayReport {
         identical_ticks: ticks,
         last_tick: tick,
@@ -273,6 +280,7 @@ fn step_only(
         hash,
         divergence: None,
         simulation_error: None,
+        failure: failure.map(|failure| failure.text),
         log_error: None,
         ending: reader.ending().clone(),
     };
@@ -318,6 +326,7 @@ impl ReplayOutcome {
             "simulated_s": report.simulated_ns as f64 * 1e-9,
             "wall_s": self.wall_s,
             "identical_keyframes": self.keyframes,
+            "simulation_failed": report.failure,
             "gaps_after_and_resumed": gaps,
             "intact": self.verdict.as_ref().map(Verdict::is_intact),
         })
@@ -358,6 +367,9 @@ impl ReplayOutcome {
         );
         if self.verified {
             say!("{} keyframes, all identical", self.keyframes);
+        }
+        if let Some(failure) = &report.failure {
+            say!("then the simulation fails as it did in the run: {failure}");
         }
         for gap in self.gaps.iter().take(MAX_GAPS_LISTED) {
             say!("{gap}");

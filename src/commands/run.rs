@@ -354,7 +354,11 @@ fn judge(result: &RunResult) -> Result<(), Failure> {
         Outcome::Interrupted => Err(Failure { message: "interrupted".to_owned(), code: EXIT_INTERRUPTED }),
         // The launcher has already said how.
         Outcome::ControllerFailed(blame) => {
-            Err(Failure::failed(format!("the run ended early because of controller `{}`", blame.controller)))
+            let name = blame.controller.as_deref().unwrap_or_default();
+            Err(Failure::failed(format!("the run ended early because of controller `{name}`")))
+        }
+        Outcome::SimulationFailed(_) => {
+            Err(Failure::failed("the run ended early because the simulation failed"))
         }
         Outcome::PartDied { name, .. } => {
             Err(Failure::failed(format!("the run ended early because `{name}` ended")))

@@ -206,10 +206,14 @@ impl Ending<'_> {
         let reason = match outcome {
             Outcome::Completed => EndReason::Completed,
             Outcome::Stopped => EndReason::Stopped,
-            Outcome::ControllerFailed(blame) if blame.code == EventCode::ControllerLate => {
-                EndReason::ControllerLate(blame.controller.clone())
+            Outcome::ControllerFailed(blame) => {
+                let name = blame.controller.clone().unwrap_or_default();
+                match blame.code {
+                    EventCode::ControllerLate => EndReason::ControllerLate(name),
+                    _ => EndReason::ControllerMissing(name),
+                }
             }
-            Outcome::ControllerFailed(blame) => EndReason::ControllerMissing(blame.controller.clone()),
+            Outcome::SimulationFailed(text) => EndReason::SimulationFailed(text.clone()),
             Outcome::Interrupted => EndReason::Interrupted,
             Outcome::PartDied { name, .. } => EndReason::PartDied(name.clone()),
             // Nobody reads the end of a log that was removed.

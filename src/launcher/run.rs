@@ -49,6 +49,8 @@ pub enum Outcome {
     LogGone(String),
     /// A controller did not join in time, or in lockstep did not answer in time: which of the two, and the physics's words for it.
     ControllerFailed(Blame),
+    /// The simulation could not compute a tick: which one and why, in the physics's words.
+    SimulationFailed(String),
     /// A part died or ended too early.
     PartDied {
         /// Name of the part.
@@ -73,6 +75,7 @@ impl Outcome {
             Outcome::Stopped => "stopped".to_owned(),
             Outcome::Interrupted => "interrupted".to_owned(),
             Outcome::ControllerFailed(blame) => format!("{}: {}", blame.code.word(), blame.text),
+            Outcome::SimulationFailed(text) => format!("{}: {text}", EventCode::SimulationFailed.word()),
             Outcome::PartDied { name, how, .. } => format!("part `{name}` died ({how})"),
             Outcome::LogGone(how) => how.clone(),
         }
@@ -83,6 +86,7 @@ impl Outcome {
         match self {
             Outcome::Completed | Outcome::Stopped | Outcome::Interrupted => None,
             Outcome::ControllerFailed(blame) => Some(blame.text.clone()),
+            Outcome::SimulationFailed(text) => Some(format!("the simulation failed: {text}")),
             Outcome::LogGone(how) => Some(how.clone()),
             Outcome::PartDied { name, how, last_words } => {
                 let lines: Vec<String> =
@@ -296,15 +300,16 @@ impl Running<'_> {
         Ok(Some(self.blamed(&outcome).unwrap_or_else(|| self.told_apart(outcome))))
     }
 
-    /// The outcome if the physics ended the run because of a controller.
+    /// The outcome if the physics ended the run because of a controller or the simulation.
     fn blamed(&self, outcome: &Outcome) -> Option<Outcome> {
         let is_end = match outcome {
             Outcome::PartDied { name, .. } => name == PHYSICS || self.subscriptions.has_ended(),
             _ => self.subscriptions.has_ended(),
         };
         let mut blame = self.hub.host.session.blame().filter(|_| is_end)?;
+        let Some(name) = &blame.controller else { return Some(Outcome::SimulationFailed(blame.text)) };
         let mut controllers = self.plan.scene.controller.iter();
-        let controller = controllers.find(|controller| controller.name == blame.controller)?;
+        let controller = controllers.find(|controller| controller.name == *name)?;
         if controller.external && blame.code == EventCode::ControllerMissing {
             let how = self.hub.host.session.how_to_connect(&controller.name);
             blame.text += &format!("; it is external: start it with {how}");

@@ -5,7 +5,7 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use hub::Outputs;
-use hub::run_lane::RunLane;
+use hub::run_lane::{LaneError, RunLane};
 use ipc_types::layout::{Message, hex};
 use ipc_types::messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched, Part, Removed, State};
 use output_file::{OutputError, OutputFile};
@@ -81,6 +81,9 @@ pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> R
     // A log without an end marker comes from a recorder that died.
     let reason =
         marker.map_or(EndReason::PartDied(Part::Recorder.name().to_owned()), |marker| marker.reason.clone());
+    if let EndReason::SimulationFailed(text) = &reason {
+        copy.fail(text)?;
+    }
     let lost = marker.map(|marker| marker.lost.clone()).unwrap_or_default();
     let (_, mut written) = copy.out.0.finish(reason, &lost).map_err(failed)?;
     // A failed flush must be an error, or the file would silently lack its end.
@@ -166,6 +169,18 @@ impl ReplayCopy<'_> {
             None => Ok(()),
             Some(divergence) => Err(Failure::failed(format!("{divergence}{}", self.log.label()))),
         }
+    }
+
+    /// Repeats the tick that the simulation could not compute; its commands are written, as in the run.
+    fn fail(&mut self, text: &str) -> Result<(), Failure> {
+        let Some(latched) = self.latched.take() else { return Ok(()) };
+        let told = match self.lane.tick(&mut self.simulation, &latched, &mut self.out, |_| 0) {
+            Ok(_) => "the simulation does not fail here".to_owned(),
+            Err(LaneError::Output(cause)) => return Err(failed(cause)),
+            Err(LaneError::Plant(cause)) => format!("tick {}: {cause}", latched.tick),
+        };
+        let differs = || Failure::failed(format!("{told}; the log says: {text}"));
+        if told == text { Ok(()) } else { Err(differs()) }
     }
 
     /// A log with a gap cannot be reproduced as the same file.

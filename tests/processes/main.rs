@@ -38,6 +38,7 @@ mod late_controllers;
 mod lichtblick;
 mod lifetimes;
 mod log_tools;
+mod lost_tool;
 mod oblique;
 mod openigtlink;
 mod orphans;

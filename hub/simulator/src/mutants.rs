@@ -25,6 +25,12 @@ pub const MUTANTS: &[Mutant] = &[
         "self.tick.saturating_sub(self.settings.lead_ticks)",
         "self.tick.saturating_sub(self.settings.lead_ticks + 1)",
     ),
+    mutant(
+        "a simulation that fails is told to nobody",
+        "machine/mod.rs",
+        "and_then(HubError::blame)",
+        "and_then(HubError::blame).filter(|blame| blame.controller.is_some())",
+    ),
     mutant("a state wakes nobody", "machine/ticking.rs", "        env.wake_controllers();\n", ""),
     mutant(
         "a late command is held for ever",

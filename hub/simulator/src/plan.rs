@@ -147,6 +147,8 @@ pub enum FaultKind {
     },
     /// The plant refuses part of the next tick's commands.
     PlantRefuses,
+    /// The plant cannot compute the next tick.
+    PlantFails,
     /// SIGTERM.
     EndRequest,
 }
@@ -203,6 +205,10 @@ impl Plan {
         }
         let count = [0, 1, 2, 4, 8][random.usize(..5)];
         plan.faults = (0..count).map(|_| fault(&plan, &mut random)).collect();
+        if random.u8(..16) == 0 {
+            let at_ns = random.u64(..plan.nominal_ns());
+            plan.faults.push(Fault { at_ns, kind: FaultKind::PlantFails });
+        }
         // Writing and reading a log takes longer than playing the schedule.
         plan.log_cut =
             (seed.is_multiple_of(SCHEDULES_PER_CUT) && plan.recorder_ns.is_some()).then(|| random.u64(..));

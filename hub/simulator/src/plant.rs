@@ -22,6 +22,8 @@ pub struct Handle {
     pub slow_ns: Rc<Cell<u64>>,
     /// Whether the next tick's commands are refused.
     pub refuses: Rc<Cell<bool>>,
+    /// Whether the next tick cannot be computed.
+    pub fails: Rc<Cell<bool>>,
 }
 
 /// The stand-in.
@@ -59,6 +61,9 @@ impl Plant for ChainPlant {
     fn step(&mut self, latched: &Latched) -> Result<(), String> {
         if latched.tick != self.state.tick {
             return Err(format!("tick {} behind {}", latched.tick, self.state.tick));
+        }
+        if self.handle.fails.take() {
+            return Err("the tool is lost".to_owned());
         }
         let clock = &self.handle.now_ns;
         clock.set(clock.get() + 30_000 + self.handle.slow_ns.take());

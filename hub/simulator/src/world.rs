@@ -341,6 +341,7 @@ impl World {
             FaultKind::HubStops { for_ns } => self.stopped_ns += for_ns,
             FaultKind::SlowTick { for_ns } => self.plant.slow_ns.set(for_ns),
             FaultKind::PlantRefuses => self.plant.refuses.set(true),
+            FaultKind::PlantFails => self.plant.fails.set(true),
             FaultKind::EndRequest => self.request_end(),
         }
     }

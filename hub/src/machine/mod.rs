@@ -6,6 +6,8 @@ mod control;
 mod ticking;
 mod waiting;
 
+use std::fmt::Display;
+
 use messages::{
     CommandSource, ControllerIndex, EventCode, MAX_CONTROLLERS, Part, Phase, Plant, Severity, Tick,
     TickTiming,
@@ -96,7 +98,7 @@ pub enum HubError<E, P> {
     /// A message could not be sent or received.
     #[error("{0}")]
     Environment(E),
-    /// The plant rejected a tick.
+    /// The plant could not compute a tick; its commands have been published, a state has not.
     #[error("tick {tick}: {cause}")]
     Plant {
         /// Tick.
@@ -165,6 +167,36 @@ impl ControllerFault {
         match self {
             ControllerFault::NotConnected { .. } => EventCode::ControllerMissing,
             ControllerFault::Silent { .. } => EventCode::ControllerLate,
+        }
+    }
+}
+
+/// Whom or what clients blame for the end of the run.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Blame {
+    /// The kind of event that tells it.
+    pub code: EventCode,
+    /// The controller's name; `None`: the simulation.
+    pub controller: Option<String>,
+    /// What happened, in words.
+    pub text: String,
+}
+
+impl<E, P: Display> HubError<E, P> {
+    /// Whom to blame, if it is not a part or the transport: those fail by themselves, and the launcher sees it.
+    fn blame(&self) -> Option<Blame> {
+        match self {
+            HubError::Controller(fault) => Some(Blame {
+                code: fault.event(),
+                controller: Some(fault.controller().to_owned()),
+                text: fault.to_string(),
+            }),
+            HubError::Plant { tick, cause } => Some(Blame {
+                code: EventCode::SimulationFailed,
+                controller: None,
+                text: format!("tick {tick}: {cause}"),
+            }),
+            HubError::Environment(_) | HubError::NotConnected { .. } | HubError::ConsumerStuck { .. } => None,
         }
     }
 }
@@ -341,13 +373,13 @@ impl<P: Plant> Hub<P> {
     /// Does everything that can be done now, up to the next wait.
     ///
     /// # Errors
-    /// Any [`HubError`]; the run is over then. If a controller is to blame, every client has been told.
+    /// Any [`HubError`]; the run is over then. If a controller or the plant is to blame, every client has been told.
     pub fn advance<E: Environment>(&mut self, env: &mut E) -> Outcome<Next, P, E> {
         let advanced = self.advance_stages(env);
-        if let Err(HubError::Controller(fault)) = &advanced {
-            env.leave_blame(fault);
-            let (code, text) = (fault.event(), fault.to_string());
-            env.send_event(&Note { tick: self.tick, severity: Severity::Error, code, text: &text })?;
+        if let Some(blame) = advanced.as_ref().err().and_then(HubError::blame) {
+            env.leave_blame(&blame);
+            let Blame { code, text, .. } = &blame;
+            env.send_event(&Note { tick: self.tick, severity: Severity::Error, code: *code, text })?;
             self.send_status(env, Phase::Ended, When::Now)?;
             env.wake_controllers();
         }

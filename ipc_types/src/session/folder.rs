@@ -178,13 +178,13 @@ pub fn announced_sessions() -> Vec<PathBuf> {
 /// File in which the physics says why it ends a run.
 const BLAME_FILE: &str = "blame";
 
-/// Why the physics ended a run early: because of which controller, the kind of event, and its text.
+/// Why the physics ended a run early: the kind of event, because of which controller, and its text.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Blame {
-    /// The kind of event, [`EventCode::ControllerMissing`] or [`EventCode::ControllerLate`].
+    /// The kind of event: [`EventCode::ControllerMissing`], [`EventCode::ControllerLate`] or [`EventCode::SimulationFailed`].
     pub code: EventCode,
-    /// Name of the controller.
-    pub controller: String,
+    /// Name of the controller; `None`: the simulation failed.
+    pub controller: Option<String>,
     /// The event's text.
     pub text: String,
 }
@@ -198,7 +198,13 @@ impl Blame {
         create_file(
             folder,
             BLAME_FILE,
-            format!("{}\n{}\n{}", self.code.code(), self.controller, self.text).as_bytes(),
+            format!(
+                "{}\n{}\n{}",
+                self.code.code(),
+                self.controller.as_deref().unwrap_or_default(),
+                self.text
+            )
+            .as_bytes(),
         )
     }
 
@@ -208,7 +214,9 @@ impl Blame {
         let (code, rest) = content.split_once('\n')?;
         let (controller, text) = rest.split_once('\n')?;
         let code = EventCode::try_from(code.parse::<u32>().ok()?).ok()?;
-        Some(Blame { code, controller: controller.to_owned(), text: foreign_line(text).to_string() })
+        // No controller's name is empty.
+        let controller = Some(controller.to_owned()).filter(|name| !name.is_empty());
+        Some(Blame { code, controller, text: foreign_line(text).to_string() })
     }
 }
 

@@ -2,6 +2,8 @@
 
 mod cases;
 mod figure;
+mod random;
+pub mod survey;
 
 use crate::effort::Effort;
 use std::fmt::Write as _;

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use hub::rate_limit::Connection;
-use hub::{Awaited, ControllerFault, Environment, Incoming, Note, Outputs, Report, Start, Wait};
+use hub::{Awaited, Environment, Incoming, Note, Outputs, Report, Start, Wait};
 use ipc_types::clock::now_ns;
 use ipc_types::messages::{
     Command, ControllerIndex, Keyframe, Latched, Part, Participant, Progress, Removed, RunControl,
@@ -204,10 +204,10 @@ impl Environment for SharedMemory<'_> {
         self.events.send(note.tick, note.severity, note.code, note.text)
     }
 
-    fn leave_blame(&mut self, fault: &ControllerFault) {
-        let controller = fault.controller().to_owned();
+    fn leave_blame(&mut self, blame: &hub::Blame) {
+        let hub::Blame { code, controller, text } = blame.clone();
         // Without it clients hear the event only.
-        let _ = self.session.leave_blame(&Blame { code: fault.event(), controller, text: fault.to_string() });
+        let _ = self.session.leave_blame(&Blame { code, controller, text });
     }
 
     fn wake_controllers(&mut self) {

@@ -64,6 +64,10 @@ pub(crate) fn check(scene: &Scene, given: &toml::Table, file: &Path) -> Result<(
     check_bodies(scene, &checker)?;
     check_tool(&scene.tool, &checker)?;
     check_tendons(scene, &checker)?;
+    if scene.drilling.edge_force_n_per_mm.is_some() && scene.drilling.edge_pressure_mpa.is_some() {
+        let problem = "stands beside `drilling.edge_pressure_mpa`; expected one of the two";
+        return Err(checker.invalid("drilling.edge_force_n_per_mm", problem));
+    }
     check_arm(&scene.arm, &checker)?;
     if let Some(drr) = &scene.drr {
         check_drr(drr, &checker)?;

@@ -67,6 +67,9 @@ pub struct Manipulator {
     /// Diameter of the burr.
     #[schemars(range(min = 1.0, max = 20.0))]
     pub burr_diameter_mm: Option<f64>,
+    /// Torque at which the burr's motor stands; its speed falls in a line up to there. Absent: it keeps its speed under any torque.
+    #[schemars(range(min = 0.01, max = 1e4), extend("x-absent" = "none"))]
+    pub burr_stall_torque_nmm: Option<f64>,
     /// Time integration: `hybrid`, the standard, is second order in free motion.
     pub integrator: Option<Integrator>,
 }

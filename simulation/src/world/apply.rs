@@ -5,7 +5,7 @@ use messages::{
 };
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
-use super::{ArmDriver, Simulation};
+use super::{Driver, Simulation};
 use crate::arm::ArmCommand;
 use crate::manipulator::{MAX_TENDONS, ManipulatorModel};
 
@@ -20,10 +20,11 @@ impl Simulation<'_> {
             let controller = ControllerIndex(entry.controller_index);
             let outcomes = [self.apply_tendon(&entry.command), self.apply_arm(&entry.command)];
             if entry.command.arm_mode() != Ok(ArmMode::None) && outcomes[1].is_ok() {
-                self.arm_driver = ArmDriver { controller, sequence: entry.command.sequence };
+                self.arm_driver = Driver { controller, sequence: entry.command.sequence };
             }
             if entry.command.burr_mode() == Ok(BurrMode::Speed) {
-                self.burr_speed_rad_per_s = entry.command.burr_speed_rad_per_s;
+                self.burr_drive.state.command_rad_per_s = entry.command.burr_speed_rad_per_s;
+                self.burr_driver = Driver { controller, sequence: entry.command.sequence };
             }
             for reason in outcomes.into_iter().filter_map(Result::err) {
                 self.refusals.push(Refusal {
@@ -102,10 +103,18 @@ impl Simulation<'_> {
         }
         self.arm_fault = fault;
         if let Some(cause) = fault {
-            let ArmDriver { controller, sequence } = self.arm_driver;
+            let Driver { controller, sequence } = self.arm_driver;
             let reason = format!("arm: stopped on its way: {cause}");
             self.refusals.push(Refusal { controller, sequence, reason, stopped_later: true });
         }
+    }
+}
+
+impl Simulation<'_> {
+    /// Tells the sender of the last burr command what became of it.
+    pub(super) fn tell_burr_driver(&mut self, reason: String) {
+        let Driver { controller, sequence } = self.burr_driver;
+        self.refusals.push(Refusal { controller, sequence, reason, stopped_later: true });
     }
 }
 

@@ -12,7 +12,7 @@ use serde::{Serialize, Serializer};
 use thiserror::Error;
 use zerocopy::{FromBytes, IntoBytes};
 
-use super::{Simulation, SimulationError, SimulationSnapshot, TendonDriveState};
+use super::{BurrDriveState, Simulation, SimulationError, SimulationSnapshot, TendonDriveState};
 use crate::arm::{ArmSnapshot, Compliance, ComplianceState};
 use crate::bone::BoneSnapshot;
 use crate::manipulator::AnyManipulatorState;
@@ -67,8 +67,14 @@ impl Simulation<'_> {
             self.tendon.snapshot(),
             (self.burr_speed_rad_per_s, self.cutting_energy_j, self.crushing_energy_j),
         );
-        let written = postcard::to_slice(&whole, buffer).map_err(|_| KeyframeError::TooLong { given })?;
-        Ok(written.len())
+        let too_long = |_| KeyframeError::TooLong { given };
+        let length = postcard::to_slice(&whole, buffer).map_err(too_long)?.len();
+        // Only where a scene models it, so that the keyframes of others hold no more than before.
+        if !self.burr_drive.is_modelled() {
+            return Ok(length);
+        }
+        let drive = postcard::to_slice(&self.burr_drive.state, &mut buffer[length..]).map_err(too_long)?;
+        Ok(length + drive.len())
     }
 
     /// Continues from the bytes of [`Simulation::write_keyframe`], written by a simulation of the same scene and volume in this or
@@ -99,6 +105,11 @@ impl Simulation<'_> {
             (burr_speed_rad_per_s, cutting_energy_j, crushing_energy_j),
         ) = whole;
         let state = State::read_from_bytes(state).map_err(|_| unreadable("its state".to_owned()))?;
+        let command_rad_per_s = burr_speed_rad_per_s;
+        let (burr_drive, rest) = match self.burr_drive.is_modelled() {
+            false => (BurrDriveState { command_rad_per_s, ..BurrDriveState::default() }, rest),
+            true => postcard::take_from_bytes(rest).map_err(|cause| unreadable(cause.to_string()))?,
+        };
         if !rest.is_empty() {
             return Err(unreadable(format!("{} bytes too many", rest.len())).into());
         }
@@ -127,6 +138,7 @@ impl Simulation<'_> {
             bone,
             rigid,
             tendon,
+            burr_drive,
             burr_speed_rad_per_s,
             cutting_energy_j,
             crushing_energy_j,

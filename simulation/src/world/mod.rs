@@ -12,8 +12,10 @@
 //! 6. extend the hash chain with commands, state and removed voxels.
 
 mod apply;
+mod burr_drive;
 mod feasibility;
 mod keyframe;
+mod lost;
 mod message;
 mod move_tool;
 mod setup;
@@ -34,14 +36,16 @@ use crate::bone::{
 use crate::contact_plane::ContactPlane;
 use crate::manipulator::{
     AnyManipulator, AnyManipulatorState, BaseMotion, ManipulatorError, ManipulatorModel, SphereKind,
-    StepReport, Wrench,
+    StepReport,
 };
 use crate::rigid::{RigidError, RigidScene, RigidSnapshot, ToolDrive};
+use burr_drive::{BurrDrive, BurrDriveState};
 use move_tool::Reach;
 use tendon_drive::{TendonDrive, TendonDriveState};
 
 pub use feasibility::{Finding, Verdict, findings};
 pub use keyframe::KeyframeError;
+pub use lost::LostTool;
 pub use setup::{contact_kind, manipulator_parameters, rung};
 
 /// The simulation's view of the CT: geometry and Hounsfield units, x fastest, borrowed.
@@ -84,6 +88,11 @@ pub enum SimulationError {
     /// The rigid bodies did.
     #[error("rigid bodies: {0}")]
     Rigid(#[from] RigidError),
+    /// The computed state is none of the tool.
+    #[error(
+        "the simulation has lost the tool: {0}; a smaller `run.dt_ms` or less extreme parameters of the tool may hold it"
+    )]
+    Lost(#[from] LostTool),
     /// The bytes are not a keyframe of this scene.
     #[error("keyframe: {0}")]
     Keyframe(#[from] KeyframeError),
@@ -98,6 +107,7 @@ pub struct SimulationSnapshot {
     bone: Option<BoneSnapshot>,
     rigid: Option<RigidSnapshot>,
     tendon: TendonDriveState,
+    burr_drive: BurrDriveState,
     burr_speed_rad_per_s: f64,
     cutting_energy_j: f64,
     crushing_energy_j: f64,
@@ -123,6 +133,8 @@ pub struct Simulation<'v> {
     /// Workspace: the tool before the tick.
     before: AnyManipulatorState,
     tendon: TendonDrive,
+    burr_drive: BurrDrive,
+    /// Speed at which the burr turns in this tick; the command's, but for a motor that can stall.
     burr_speed_rad_per_s: f64,
     cutting_energy_j: f64,
     crushing_energy_j: f64,
@@ -134,15 +146,17 @@ pub struct Simulation<'v> {
     predrilled: Vec<u32>,
     refusals: Vec<Refusal>,
     /// The sender of the last arm command.
-    arm_driver: ArmDriver,
+    arm_driver: Driver,
+    /// The sender of the last burr command.
+    burr_driver: Driver,
     /// The arm fault that has already been reported.
     arm_fault: Option<ArmError>,
     initial: Option<Box<SimulationSnapshot>>,
 }
 
-/// The sender of an arm command.
+/// The sender of a command.
 #[derive(Debug, Clone, Copy, Default)]
-struct ArmDriver {
+struct Driver {
     controller: ControllerIndex,
     /// Sequence number of the command.
     sequence: u64,
@@ -240,17 +254,19 @@ impl<'v> Simulation<'v> {
     /// Computes tick k from its commands u_k, `latched`.
     ///
     /// # Errors
-    /// A component refuses its input, which does not happen with a valid scene and valid commands.
+    /// A component refuses its input, which does not happen with a valid scene and valid commands; [`SimulationError::Lost`]: parameters at
+    /// the ends of their ranges have driven the tool out of bounds. The simulation is unusable then.
     pub fn step(&mut self, latched: &Latched) -> Result<(), SimulationError> {
         if latched.reset != 0 {
             self.reset()?;
         }
         self.apply(latched);
         let base = self.move_arm()?;
-        self.manipulator.set_burr_turns(self.burr_speed_rad_per_s != 0.0);
+        self.turn_burr();
         self.report_arm_fault();
         let tendon = self.tendon.step(self.dt_s);
-        let report = self.move_tool(&ToolDrive { base, tendon, tip_wrench: Wrench::zero() })?;
+        let report = self.move_tool(&ToolDrive { base, tendon, tip_wrench: self.cutting_wrench() })?;
+        self.check_not_lost()?;
         let dropped = self.bone.as_ref().map_or(0, |bone| bone.contacts.dropped());
         self.left_out_contacts = dropped + report.refused_contact_count;
         let removed = self.wear()?;
@@ -301,6 +317,7 @@ impl<'v> Simulation<'v> {
     fn wear(&mut self) -> Result<usize, SimulationError> {
         self.find_indentations();
         self.find_burr_contacts();
+        self.load_burr();
         let Some(bone) = &mut self.bone else { return Ok(0) };
         let burr = BurrState {
             centre_m: self.manipulator.t_world_tip().translation.vector,
@@ -336,6 +353,7 @@ impl<'v> Simulation<'v> {
             bone: self.bone.as_ref().map(|bone| bone.field.voxels().snapshot()),
             rigid: self.rigid.as_ref().map(RigidScene::snapshot),
             tendon: self.tendon.snapshot(),
+            burr_drive: self.burr_drive.state,
             burr_speed_rad_per_s: self.burr_speed_rad_per_s,
             cutting_energy_j: self.cutting_energy_j,
             crushing_energy_j: self.crushing_energy_j,
@@ -360,6 +378,7 @@ impl<'v> Simulation<'v> {
             rigid.restore(saved);
         }
         self.tendon.restore(&snapshot.tendon);
+        self.burr_drive.state = snapshot.burr_drive;
         self.burr_speed_rad_per_s = snapshot.burr_speed_rad_per_s;
         self.cutting_energy_j = snapshot.cutting_energy_j;
         self.crushing_energy_j = snapshot.crushing_energy_j;

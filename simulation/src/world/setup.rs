@@ -7,11 +7,12 @@ use scene::{
     ManipulatorRung, Removal as SceneRemoval, Scene, Tool,
 };
 
+use super::burr_drive::{BurrDrive, BurrDriveState};
 use super::move_tool::PLANES_PER_SPHERE;
 use super::tendon_drive::TendonDrive;
-use super::{ArmDriver, Bone, CtView, Simulation, SimulationError};
+use super::{Bone, CtView, Driver, Simulation, SimulationError};
 use crate::arm::{Arm, ArmParameters, COMFORTABLE_Q_RAD, Compliance, ComplianceParameters, place_base_for};
-use crate::bone::{BoneField, BoneParameters, ContactBuffer, ContactKind, Removal, VoxelIndex};
+use crate::bone::{BoneField, BoneParameters, ContactBuffer, ContactKind, CuttingLaw, Removal, VoxelIndex};
 use crate::manipulator::{
     AnyManipulator, BaseMotion, Integrator, ManipulatorError, ManipulatorModel, ManipulatorParameters, Notch,
     Rung,
@@ -58,6 +59,7 @@ pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulat
         rigid,
         planes: Vec::with_capacity(sphere_count * (PLANES_PER_SPHERE + scene.body.len())),
         tendon: TendonDrive::new(),
+        burr_drive: burr_drive(scene),
         burr_speed_rad_per_s: 0.0,
         cutting_energy_j: 0.0,
         crushing_energy_j: 0.0,
@@ -67,11 +69,22 @@ pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulat
         left_out_contacts: 0,
         state: State::zeroed(),
         predrilled,
-        refusals: Vec::with_capacity(messages::MAX_CONTROLLERS + 1),
-        arm_driver: ArmDriver::default(),
+        refusals: Vec::with_capacity(messages::MAX_CONTROLLERS + 2),
+        arm_driver: Driver::default(),
+        burr_driver: Driver::default(),
         arm_fault: None,
         initial: None,
     })
+}
+
+fn burr_drive(scene: &Scene) -> BurrDrive {
+    let standard = CuttingLaw::default().cutting_friction;
+    BurrDrive {
+        stall_torque_nm: scene.manipulator.burr_stall_torque_nmm.map(|torque| torque * 1e-3),
+        side_force: scene.drilling.side_force.unwrap_or(false),
+        cutting_coefficient: scene.drilling.cutting_coefficient.unwrap_or(standard),
+        state: BurrDriveState::default(),
+    }
 }
 
 /// The rung that a scene names.
@@ -243,6 +256,11 @@ fn bone<'v>(
     }
     if let Some(pressure) = drilling.edge_pressure_mpa {
         parameters.material.edge_pressure_ref_pa = pressure * 1e6;
+    }
+    if let Some(force) = drilling.edge_force_n_per_mm {
+        // Over the cross-section of the hole, pi r^2, that is its diameter times the force: 2 r e / (pi r^2).
+        let hole_m = max_burr_radius_m + parameters.cutting.reach_m;
+        parameters.material.edge_pressure_ref_pa = 2.0 * force * 1e3 / (core::f64::consts::PI * hole_m);
     }
     if let Some(exponent) = drilling.edge_exponent {
         parameters.material.edge_exponent = exponent;

@@ -1,7 +1,7 @@
 //! Every ending has a reason.
 
-use hub::{ControllerFault, HubError};
-use messages::Part;
+use hub::{Blame, ControllerFault, HubError};
+use messages::{EventCode, Part};
 use scene::Mode;
 
 use super::Oracle;
@@ -35,7 +35,8 @@ impl Oracle {
     pub fn failed(&mut self, cause: &HubError<String, String>, now_ns: u64) {
         let lockstep = self.plan.mode == Mode::Lockstep;
         let justified = match cause {
-            HubError::Environment(_) | HubError::Plant { .. } => false,
+            HubError::Environment(_) => false,
+            HubError::Plant { tick, .. } => self.plant_fails && tick.0 == self.tick,
             HubError::NotConnected { part, .. } => {
                 self.taken(*part).is_none() && now_ns - self.began_ns >= 60_000 * MS
             }
@@ -60,7 +61,22 @@ impl Oracle {
             }
         };
         expect!(self, justified, format!("ended early without a reason: {cause}"));
-        let told = self.ended == matches!(cause, HubError::Controller(_));
-        expect!(self, told, format!("the phase `ended` was told: {}, at: {cause}", self.ended));
+        let reason = match cause {
+            HubError::Controller(fault) => Some(fault.event()),
+            HubError::Plant { .. } => Some(EventCode::SimulationFailed),
+            _ => None,
+        };
+        let told = (self.ended, self.blamed, self.told);
+        expect!(self, told == (reason.is_some(), reason, reason), {
+            format!(
+                "the phase `ended`, the reason left and the event that tells it are {told:?}, at: {cause}"
+            )
+        });
+    }
+
+    /// The hub leaves a reason, which must be there before the end is told.
+    pub fn blame(&mut self, blame: &Blame) {
+        expect!(self, !self.ended, "a reason behind the end".to_owned());
+        self.blamed = Some(blame.code);
     }
 }

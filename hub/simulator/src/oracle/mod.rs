@@ -5,7 +5,7 @@ use hub::rate_limit::Connection;
 use hub::{Incoming, Note, Report, Start};
 use messages::{
     ControlAction, ControlStatus, ControllerIndex, EventCode, Keyframe, Latched, Part, Phase, Plant, Removed,
-    RunControl, RunControlReply, RunStatus, State, TickTiming,
+    RunControl, RunControlReply, RunStatus, Severity, State, TickTiming,
 };
 use scene::{Drives, Mode};
 
@@ -69,6 +69,12 @@ pub struct Oracle {
     answered: Vec<(Connection, u64)>,
     refused: u64,
     plant_refused: bool,
+    /// The plant cannot compute the tick whose commands were published last.
+    plant_fails: bool,
+    /// The reason that the hub left for whoever hears of the end.
+    blamed: Option<EventCode>,
+    /// The last event that says that the run ends.
+    told: Option<EventCode>,
     missed: u64,
     deadline_ns: Option<u64>,
     state_ns: u64,
@@ -81,6 +87,15 @@ pub struct Oracle {
     stops: (u64, u64),
     ended: bool,
     warnings_ns: Vec<u64>,
+}
+
+/// What the next tick does to the plant.
+#[derive(Debug, Clone, Copy)]
+pub struct PlantPlan {
+    /// It refuses part of the commands.
+    pub refuses: bool,
+    /// It cannot compute the tick.
+    pub fails: bool,
 }
 
 impl Oracle {
@@ -109,6 +124,9 @@ impl Oracle {
             answered: Vec::new(),
             refused: 0,
             plant_refused: false,
+            plant_fails: false,
+            blamed: None,
+            told: None,
             missed: 0,
             deadline_ns: None,
             state_ns: now_ns,
@@ -209,7 +227,7 @@ impl Oracle {
     }
 
     /// The hub publishes u_k.
-    pub fn latch(&mut self, latched: &Latched, plant_refuses: bool, now_ns: u64) {
+    pub fn latch(&mut self, latched: &Latched, plant: PlantPlan, now_ns: u64) {
         self.passed_over();
         expect!(self, self.shown && self.latched.is_none() && !self.ended, "u_k out of its place".to_owned());
         let tick = latched.tick;
@@ -233,7 +251,7 @@ impl Oracle {
         for index in ControllerIndex::first(self.controllers.len()) {
             self.check_latched(index, latched, now_ns);
         }
-        self.plant_refused = plant_refuses;
+        (self.plant_refused, self.plant_fails) = (plant.refuses, plant.fails);
         (self.latched, self.removed_in_tick, self.keyframe_of_tick) = (Some(reset), None, false);
         if let Err(cause) = self.shadow.step(latched) {
             self.fail(format!("a replay fails: {cause}"));
@@ -379,6 +397,9 @@ impl Oracle {
 
     /// The hub sends an event.
     pub fn event(&mut self, note: &Note<'_>, now_ns: u64) {
+        if note.severity == Severity::Error {
+            self.told = Some(note.code);
+        }
         if note.code == EventCode::CapacityReached {
             self.capacity_notes += 1;
             let text = format!("no memory for {UNCUT} voxels");

@@ -1,19 +1,21 @@
 //! What the hub sees of its surroundings: its ports, and what it publishes.
 
-use hub::{ControllerFault, Environment, Incoming, Note, Outputs, Report, Start};
+use hub::{Blame, Environment, Incoming, Note, Outputs, Report, Start};
 use messages::{
     Command, ControllerIndex, Keyframe, Latched, Removed, RunControl, RunControlReply, RunStatus, State,
     TickTiming,
 };
 
 use super::{Event, Viewer, World};
+use crate::oracle::PlantPlan;
 use crate::plan::US;
 
 impl Outputs for World {
     type Error = String;
 
     fn send_latched(&mut self, latched: &Latched) -> Result<(), String> {
-        self.oracle.latch(latched, self.plant.refuses.get(), self.now_ns.get());
+        let (refuses, fails) = (self.plant.refuses.get(), self.plant.fails.get());
+        self.oracle.latch(latched, PlantPlan { refuses, fails }, self.now_ns.get());
         if let Some(recording) = &mut self.recording {
             recording.latch(latched);
         }
@@ -124,7 +126,9 @@ impl Environment for World {
         Ok(())
     }
 
-    fn leave_blame(&mut self, _: &ControllerFault) {}
+    fn leave_blame(&mut self, blame: &Blame) {
+        self.oracle.blame(blame);
+    }
 
     fn wake_controllers(&mut self) {
         for index in ControllerIndex::first(self.controllers.len()) {

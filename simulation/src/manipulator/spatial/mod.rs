@@ -10,6 +10,7 @@
 mod algebra;
 mod articulated;
 mod coupling;
+mod energy;
 mod layout;
 mod loads;
 mod state;
@@ -257,26 +258,7 @@ impl<const D: usize> SpatialChain<D> {
 
     /// Kinetic energy relative to the base plus elastic energy of flexures and mount, J.
     pub fn energy_j(&self) -> f64 {
-        let elastic: f64 =
-            self.stiffness.iter().zip(&self.state.position).map(|(k, q)| 0.5 * k * q * q).sum();
-        let mut energy = elastic;
-        let mut motion = algebra::ZERO;
-        for link in 0..=self.layout.joints {
-            for k in self.layout.freedoms_of(link) {
-                algebra::add_scaled(&mut motion, self.state.velocity[k], &self.configuration.axis[k]);
-            }
-            let body = &self.layout.body[link];
-            let mut inertia = [algebra::ZERO; 6];
-            let centre = self.configuration.point(link, body.centre_m);
-            algebra::add_body(
-                &mut inertia,
-                &self.layout.moments(link),
-                &centre,
-                &self.configuration.direction(link),
-            );
-            energy += 0.5 * algebra::dot(&motion, &algebra::times(&inertia, &motion));
-        }
-        energy
+        self.energy_of(&self.configuration, &self.state.position, &self.state.velocity)
     }
 
     /// A copy of the complete dynamic state.

@@ -21,12 +21,24 @@ pub struct SpatialState {
     /// Results of the last step, ordered by sphere. Output, and warm start of the next step.
     pub(super) results: Vec<ContactResult>,
     pub(super) report: StepReport,
+    /// What the energy may rise to in free motion ([`super::energy`]), J; infinite behind a step that was not free.
+    pub(super) energy_ceiling_j: f64,
 }
 
 impl SpatialState {
     /// Copies a state of the same tool without allocating.
     pub(in crate::manipulator) fn copy_from(&mut self, other: &Self) {
-        let Self { position, velocity, base, tendon, stop_torque, result_count, results, report } = self;
+        let Self {
+            position,
+            velocity,
+            base,
+            tendon,
+            stop_torque,
+            result_count,
+            results,
+            report,
+            energy_ceiling_j,
+        } = self;
         position.clone_from(&other.position);
         velocity.clone_from(&other.velocity);
         stop_torque.clone_from(&other.stop_torque);
@@ -34,6 +46,7 @@ impl SpatialState {
         results[used].copy_from_slice(&other.results[used]);
         (*base, *tendon, *result_count, *report) =
             (other.base, other.tendon, other.result_count, other.report);
+        *energy_ceiling_j = other.energy_ceiling_j;
     }
 
     pub(super) fn new(base: &BaseMotion, freedoms: usize, contacts: usize) -> Self {
@@ -46,6 +59,7 @@ impl SpatialState {
             result_count: 0,
             results: vec![ContactResult::none(); contacts],
             report: StepReport::none(),
+            energy_ceiling_j: f64::INFINITY,
         }
     }
 }
@@ -54,8 +68,9 @@ impl SpatialState {
 impl Serialize for SpatialState {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let results = &self.results[..self.result_count];
-        (&self.position, &self.velocity, &self.base, &self.tendon, &self.stop_torque, results, &self.report)
-            .serialize(serializer)
+        let motion = (&self.position, &self.velocity, &self.base);
+        let last = (&self.stop_torque, results, &self.report, self.energy_ceiling_j);
+        (motion, &self.tendon, last).serialize(serializer)
     }
 }
 
@@ -63,18 +78,25 @@ impl<'de> Deserialize<'de> for SpatialState {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         type Freedoms = Vec<f64>;
         type Whole = (
-            Freedoms,
-            Freedoms,
-            BaseMotion,
+            (Freedoms, Freedoms, BaseMotion),
             [TendonMemory; MAX_TENDONS],
-            Freedoms,
-            Vec<ContactResult>,
-            StepReport,
+            (Freedoms, Vec<ContactResult>, StepReport, f64),
         );
-        let (position, velocity, base, tendon, stop_torque, used, report) = Whole::deserialize(deserializer)?;
+        let (motion, tendon, last) = Whole::deserialize(deserializer)?;
+        let ((position, velocity, base), (stop_torque, used, report, energy_ceiling_j)) = (motion, last);
         let results = places_from(&used, MAX_CONTACTS)
             .ok_or_else(|| D::Error::custom("more contacts than a step has"))?;
         let result_count = used.len();
-        Ok(Self { position, velocity, base, tendon, stop_torque, result_count, results, report })
+        Ok(Self {
+            position,
+            velocity,
+            base,
+            tendon,
+            stop_torque,
+            result_count,
+            results,
+            report,
+            energy_ceiling_j,
+        })
     }
 }

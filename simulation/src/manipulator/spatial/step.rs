@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 
 use super::SpatialChain;
 use super::algebra::{Spatial, ZERO, add_scaled, force_at};
+use super::energy::{FRAME_SHARE, LoadWork, tendon_share};
 use super::layout::SpatialLayout;
 use super::tendon::Motion;
 use crate::manipulator::contact::{BaseDrive, ContactStep, Place};
@@ -34,6 +35,10 @@ pub(super) struct Work {
     q2: Vec<f64>,
     v2: Vec<f64>,
     kv2: Vec<f64>,
+    /// Generalised forces of gravity, base and tip.
+    frame_force: Vec<f64>,
+    /// Tendon forces at the start of the step.
+    first_pull: Vec<f64>,
     motions: Vec<Spatial>,
 }
 
@@ -54,6 +59,8 @@ impl Work {
             q2: blank(),
             v2: blank(),
             kv2: blank(),
+            frame_force: blank(),
+            first_pull: blank(),
             motions: vec![ZERO; links],
         }
     }
@@ -289,12 +296,19 @@ impl<const D: usize> SpatialChain<D> {
     /// Takes a ROS2 step in free motion into `work.next` and `work.after`; returns its error estimate. `Err`: ROS2 is off, or the motion
     /// is not smooth (estimate 0), not free, or above the tolerance.
     fn rosenbrock(&mut self, dt: f64, input: &StepInput, frame: &Frame, work: &mut Work) -> Result<f64, f64> {
+        // Known again behind the next free step.
+        let ceiling_j = core::mem::replace(&mut self.state.energy_ceiling_j, f64::INFINITY);
         let wanted =
             self.parameters.integrator == Integrator::Hybrid && contacts_far(&self.spheres, dt, input);
         if !wanted || self.near_stop(&self.state.position) {
             return Err(0.0);
         }
         self.pressed.clear();
+        // In the plane no step has been seen to gain energy.
+        let before_j = (D > 1).then(|| self.energy_j());
+        if D > 1 {
+            self.frame_forces(frame, &mut work.frame_force);
+        }
         let q = core::mem::take(&mut self.state.position);
         let stages = self.rosenbrock_stages(&q, dt, input, frame, work);
         self.state.position = q;
@@ -303,7 +317,26 @@ impl<const D: usize> SpatialChain<D> {
         if !accurate || self.near_stop(&work.next) || !self.contacts_clear(&work.next, input) {
             return Err(if error.is_finite() { error } else { f64::MAX });
         }
-        Ok(error)
+        match before_j {
+            Some(before_j) if self.gains_energy([ceiling_j, before_j], input, work) => Err(error),
+            _ => Ok(error),
+        }
+    }
+
+    /// Sets the ceiling of the energy behind a ROS2 step, which is in `work.next` and `work.after`; true if the step ends above it.
+    fn gains_energy(&mut self, [ceiling_j, before_j]: [f64; 2], input: &StepInput, work: &Work) -> bool {
+        let Work { next, after, frame_force, first_pull, .. } = work;
+        self.trial.update(&self.layout, next);
+        let after_j = self.energy_of(&self.trial, next, after);
+        let (mut loads, share) = (LoadWork::default(), tendon_share(&input.tendon));
+        for (k, next) in next.iter().enumerate() {
+            let moved = next - self.state.position[k];
+            loads.add([first_pull[k], self.tendon.torque[k]], moved, share);
+            loads.add([frame_force[k]; 2], moved, FRAME_SHARE);
+        }
+        self.state.energy_ceiling_j = loads.ceiling_j(ceiling_j, before_j);
+        // True for NaN, which marks a failed step.
+        !(after_j <= self.state.energy_ceiling_j)
     }
 
     /// The error estimate; `None` if a tendon binds, or starts or stops sliding within the step.
@@ -316,12 +349,15 @@ impl<const D: usize> SpatialChain<D> {
         work: &mut Work,
     ) -> Option<f64> {
         let h = GAMMA * dt;
-        let Work { before, after, next, stiffness, diagonal, rhs, y, kv1, kq1, q2, v2, kv2, .. } = work;
+        let Work {
+            before, after, next, stiffness, diagonal, rhs, y, kv1, kq1, q2, v2, kv2, first_pull, ..
+        } = work;
         let start = Motion { q, v: before };
         self.stage(start, h, input, frame, Stage::Start, Diagonals { stiffness, diagonal });
         if self.tendon.channels.bind(&self.parameters.tendon, &self.tendon.tension_n) {
             return None;
         }
+        first_pull.copy_from_slice(&self.tendon.torque);
         fill(y, |i| h * before[i]);
         self.elastic_forces(start, y, stiffness, rhs);
         self.solve_loads(rhs, kv1);
