@@ -95,6 +95,7 @@ impl Node {
     /// What has come in since the last call.
     pub(crate) fn take(&mut self) -> Vec<Incoming> {
         let mut all = Vec::new();
+        let mut arrived = Vec::new();
         for (topic, reader) in &self.readers {
             let topic = *topic;
             reader.drain_read_notifications();
@@ -103,7 +104,8 @@ impl Node {
                     Ok(None) => break,
                     Ok(Some(came)) => {
                         let Came { cdr, order } = came.sample;
-                        all.push(Incoming::Message { topic, cdr, order, from: came.writer_guid });
+                        let message = Incoming::Message { topic, cdr, order, from: came.writer_guid };
+                        arrived.push((came.receive_instant, message));
                     }
                     Err(error) => all.push(Incoming::Broken { topic, why: error.to_string() }),
                 }
@@ -120,6 +122,9 @@ impl Node {
                 }
             }
         }
+        // Across topics in the order of arrival: what stands before an `enable` is still refused.
+        arrived.sort_by_key(|(when, _)| *when);
+        let all: Vec<Incoming> = arrived.into_iter().map(|(_, message)| message).chain(all).collect();
         let messages =
             all.iter().filter(|came| matches!(came, Incoming::Message { .. } | Incoming::Broken { .. }));
         self.summary.received += messages.count() as u64;
