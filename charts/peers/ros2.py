@@ -50,6 +50,12 @@ def rss_kb(process):
     return int(text.split("VmRSS:")[1].split()[0])
 
 
+def cpu_s(process):
+    """User and system time, of proc(5)'s fields 14 and 15."""
+    fields = pathlib.Path(f"/proc/{process.pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 def measure(bridge, seconds):
     import rclpy
     from sensor_msgs.msg import JointState
@@ -61,7 +67,8 @@ def measure(bridge, seconds):
     def listen(topic):
         # The callback's second argument: DDS's stamps.
         def keep(message, info):
-            seen[topic].append((info["received_timestamp"] - info["source_timestamp"], info["source_timestamp"]))
+            age_ns = info["received_timestamp"] - info["source_timestamp"]
+            seen[topic].append((age_ns, info["publication_sequence_number"]))
 
         node.create_subscription(JointState, topic, keep, 10)
 
@@ -70,17 +77,17 @@ def measure(bridge, seconds):
     while not all(seen.values()) and time.monotonic() < deadline:
         rclpy.spin_once(node, timeout_sec=0.1)
     any(map(list.clear, seen.values()))
-    start, memory = time.monotonic(), []
+    start, memory, used_s = time.monotonic(), [], cpu_s(bridge)
     while time.monotonic() - start < seconds:
         rclpy.spin_once(node, timeout_sec=0.1)
         if time.monotonic() - start >= 15.0 * len(memory):
             memory.append(rss_kb(bridge))
+    share = 100.0 * (cpu_s(bridge) - used_s) / (time.monotonic() - start)
     rclpy.shutdown()
-    print("| from | messages | p50 us | p90 us | p99 us |\n|---|---|---|---|---|")
+    print("| from | received of sent | p50 us | p90 us | p99 us |\n|---|---|---|---|---|")
     for name, topic in (("bridge", "/UR5/measured_js"), ("rclpy", "/peer/measured_js")):
-        span_s = (seen[topic][-1][1] - seen[topic][0][1]) / 1e9
-        figures(name, seen[topic], round(span_s * 100) + 1)
-    print("bridge's memory every 15 s, kB:", *memory)
+        figures(name, seen[topic], seen[topic][-1][1] - seen[topic][0][1] + 1)
+    print(f"bridge: {share:.1f} % of a core; memory every 15 s, kB:", *memory)
 
 
 def main():
