@@ -10,10 +10,11 @@ use serde_json::Value;
 use test_support::limited::Limited;
 
 /// Each core and its folder.
-const CORES: [(&str, &str); 12] = [
+const CORES: [(&str, &str); 13] = [
     ("foreign_text", "foreign_text"),
     ("openigtlink", "openigtlink"),
     ("markups", "markups"),
+    ("ros_interface", "ros_interface"),
     ("messages", "messages"),
     ("voxel_grid", "voxel_grid"),
     ("scene", "scene"),

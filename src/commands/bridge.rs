@@ -4,10 +4,13 @@ use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
 
 use bridge_proc::igtl::{self, IgtlOptions, Permission, Where};
-use clap::{ArgGroup, Args, Subcommand};
+use bridge_proc::ros2::{self, Reach, Ready, Ros2Options};
+use clap::{ArgGroup, Args, Subcommand, ValueEnum};
 use foreign_text::foreign_path;
 use ipc_types::process::EndRequest;
 use ipc_types::text_file;
+use ros_interface::image::ImageForm;
+use ros_interface::topics::Names;
 
 use crate::failure::Failure;
 
@@ -21,6 +24,59 @@ pub enum BridgeCommand {
     ///
     /// Positions are in RAS and millimetres, as Slicer takes them. docs/slicer.md lists the messages.
     Igtl(Box<IgtlArguments>),
+    /// ROS 2 with CRTK's topics: states, transforms, X-rays out; servo and move commands in. Needs no ROS installation.
+    ///
+    /// Stamps are simulated time, which /clock carries; the frame `world` is the patient frame, LPS, in metres. docs/ros2.md lists the
+    /// topics.
+    Ros2(Box<Ros2Arguments>),
+}
+
+/// How far DDS reaches; the words of ROS_AUTOMATIC_DISCOVERY_RANGE.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[value(rename_all = "SCREAMING_SNAKE_CASE")]
+pub enum DiscoveryRange {
+    /// Programs on this machine.
+    Localhost,
+    /// Programs in this machine's networks too.
+    Subnet,
+    /// As LOCALHOST: this bridge's own default.
+    SystemDefault,
+}
+
+/// Arguments of `bridge ros2`.
+#[derive(Debug, Args)]
+pub struct Ros2Arguments {
+    /// Folder of the session; without it this user's only running one.
+    #[arg(long)]
+    session: Option<String>,
+    /// Controller of the scene (`external = true`) that the bridge is, so that ROS 2 can command it and pause the run; without it the
+    /// bridge only shows the run.
+    #[arg(long)]
+    controller: Option<String>,
+    /// DDS domain.
+    #[arg(long, value_name = "N", env = "ROS_DOMAIN_ID", default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=232))]
+    domain_id: u16,
+    /// Who can hear and, with --controller, command. DDS is not encrypted: beyond LOCALHOST everybody in the network can.
+    #[arg(
+        long,
+        value_name = "RANGE",
+        env = "ROS_AUTOMATIC_DISCOVERY_RANGE",
+        default_value = "LOCALHOST",
+        ignore_case = true
+    )]
+    discovery_range: DiscoveryRange,
+    /// States a second.
+    #[arg(long, value_name = "HZ", default_value_t = 100.0)]
+    rate: f64,
+    /// Name of the arm in topics and frames.
+    #[arg(long, value_name = "NAME", default_value = "UR5")]
+    arm: String,
+    /// Name of the manipulator in topics and frames.
+    #[arg(long, value_name = "NAME", default_value = "CM")]
+    manipulator: String,
+    /// Send X-rays as they are, 16 bit, however large: subscribers of Fast DDS then need larger receive buffers (docs/ros2.md).
+    #[arg(long)]
+    full_images: bool,
 }
 
 /// Arguments of `bridge igtl`.
@@ -68,10 +124,16 @@ pub struct IgtlArguments {
 /// # Errors
 /// No session, a port in use, a value out of its range (2); the session's loss (1).
 pub fn run(command: &BridgeCommand) -> Result<(), Failure> {
-    let BridgeCommand::Igtl(arguments) = command;
-    let options = arguments.options()?;
     let end = EndRequest::install()
         .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
+    match command {
+        BridgeCommand::Igtl(arguments) => igtl(arguments, &end),
+        BridgeCommand::Ros2(arguments) => ros2(arguments, &end),
+    }
+}
+
+fn igtl(arguments: &IgtlArguments, end: &EndRequest) -> Result<(), Failure> {
+    let options = arguments.options()?;
     let ready = |address: Option<SocketAddr>| match address {
         Some(address) => say!("OpenIGTLink at {address}"),
         None => say!(
@@ -79,7 +141,7 @@ pub fn run(command: &BridgeCommand) -> Result<(), Failure> {
             arguments.connect.map_or(String::new(), |to| to.to_string())
         ),
     };
-    let done = igtl::serve(&options, &end, ready).map_err(|error| {
+    let done = igtl::serve(&options, end, ready).map_err(|error| {
         if error.is_bad_input() { Failure::bad_input(&error) } else { Failure::failed(error.to_string()) }
     })?;
     say!(
@@ -89,6 +151,68 @@ pub fn run(command: &BridgeCommand) -> Result<(), Failure> {
         done.refused
     );
     Ok(())
+}
+
+fn ros2(arguments: &Ros2Arguments, end: &EndRequest) -> Result<(), Failure> {
+    let options = arguments.options()?;
+    let ready = |ready: Ready| {
+        let reach = match ready.is_closed {
+            Some(true) => "this machine only",
+            Some(false) => {
+                "meant for this machine only, but the system lets no socket be bound to loopback: a firewall must keep others out"
+            }
+            None => "every network of this machine",
+        };
+        let listens = match ready.listens {
+            0 => "shows the run; --controller lets it be commanded".to_owned(),
+            count => format!("listens to {count} topics"),
+        };
+        say!("ROS 2 domain {}, {reach}; {listens}", options.domain_id);
+    };
+    let done = ros2::serve(&options, end, ready, |line| say!("{}", foreign_text::foreign_line(line)))
+        .map_err(|error| {
+            if error.is_bad_input() { Failure::bad_input(&error) } else { Failure::failed(error.to_string()) }
+        })?;
+    say!(
+        "{} messages published, {} left out for subscribers that acknowledged none; {} came in, {} of them refused",
+        done.published,
+        done.left_out,
+        done.received,
+        done.refused
+    );
+    Ok(())
+}
+
+impl Ros2Arguments {
+    fn options(&self) -> Result<Ros2Options, Failure> {
+        let name = |flag: &str, name: &String| {
+            if Names::is_legal(name) {
+                return Ok(name.clone());
+            }
+            let expected = "a letter, then letters, digits and single underscores, at most 64";
+            Err(Failure::bad_input(format!("{flag}: {}, expected {expected}", foreign_text::foreign(name))))
+        };
+        let names =
+            Names { arm: name("--arm", &self.arm)?, manipulator: name("--manipulator", &self.manipulator)? };
+        if names.arm == names.manipulator {
+            return Err(Failure::bad_input("--arm and --manipulator: the same name, expected two"));
+        }
+        // Older than the range, and stronger where it is set.
+        let only_localhost = std::env::var_os("ROS_LOCALHOST_ONLY").is_some_and(|value| value == "1");
+        let reach = match self.discovery_range {
+            DiscoveryRange::Subnet if !only_localhost => Reach::Subnet,
+            _ => Reach::Localhost,
+        };
+        Ok(Ros2Options {
+            session: self.session.clone(),
+            controller: self.controller.clone(),
+            names,
+            domain_id: self.domain_id,
+            reach,
+            rate_hz: within("--rate", self.rate, 0.1, 1000.0)?,
+            image: if self.full_images { ImageForm::Full } else { ImageForm::Fitting },
+        })
+    }
 }
 
 impl IgtlArguments {

@@ -52,6 +52,7 @@ mod redirect_file;
 mod replay;
 mod restarts;
 mod returning;
+mod ros2;
 mod run_control;
 mod runs;
 mod schedules;

@@ -1,0 +1,239 @@
+//! The bridge as a node of a DDS domain.
+
+use std::collections::BTreeMap;
+
+use ros_interface::cdr::{self, Order};
+use ros_interface::msg::{Gid, NodeEntitiesInfo, ParticipantEntitiesInfo};
+use ros_interface::outgoing::Outgoing;
+use ros_interface::topics::{INPUTS, Input, OUTPUTS, Output, Qos};
+use rustdds::no_key::{DataWriter, SimpleDataReader};
+use rustdds::policy::{Durability, History, Reliability, ResourceLimits};
+use rustdds::{
+    DataReaderStatus, DomainParticipant, DomainParticipantBuilder, Duration, GUID, Publisher, QosPolicies,
+    QosPolicyBuilder, RTPSEntity, StatusEvented, Subscriber, Timestamp, Topic, TopicKind,
+};
+
+use super::payload::{Came, Raw, Sent};
+use super::{Reach, Ros2Error, Ros2Options, Summary, loopback};
+
+/// The node's name, as `ros2 node list` shows it.
+pub(crate) const NODE: &str = "trabecula_bridge";
+/// Seconds of states that wait for a subscriber that acknowledges none: longer than the lease after which Fast DDS and Cyclone DDS hold a
+/// silent participant for dead (20 s and 10 s), so that one that was stopped costs the others nothing.
+const STATE_WINDOW_S: f64 = 30.0;
+/// Images that wait.
+const IMAGE_WINDOW: i32 = 16;
+/// Most messages of one topic taken in one turn.
+const MOST_A_TURN: usize = 64;
+
+type Writer = DataWriter<Sent, Raw>;
+
+/// Something that came in.
+#[derive(Debug)]
+pub(crate) enum Incoming {
+    /// A message of a topic.
+    Message { topic: Input, cdr: Vec<u8>, order: Order, from: GUID },
+    /// A message that DDS could not hand over.
+    Broken { topic: Input, why: String },
+    /// A publisher that asks for less than the bridge needs.
+    Unfit { topic: Input },
+    /// A publisher that has gone.
+    Gone { from: GUID },
+}
+
+/// Publishers and subscriptions. Dropping it takes leave of the domain.
+pub(crate) struct Node {
+    writers: BTreeMap<Output, Writer>,
+    readers: Vec<(Input, SimpleDataReader<Came, Raw>)>,
+    /// Keeps what makes the node known to `ros2 node list` there.
+    _known: Writer,
+    is_closed: Option<bool>,
+    summary: Summary,
+    // Behind all that belong to it.
+    _participant: DomainParticipant,
+}
+
+impl Node {
+    pub(crate) fn open(options: &Ros2Options, inputs: &[Input]) -> Result<Node, Ros2Error> {
+        let place = Place::open(options)?;
+        let mut writers = BTreeMap::new();
+        for row in &OUTPUTS {
+            let (name, kind) = (row.dds_name(&options.names), row.dds_type());
+            writers.insert(row.topic, place.writer(&name, &kind, &qos(row.qos, options.rate_hz))?);
+        }
+        let mut readers = Vec::new();
+        for row in INPUTS.iter().filter(|row| inputs.contains(&row.topic)) {
+            let (name, kind) = (row.dds_name(&options.names), row.dds_type());
+            readers.push((row.topic, place.reader(&name, &kind, &qos(row.qos, options.rate_hz))?));
+        }
+        let known = place.make_known(&writers, &readers)?;
+        let is_closed = (options.reach == Reach::Localhost).then(|| loopback::close_to_others().is_ok());
+        let summary = Summary::default();
+        Ok(Node { writers, readers, _known: known, is_closed, summary, _participant: place.participant })
+    }
+
+    /// Whether the operating system keeps other machines out, where that was asked for.
+    pub(crate) fn is_closed(&self) -> Option<bool> {
+        self.is_closed
+    }
+
+    pub(crate) fn listens(&self) -> usize {
+        self.readers.len()
+    }
+
+    /// Publishes messages; one that finds no room is left out, never waited for.
+    pub(crate) fn publish(&mut self, messages: Vec<Outgoing>) {
+        for message in messages {
+            let Some(writer) = self.writers.get(&message.topic) else { continue };
+            match writer.write(Sent(message.cdr.into()), Some(Timestamp::now())) {
+                Ok(()) => self.summary.published += 1,
+                Err(_) => self.summary.left_out += 1,
+            }
+        }
+    }
+
+    /// What has come in since the last call.
+    pub(crate) fn take(&mut self) -> Vec<Incoming> {
+        let mut all = Vec::new();
+        let mut arrived = Vec::new();
+        for (topic, reader) in &self.readers {
+            let topic = *topic;
+            reader.drain_read_notifications();
+            for _ in 0..MOST_A_TURN {
+                match reader.try_take_one() {
+                    Ok(None) => break,
+                    Ok(Some(came)) => {
+                        let Came { cdr, order } = came.sample;
+                        let message = Incoming::Message { topic, cdr, order, from: came.writer_guid };
+                        arrived.push((came.receive_instant, message));
+                    }
+                    Err(error) => all.push(Incoming::Broken { topic, why: error.to_string() }),
+                }
+            }
+            while let Some(status) = reader.try_recv_status() {
+                match status {
+                    DataReaderStatus::SubscriptionMatched { current, writer, .. }
+                        if current.count_change() < 0 =>
+                    {
+                        all.push(Incoming::Gone { from: writer });
+                    }
+                    DataReaderStatus::RequestedIncompatibleQos { .. } => all.push(Incoming::Unfit { topic }),
+                    _ => {}
+                }
+            }
+        }
+        // Across topics in the order of arrival: what stands before an `enable` is still refused.
+        arrived.sort_by_key(|(when, _)| *when);
+        let all: Vec<Incoming> = arrived.into_iter().map(|(_, message)| message).chain(all).collect();
+        let messages =
+            all.iter().filter(|came| matches!(came, Incoming::Message { .. } | Incoming::Broken { .. }));
+        self.summary.received += messages.count() as u64;
+        all
+    }
+
+    /// Counts a message that was refused.
+    pub(crate) fn refuse(&mut self) {
+        self.summary.refused += 1;
+    }
+
+    pub(crate) fn close(self) -> Summary {
+        self.summary
+    }
+}
+
+fn qos(kind: Qos, rate_hz: f64) -> QosPolicies {
+    let (durability, depth, window) = match kind {
+        Qos::State => (Durability::Volatile, 1, (STATE_WINDOW_S * rate_hz).clamp(64.0, 30_000.0) as i32),
+        Qos::Latched => (Durability::TransientLocal, 1, 256),
+        Qos::Image => (Durability::Volatile, 1, IMAGE_WINDOW),
+        Qos::Command => (Durability::Volatile, 8, 64),
+    };
+    QosPolicyBuilder::new()
+        .durability(durability)
+        // Publishing never waits: what finds no room is left out.
+        .reliability(Reliability::Reliable { max_blocking_time: Duration::from_millis(0) })
+        .history(History::KeepLast { depth })
+        .resource_limits(ResourceLimits {
+            max_samples: window,
+            max_instances: window,
+            max_samples_per_instance: window,
+        })
+        .build()
+}
+
+/// The domain, and the bridge's place in it.
+struct Place {
+    domain: u16,
+    participant: DomainParticipant,
+    publisher: Publisher,
+    subscriber: Subscriber,
+}
+
+impl Place {
+    fn open(options: &Ros2Options) -> Result<Place, Ros2Error> {
+        let domain = options.domain_id;
+        let mut builder = DomainParticipantBuilder::new(domain).same_host_loopback(true);
+        if options.reach == Reach::Localhost {
+            builder = builder.with_only_networks([std::net::Ipv4Addr::LOCALHOST]);
+        }
+        let failed = |what: &str, cause: rustdds::dds::CreateError| Ros2Error::Dds {
+            domain,
+            what: what.to_owned(),
+            cause: cause.to_string(),
+        };
+        let participant = builder.build().map_err(|cause| failed("participant", cause))?;
+        let none = QosPolicyBuilder::new().build();
+        let publisher = participant.create_publisher(&none).map_err(|cause| failed("publisher", cause))?;
+        let subscriber = participant.create_subscriber(&none).map_err(|cause| failed("subscriber", cause))?;
+        Ok(Place { domain, participant, publisher, subscriber })
+    }
+
+    fn topic(&self, name: &str, kind: &str, qos: &QosPolicies) -> Result<Topic, Ros2Error> {
+        let made = self.participant.create_topic(name.into(), kind.into(), qos, TopicKind::NoKey);
+        made.map_err(|cause| self.failed(name, &cause.to_string()))
+    }
+
+    fn failed(&self, what: &str, cause: &str) -> Ros2Error {
+        Ros2Error::Dds { domain: self.domain, what: what.to_owned(), cause: cause.to_owned() }
+    }
+
+    fn writer(&self, name: &str, kind: &str, qos: &QosPolicies) -> Result<Writer, Ros2Error> {
+        let topic = self.topic(name, kind, qos)?;
+        let made = self.publisher.create_datawriter_no_key::<Sent, Raw>(&topic, Some(qos.clone()));
+        made.map_err(|cause| self.failed(name, &cause.to_string()))
+    }
+
+    fn reader(
+        &self,
+        name: &str,
+        kind: &str,
+        qos: &QosPolicies,
+    ) -> Result<SimpleDataReader<Came, Raw>, Ros2Error> {
+        let topic = self.topic(name, kind, qos)?;
+        let made = self.subscriber.create_simple_datareader_no_key::<Came, Raw>(&topic, Some(qos.clone()));
+        made.map_err(|cause| self.failed(name, &cause.to_string()))
+    }
+
+    /// Says which publishers and subscriptions make up the node, as ROS 2's middleware does (rmw_dds_common, from Iron on).
+    fn make_known(
+        &self,
+        writers: &BTreeMap<Output, Writer>,
+        readers: &[(Input, SimpleDataReader<Came, Raw>)],
+    ) -> Result<Writer, Ros2Error> {
+        let kind = "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_";
+        let known = self.writer("ros_discovery_info", kind, &qos(Qos::Latched, 1.0))?;
+        let gid = |guid: GUID| Gid { data: guid.to_bytes() };
+        let node = NodeEntitiesInfo {
+            node_namespace: "/".into(),
+            node_name: NODE.into(),
+            reader_gid_seq: readers.iter().map(|(_, reader)| gid(reader.guid())).collect(),
+            writer_gid_seq: writers.values().map(|writer| gid(writer.guid())).collect(),
+        };
+        let info =
+            ParticipantEntitiesInfo { gid: gid(self.participant.guid()), node_entities_info_seq: vec![node] };
+        let failed = |cause: String| self.failed("ros_discovery_info", &cause);
+        let bytes = cdr::encode(&info).map_err(|cause| failed(cause.to_string()))?;
+        known.write(Sent(bytes.into()), Some(Timestamp::now())).map_err(|cause| failed(cause.to_string()))?;
+        Ok(known)
+    }
+}

@@ -1,0 +1,245 @@
+//! What has been asked for, as the command that answers each state.
+
+use messages::{ARM_JOINTS, ArmMode, BurrMode, Command, MAX_TENDONS, Pose, TendonMode};
+
+/// How long a velocity holds without another: a program that has died, or a network that has, must not turn joints or burr for good.
+pub const VELOCITY_HOLDS_S: f64 = 0.5;
+
+/// CRTK's meta-states (Collaborative Robotics Toolkit, "Operating state").
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum OperatingState {
+    /// Motion commands are refused until `enable`.
+    Disabled,
+    /// Motion commands are obeyed.
+    Enabled,
+    /// The run is paused.
+    Paused,
+    /// The arm gave up a motion; the next motion command, or `enable`, ends this.
+    Fault,
+}
+
+impl OperatingState {
+    /// As CRTK writes it.
+    pub fn word(self) -> &'static str {
+        match self {
+            OperatingState::Disabled => "DISABLED",
+            OperatingState::Enabled => "ENABLED",
+            OperatingState::Paused => "PAUSED",
+            OperatingState::Fault => "FAULT",
+        }
+    }
+}
+
+/// A request for motion, checked.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Motion {
+    /// `servo_jp` of the arm.
+    ArmServoJp([f64; ARM_JOINTS]),
+    /// `servo_jv` of the arm.
+    ArmServoJv([f64; ARM_JOINTS]),
+    /// `move_jp` of the arm.
+    ArmMoveJp([f64; ARM_JOINTS]),
+    /// `servo_cp` of the arm.
+    ArmServoCp(Pose),
+    /// `move_cp` of the arm.
+    ArmMoveCp(Pose),
+    /// `servo_jf` of the tendons.
+    TendonServoJf([f64; MAX_TENDONS]),
+    /// `servo_jp` of the tendons.
+    TendonServoJp([f64; MAX_TENDONS]),
+    /// `move_jp` of the tendons.
+    TendonMoveJp([f64; MAX_TENDONS]),
+    /// `servo_jv` of the burr.
+    BurrServoJv(f64),
+}
+
+/// The newest request for each part, repeated in every command: a command that was late, and replaced by the safe one, is then obeyed
+/// again.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Commander {
+    arm: Option<Arm>,
+    tendon: Option<Motion>,
+    burr: Option<(f64, f64)>,
+    disabled: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Arm {
+    Hold,
+    Goes(Motion),
+    /// Until this time.
+    Turns(Motion, f64),
+}
+
+impl Commander {
+    /// Whether `disable` was the last word.
+    pub fn is_disabled(&self) -> bool {
+        self.disabled
+    }
+
+    /// Takes a request at a time (any clock that only rises, s).
+    pub fn take(&mut self, motion: Motion, now_s: f64) {
+        match motion {
+            Motion::ArmServoJv(_) => self.arm = Some(Arm::Turns(motion, now_s + VELOCITY_HOLDS_S)),
+            Motion::ArmServoJp(_) | Motion::ArmMoveJp(_) | Motion::ArmServoCp(_) | Motion::ArmMoveCp(_) => {
+                self.arm = Some(Arm::Goes(motion))
+            }
+            Motion::TendonServoJf(_) | Motion::TendonServoJp(_) | Motion::TendonMoveJp(_) => {
+                self.tendon = Some(motion);
+            }
+            Motion::BurrServoJv(speed) => self.burr = Some((speed, now_s + VELOCITY_HOLDS_S)),
+        }
+    }
+
+    /// Gives up what moves: the arm stops, the burr stops, the tension stays. Parts that nobody has moved are left alone.
+    pub fn release(&mut self) {
+        if self.arm.is_some() {
+            self.arm = Some(Arm::Hold);
+        }
+        if let Some((speed, _)) = &mut self.burr {
+            *speed = 0.0;
+        }
+    }
+
+    /// `disable`: as [`Commander::release`], and nothing moves until [`Commander::enable`].
+    pub fn disable(&mut self) {
+        self.release();
+        self.disabled = true;
+    }
+
+    /// `enable`: motion is obeyed again; an arm that gave up a motion stands, and its fault is over. `drives_arm`: whether this
+    /// controller may say so.
+    pub fn enable(&mut self, drives_arm: bool) {
+        self.disabled = false;
+        if drives_arm {
+            self.arm = Some(Arm::Hold);
+        }
+    }
+
+    /// Fills in the command that answers a state at a time (the clock of [`Commander::take`]). Returns which velocities have run out now.
+    pub fn fill(&mut self, now_s: f64, command: &mut Command) -> Option<&'static str> {
+        let mut ran_out = None;
+        if let Some(Arm::Turns(_, until_s)) = self.arm
+            && now_s > until_s
+        {
+            self.arm = Some(Arm::Hold);
+            ran_out = Some("servo_jv of the arm");
+        }
+        if let Some((speed, until_s)) = &mut self.burr
+            && now_s > *until_s
+            && *speed != 0.0
+        {
+            *speed = 0.0;
+            ran_out = Some("servo_jv of the burr");
+        }
+        self.put_arm(command);
+        self.put_tendon(command);
+        if let Some((speed, _)) = self.burr {
+            command.burr_mode = BurrMode::Speed.code();
+            command.burr_speed_rad_per_s = speed;
+        }
+        ran_out
+    }
+
+    fn put_arm(&self, command: &mut Command) {
+        let mode = match self.arm {
+            None => ArmMode::None,
+            Some(Arm::Hold) => ArmMode::Hold,
+            Some(Arm::Goes(motion) | Arm::Turns(motion, _)) => match motion {
+                Motion::ArmServoJp(joints) => {
+                    command.arm_joint_position_rad = joints;
+                    ArmMode::ServoJp
+                }
+                Motion::ArmMoveJp(joints) => {
+                    command.arm_joint_position_rad = joints;
+                    ArmMode::MoveJp
+                }
+                Motion::ArmServoJv(rates) => {
+                    command.arm_joint_velocity_rad_per_s = rates;
+                    ArmMode::ServoJv
+                }
+                Motion::ArmServoCp(pose) => {
+                    command.t_world_base = pose;
+                    ArmMode::ServoCp
+                }
+                Motion::ArmMoveCp(pose) => {
+                    command.t_world_base = pose;
+                    ArmMode::MoveCp
+                }
+                _ => ArmMode::None,
+            },
+        };
+        command.arm_mode = mode.code();
+    }
+
+    fn put_tendon(&self, command: &mut Command) {
+        let mode = match self.tendon {
+            Some(Motion::TendonServoJf(forces)) => {
+                command.tendon_force_n = forces;
+                TendonMode::ServoJf
+            }
+            Some(Motion::TendonServoJp(displacements)) => {
+                command.tendon_displacement_m = displacements;
+                TendonMode::ServoJp
+            }
+            Some(Motion::TendonMoveJp(displacements)) => {
+                command.tendon_displacement_m = displacements;
+                TendonMode::MoveJp
+            }
+            _ => TendonMode::None,
+        };
+        command.tendon_mode = mode.code();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use messages::layout::Message;
+    use zerocopy::FromZeros;
+
+    use super::*;
+
+    fn filled(commander: &mut Commander, now_s: f64) -> Command {
+        let mut command = Command::new_zeroed();
+        commander.fill(now_s, &mut command);
+        assert!(Command::DESCRIPTION.size > 0);
+        command
+    }
+
+    #[test]
+    fn nothing_is_driven_before_something_is_asked() {
+        let command = filled(&mut Commander::default(), 0.0);
+        assert_eq!((command.arm_mode, command.tendon_mode, command.burr_mode), (0, 0, 0));
+        let mut released = Commander::default();
+        released.release();
+        assert_eq!(filled(&mut released, 0.0).arm_mode, 0);
+    }
+
+    #[test]
+    fn a_velocity_runs_out_and_a_position_stays() {
+        let mut commander = Commander::default();
+        commander.take(Motion::ArmServoJv([0.1; 6]), 10.0);
+        commander.take(Motion::BurrServoJv(800.0), 10.0);
+        commander.take(Motion::TendonServoJf([5.0, 0.0, 0.0, 0.0]), 10.0);
+        let before = filled(&mut commander, 10.4);
+        assert_eq!((before.arm_mode(), before.burr_speed_rad_per_s), (Ok(ArmMode::ServoJv), 800.0));
+        let after = filled(&mut commander, 10.6);
+        assert_eq!((after.arm_mode(), after.burr_speed_rad_per_s), (Ok(ArmMode::Hold), 0.0));
+        assert_eq!(after.burr_mode(), Ok(BurrMode::Speed));
+        assert_eq!(after.tendon_force_n[0], 5.0);
+        commander.take(Motion::ArmServoJp([0.2; 6]), 11.0);
+        assert_eq!(filled(&mut commander, 1e6).arm_mode(), Ok(ArmMode::ServoJp));
+    }
+
+    #[test]
+    fn who_is_gone_leaves_a_standing_arm_a_standing_burr_and_the_tension() {
+        let mut commander = Commander::default();
+        commander.take(Motion::ArmMoveJp([0.1; 6]), 0.0);
+        commander.take(Motion::BurrServoJv(800.0), 0.0);
+        commander.take(Motion::TendonServoJf([5.0; 4]), 0.0);
+        commander.release();
+        let command = filled(&mut commander, 0.1);
+        assert_eq!((command.arm_mode(), command.burr_speed_rad_per_s), (Ok(ArmMode::Hold), 0.0));
+        assert_eq!(command.tendon_mode(), Ok(TendonMode::ServoJf));
+    }
+}

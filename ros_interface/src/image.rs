@@ -1,0 +1,160 @@
+//! X-ray frames as images with their cameras.
+
+use messages::{Frame, Pose};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+use crate::msg::{CameraInfo, Header, Image, RegionOfInterest, TfMessage, Time};
+use crate::outgoing::{Outgoing, push, transform};
+use crate::robot::{Placed, WORLD, pose};
+use crate::topics::Output;
+
+/// The C-arm's optical frame: +z from the source to the detector.
+pub const C_ARM_FRAME: &str = "c_arm";
+/// An image of more bytes is sent in a smaller form: a subscriber of Fast DDS has a receive buffer of 212 992 bytes unless its profile or
+/// its machine says otherwise, and loses fragments of what is larger.
+pub const MAX_IMAGE_BYTES: usize = 180_000;
+
+/// How images are sent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ImageForm {
+    /// `mono16` up to [`MAX_IMAGE_BYTES`], else `mono8`, else `mono8` with every two by two pixels (four by four, and so on) as one.
+    #[default]
+    Fitting,
+    /// `mono16` always.
+    Full,
+}
+
+/// Bits of the pixels and pixels a side that become one.
+fn reduction(columns: usize, rows: usize, form: ImageForm) -> (bool, usize) {
+    let pixels = columns * rows;
+    if form == ImageForm::Full || 2 * pixels <= MAX_IMAGE_BYTES {
+        return (true, 1);
+    }
+    let mut side = 1;
+    while (columns / side) * (rows / side) > MAX_IMAGE_BYTES {
+        side *= 2;
+    }
+    (false, side)
+}
+
+/// A frame as image, camera and transform; empty if its pixels are not those it announces.
+pub fn of_frame(frame: &Frame, pixels: &[u16], form: ImageForm) -> Vec<Outgoing> {
+    let (columns, rows) = (frame.geometry.columns as usize, frame.geometry.rows as usize);
+    if pixels.len() != columns * rows || pixels.is_empty() {
+        return Vec::new();
+    }
+    let stamp = Time::of_simulated(frame.sim_time_s);
+    let header = Header { stamp, frame_id: C_ARM_FRAME.into() };
+    let (is_wide, side) = reduction(columns, rows, form);
+    let (width, height) = (columns / side, rows / side);
+    let data: Vec<u8> = if is_wide {
+        pixels.iter().flat_map(|pixel| pixel.to_le_bytes()).collect()
+    } else {
+        reduced(pixels, columns, width, height, side)
+    };
+    let bytes = if is_wide { 2 } else { 1 };
+    let (width, height) = (as_u32(width), as_u32(height));
+    let encoding = if is_wide { "mono16" } else { "mono8" }.to_owned();
+    let image =
+        Image { header: header.clone(), height, width, encoding, is_bigendian: 0, step: width * bytes, data };
+    let mut out = Vec::new();
+    push(&mut out, Output::CArmImage, &image);
+    push(&mut out, Output::CArmInfo, &camera(frame, header, width, height, side));
+    let placed = Placed { parent: WORLD.into(), child: C_ARM_FRAME.into(), pose: t_world_camera(frame) };
+    push(&mut out, Output::Tf, &TfMessage { transforms: vec![transform(placed, stamp)] });
+    out
+}
+
+fn as_u32(count: usize) -> u32 {
+    u32::try_from(count).unwrap_or(u32::MAX)
+}
+
+/// Means of `side` by `side` pixels, their upper eight bits.
+fn reduced(pixels: &[u16], columns: usize, width: usize, height: usize, side: usize) -> Vec<u8> {
+    let mut data = Vec::with_capacity(width * height);
+    for row in 0..height {
+        for column in 0..width {
+            let mut sum = 0_u64;
+            for line in 0..side {
+                let first = (row * side + line) * columns + column * side;
+                sum += pixels[first..first + side].iter().map(|pixel| u64::from(*pixel)).sum::<u64>();
+            }
+            data.push((sum / (side * side) as u64 / 256) as u8);
+        }
+    }
+    data
+}
+
+fn camera(frame: &Frame, header: Header, width: u32, height: u32, side: usize) -> CameraInfo {
+    let mut k = frame.projection.intrinsics;
+    if side > 1 {
+        // Pixel centres at integers: the centre of the first large pixel is (side - 1) / 2 from that of the first small one.
+        let (scale, shift) = (1.0 / side as f64, (side as f64 - 1.0) / 2.0);
+        k[0] *= scale;
+        k[1] *= scale;
+        k[4] *= scale;
+        k[2] = (k[2] - shift) * scale;
+        k[5] = (k[5] - shift) * scale;
+    }
+    let mut p = [0.0; 12];
+    for row in 0..3 {
+        p[4 * row..4 * row + 3].copy_from_slice(&k[3 * row..3 * row + 3]);
+    }
+    CameraInfo {
+        header,
+        height,
+        width,
+        distortion_model: "plumb_bob".into(),
+        d: vec![0.0; 5],
+        k,
+        r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        p,
+        binning_x: 0,
+        binning_y: 0,
+        roi: RegionOfInterest::default(),
+    }
+}
+
+/// Pose of the camera in the world, from x_camera = R x_world + t.
+fn t_world_camera(frame: &Frame) -> Pose {
+    let rotation = Matrix3::from_row_slice(&frame.projection.rotation);
+    let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
+    let translation = Translation3::from(Vector3::from(frame.projection.translation_m));
+    pose(&Isometry3::from_parts(translation, turn).inverse())
+}
+
+#[cfg(test)]
+mod tests {
+    use zerocopy::FromZeros;
+
+    use super::*;
+
+    #[test]
+    fn an_image_is_sent_as_it_is_or_as_small_as_it_must_be() {
+        assert_eq!(reduction(256, 256, ImageForm::Fitting), (true, 1));
+        assert_eq!(reduction(384, 384, ImageForm::Fitting), (false, 1));
+        assert_eq!(reduction(512, 512, ImageForm::Fitting), (false, 2));
+        assert_eq!(reduction(2048, 2048, ImageForm::Fitting), (false, 8));
+        assert_eq!(reduction(2048, 2048, ImageForm::Full), (true, 1));
+    }
+
+    #[test]
+    fn a_small_image_shows_the_means_and_its_camera_the_same_place() {
+        let mut frame = Frame::new_zeroed();
+        (frame.geometry.columns, frame.geometry.rows) = (4, 2);
+        let pixels = [0, 256, 512, 512, 256, 512, 512, 512];
+        assert_eq!(reduced(&pixels, 4, 2, 1, 2), [1, 2]);
+        frame.projection.intrinsics = [-1000.0, 0.0, 1.5, 0.0, 1000.0, 0.5, 0.0, 0.0, 1.0];
+        let info = camera(&frame, Header::default(), 2, 1, 2);
+        // The optical axis meets the middle of the image: between the two large pixels.
+        assert_eq!((info.k[0], info.k[2], info.k[5]), (-500.0, 0.5, 0.0));
+        assert_eq!(info.p[..4], [-500.0, 0.0, 0.5, 0.0]);
+    }
+
+    #[test]
+    fn a_frame_whose_pixels_are_missing_is_no_image() {
+        let mut frame = Frame::new_zeroed();
+        (frame.geometry.columns, frame.geometry.rows) = (4, 4);
+        assert!(of_frame(&frame, &[0; 15], ImageForm::Fitting).is_empty());
+    }
+}

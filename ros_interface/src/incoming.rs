@@ -1,0 +1,352 @@
+//! What comes in: bytes of a topic, checked and turned into a request.
+
+use messages::{
+    ARM_JOINTS, MAX_BURR_SPEED_RAD_PER_S, MAX_DISPLACEMENT_M, MAX_POSITION_M, MAX_TENDONS, MAX_TENSION_N,
+    Pose,
+};
+use thiserror::Error;
+
+use crate::cdr::{self, Order};
+use crate::commander::Motion;
+use crate::msg::{JointState, PoseStamped, StringStamped};
+use crate::robot::WORLD;
+use crate::topics::{ARM_JOINT_NAMES, Input, joint_names};
+
+/// Joint angles and rates that a command may ask for (`hub::command_check`); the arm checks its own range.
+const MAX_JOINT_RAD: f64 = core::f64::consts::TAU;
+const MAX_JOINT_RATE_RAD_PER_S: f64 = core::f64::consts::TAU;
+/// How far a quaternion's length may be from 1: publishers in single precision and with printed digits.
+const QUATERNION_TOLERANCE: f64 = 1e-3;
+/// Longest message that is looked at.
+pub const MAX_MESSAGE_BYTES: usize = 1 << 16;
+
+/// What a message asks for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Request {
+    /// Motion of arm, tendons or burr.
+    Move(Motion),
+    /// A change of state.
+    State(StateCommand),
+}
+
+/// CRTK's state commands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum StateCommand {
+    /// Motion is obeyed again.
+    Enable,
+    /// Arm and burr stop, and motion is refused.
+    Disable,
+    /// The run pauses.
+    Pause,
+    /// The run goes on.
+    Resume,
+    /// Nothing: the arm is always homed.
+    Home,
+}
+
+/// Each state command, its word and what it does. `docs/ros2.md` lists them (a test compares).
+pub const STATE_COMMANDS: [(StateCommand, &str, &str); 5] = [
+    (
+        StateCommand::Enable,
+        "enable",
+        "motion commands are obeyed (so it starts); after `FAULT` the arm stands and the fault is over",
+    ),
+    (
+        StateCommand::Disable,
+        "disable",
+        "arm and burr stop, the tension stays; motion commands are refused until `enable`",
+    ),
+    (
+        StateCommand::Pause,
+        "pause",
+        "the run pauses: simulated time and `/clock` stand still, motion commands are refused",
+    ),
+    (StateCommand::Resume, "resume", "the run goes on"),
+    (StateCommand::Home, "home", "nothing: a simulated arm is always homed"),
+];
+
+/// Why a message was refused.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum Refused {
+    /// Its bytes are not a message of the topic's type.
+    #[error("not a message of the topic's type ({0})")]
+    Malformed(String),
+    /// It is longer than any sensible one.
+    #[error("{0} bytes, expected at most {MAX_MESSAGE_BYTES}")]
+    TooLong(usize),
+    /// An array has the wrong number of entries.
+    #[error("{field}: {given} entries, expected {expected}")]
+    Length {
+        /// The array.
+        field: &'static str,
+        /// Entries that came.
+        given: usize,
+        /// Entries that were expected.
+        expected: usize,
+    },
+    /// A name is none of the joints', or stands twice.
+    #[error("name: {given}, expected each of {expected} once, or no names at all")]
+    Name {
+        /// The name.
+        given: String,
+        /// All names.
+        expected: String,
+    },
+    /// A number is out of its range, infinite or not a number.
+    #[error("{field}: {value}, expected {lowest} to {highest}")]
+    Range {
+        /// The array and its entry.
+        field: String,
+        /// The number.
+        value: f64,
+        /// Its lowest value.
+        lowest: f64,
+        /// Its highest value.
+        highest: f64,
+    },
+    /// A pose in another frame than the world.
+    #[error("header.frame_id: {0}, expected {WORLD} or nothing")]
+    Frame(String),
+    /// A quaternion that is none of a rotation.
+    #[error("orientation: length {0}, expected 1")]
+    Quaternion(f64),
+    /// A state command that is none.
+    #[error("{0} is none of enable, disable, pause, resume, home")]
+    Word(String),
+    /// Motion while the run is paused.
+    #[error("the run is paused")]
+    Paused,
+    /// Motion behind a `disable`.
+    #[error("disabled; state_command `enable` ends that")]
+    Disabled,
+}
+
+/// Reads a message of a topic. `tendons`: tendons of the tool.
+///
+/// # Errors
+/// Why it is refused.
+pub fn read(topic: Input, bytes: &[u8], order: Order, tendons: usize) -> Result<Request, Refused> {
+    if bytes.len() > MAX_MESSAGE_BYTES {
+        return Err(Refused::TooLong(bytes.len()));
+    }
+    let joints = || decode::<JointState>(bytes, order);
+    let pose = || decode::<PoseStamped>(bytes, order).and_then(|message| pose_of(&message));
+    let motion = match topic {
+        Input::ArmServoJp => Motion::ArmServoJp(arm_values(&joints()?, Field::Position, MAX_JOINT_RAD)?),
+        Input::ArmMoveJp => Motion::ArmMoveJp(arm_values(&joints()?, Field::Position, MAX_JOINT_RAD)?),
+        Input::ArmServoJv => {
+            Motion::ArmServoJv(arm_values(&joints()?, Field::Velocity, MAX_JOINT_RATE_RAD_PER_S)?)
+        }
+        Input::ArmServoCp => Motion::ArmServoCp(pose()?),
+        Input::ArmMoveCp => Motion::ArmMoveCp(pose()?),
+        Input::TendonServoJf => {
+            Motion::TendonServoJf(tendon_values(&joints()?, Field::Effort, tendons, 0.0, MAX_TENSION_N)?)
+        }
+        Input::TendonServoJp | Input::TendonMoveJp => {
+            let (lowest, highest) = (-MAX_DISPLACEMENT_M, MAX_DISPLACEMENT_M);
+            let values = tendon_values(&joints()?, Field::Position, tendons, lowest, highest)?;
+            match topic {
+                Input::TendonServoJp => Motion::TendonServoJp(values),
+                _ => Motion::TendonMoveJp(values),
+            }
+        }
+        Input::BurrServoJv => {
+            let names = ["burr".to_owned()];
+            let [speed] = values::<1>(&joints()?, Field::Velocity, &names, 0.0, MAX_BURR_SPEED_RAD_PER_S)?;
+            Motion::BurrServoJv(speed)
+        }
+        Input::StateCommand => return state_command(&decode::<StringStamped>(bytes, order)?),
+    };
+    Ok(Request::Move(motion))
+}
+
+fn decode<T: serde::de::DeserializeOwned>(bytes: &[u8], order: Order) -> Result<T, Refused> {
+    cdr::decode(bytes, order).map_err(|error| Refused::Malformed(error.to_string()))
+}
+
+fn state_command(message: &StringStamped) -> Result<Request, Refused> {
+    let asked = message.string.trim();
+    let found = STATE_COMMANDS.iter().find(|(_, word, _)| *word == asked);
+    let (command, ..) = found.ok_or_else(|| Refused::Word(foreign_text::foreign(asked).to_string()))?;
+    Ok(Request::State(*command))
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Field {
+    Position,
+    Velocity,
+    Effort,
+}
+
+impl Field {
+    fn of(self, message: &JointState) -> (&'static str, &[f64]) {
+        match self {
+            Field::Position => ("position", &message.position),
+            Field::Velocity => ("velocity", &message.velocity),
+            Field::Effort => ("effort", &message.effort),
+        }
+    }
+}
+
+fn arm_values(message: &JointState, field: Field, most: f64) -> Result<[f64; ARM_JOINTS], Refused> {
+    let names = ARM_JOINT_NAMES.map(str::to_owned);
+    values(message, field, &names, -most, most)
+}
+
+fn tendon_values(
+    message: &JointState,
+    field: Field,
+    tendons: usize,
+    lowest: f64,
+    highest: f64,
+) -> Result<[f64; MAX_TENDONS], Refused> {
+    let names = joint_names("tendon", tendons.min(MAX_TENDONS));
+    values(message, field, &names, lowest, highest)
+}
+
+/// The field's numbers in the order of `names`, which the message has in any order, or, as many CRTK programs send it, not at all.
+/// Entries behind the last name are 0.
+fn values<const N: usize>(
+    message: &JointState,
+    field: Field,
+    names: &[String],
+    lowest: f64,
+    highest: f64,
+) -> Result<[f64; N], Refused> {
+    let (label, given) = field.of(message);
+    let expected = names.len().min(N);
+    let wrong = |field, given| Refused::Length { field, given, expected };
+    if given.len() != expected {
+        return Err(wrong(label, given.len()));
+    }
+    if !message.name.is_empty() && message.name.len() != expected {
+        return Err(wrong("name", message.name.len()));
+    }
+    let mut sorted = [0.0; N];
+    let mut seen = [false; N];
+    for (index, &value) in given.iter().enumerate() {
+        let place = match message.name.get(index) {
+            None => Some(index),
+            Some(name) => names.iter().position(|known| known == name),
+        };
+        let place = place.filter(|&place| !seen[place]).ok_or_else(|| {
+            let given = message.name.get(index).map_or("", String::as_str);
+            Refused::Name { given: foreign_text::foreign(given).to_string(), expected: names.join(", ") }
+        })?;
+        // Written so that NaN fails.
+        if !(lowest..=highest).contains(&value) {
+            return Err(Refused::Range { field: format!("{label}[{index}]"), value, lowest, highest });
+        }
+        (sorted[place], seen[place]) = (value, true);
+    }
+    Ok(sorted)
+}
+
+fn pose_of(message: &PoseStamped) -> Result<Pose, Refused> {
+    let frame = message.header.frame_id.trim_start_matches('/');
+    if !frame.is_empty() && frame != WORLD {
+        return Err(Refused::Frame(foreign_text::foreign(frame).to_string()));
+    }
+    let position_m: [f64; 3] = message.pose.position.into();
+    for (axis, value) in ["x", "y", "z"].into_iter().zip(position_m) {
+        let (lowest, highest) = (-MAX_POSITION_M, MAX_POSITION_M);
+        if !(lowest..=highest).contains(&value) {
+            return Err(Refused::Range { field: format!("position.{axis}"), value, lowest, highest });
+        }
+    }
+    let turn = message.pose.orientation;
+    let given = [turn.x, turn.y, turn.z, turn.w];
+    let length = given.iter().map(|part| part * part).sum::<f64>().sqrt();
+    // Written so that NaN fails.
+    let is_rotation = (length - 1.0).abs() <= QUATERNION_TOLERANCE;
+    if !is_rotation {
+        return Err(Refused::Quaternion(length));
+    }
+    Ok(Pose { position_m, orientation_xyzw: given.map(|part| part / length) })
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::msg::{Header, Quaternion, RosPose, Vector3};
+
+    fn ask<T: serde::Serialize>(topic: Input, message: &T) -> Result<Request, Refused> {
+        read(topic, &cdr::encode(message).unwrap(), Order::Little, 1)
+    }
+
+    fn joints(name: &[&str], position: &[f64]) -> JointState {
+        let name = name.iter().map(|name| (*name).to_owned()).collect();
+        JointState { name, position: position.to_vec(), ..JointState::default() }
+    }
+
+    #[test]
+    fn joints_come_by_their_names_or_in_their_order() {
+        let in_order = joints(&[], &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
+        let wanted = Ok(Request::Move(Motion::ArmServoJp([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])));
+        assert_eq!(ask(Input::ArmServoJp, &in_order), wanted);
+        let mut backwards = ARM_JOINT_NAMES;
+        backwards.reverse();
+        let message = joints(&backwards, &[6.0, 5.0, 4.0, 3.0, 2.0, 1.0]);
+        assert_eq!(ask(Input::ArmServoJp, &message), wanted);
+    }
+
+    #[test]
+    fn wrong_names_lengths_and_numbers_are_refused_with_the_field() {
+        let told = |topic, message: &JointState| ask(topic, message).unwrap_err().to_string();
+        assert_eq!(told(Input::ArmMoveJp, &joints(&[], &[0.0; 5])), "position: 5 entries, expected 6");
+        assert!(
+            told(Input::ArmMoveJp, &joints(&["a"; 6], &[0.0; 6])).starts_with("name: a, expected each of")
+        );
+        let mut twice = ARM_JOINT_NAMES;
+        twice[1] = twice[0];
+        assert!(told(Input::ArmMoveJp, &joints(&twice, &[0.0; 6])).contains("shoulder_pan_joint"));
+        let mut values = [0.0; 6];
+        values[3] = f64::NAN;
+        assert!(told(Input::ArmServoJp, &joints(&[], &values)).starts_with("position[3]: NaN, expected"));
+        let force = JointState { effort: vec![-1.0], ..JointState::default() };
+        assert_eq!(told(Input::TendonServoJf, &force), "effort[0]: -1, expected 0 to 60");
+    }
+
+    #[test]
+    fn a_pose_is_in_the_world_and_a_rotation() {
+        let mut message = PoseStamped {
+            header: Header::default(),
+            pose: RosPose {
+                position: Vector3 { x: 0.1, y: 0.0, z: 0.0 },
+                orientation: Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0005 },
+            },
+        };
+        let Ok(Request::Move(Motion::ArmServoCp(pose))) = ask(Input::ArmServoCp, &message) else { panic!() };
+        assert_eq!(pose.orientation_xyzw, [0.0, 0.0, 0.0, 1.0]);
+        message.pose.orientation.w = 0.0;
+        assert_eq!(ask(Input::ArmMoveCp, &message), Err(Refused::Quaternion(0.0)));
+        message.pose.orientation.w = 1.0;
+        message.header.frame_id = "UR5/base".into();
+        assert_eq!(ask(Input::ArmMoveCp, &message), Err(Refused::Frame("UR5/base".into())));
+    }
+
+    #[test]
+    fn state_commands_are_words() {
+        let say = |word: &str| {
+            ask(Input::StateCommand, &StringStamped { header: Header::default(), string: word.into() })
+        };
+        assert_eq!(say("pause"), Ok(Request::State(StateCommand::Pause)));
+        assert_eq!(
+            say("fly").unwrap_err().to_string(),
+            "fly is none of enable, disable, pause, resume, home"
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn no_bytes_do_harm(bytes in proptest::collection::vec(any::<u8>(), 0..400), topic in 0_usize..10, big: bool) {
+            let topic = crate::topics::INPUTS[topic].topic;
+            let order = if big { Order::Big } else { Order::Little };
+            if let Ok(Request::Move(Motion::ArmServoJp(values))) = read(topic, &bytes, order, 2) {
+                prop_assert!(values.iter().all(|value| value.is_finite()));
+            }
+        }
+    }
+}

@@ -1,0 +1,83 @@
+//! The ROS 2 messages that the bridge exchanges, field by field as their `.msg` files have them (Jazzy), so that their CDR bytes are
+//! those of every ROS 2 from Humble on.
+
+mod control;
+mod geometry;
+mod sensor;
+
+pub use control::*;
+pub use geometry::*;
+pub use sensor::*;
+
+use serde::{Deserialize, Serialize};
+
+const NS_PER_S: u64 = 1_000_000_000;
+
+/// `builtin_interfaces/msg/Time`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Time {
+    /// Seconds.
+    pub sec: i32,
+    /// Nanoseconds behind them.
+    pub nanosec: u32,
+}
+
+impl Time {
+    /// A simulated time, rounded to a nanosecond; times that do not fit are cut off at the ends.
+    pub fn of_simulated(seconds: f64) -> Time {
+        // Saturates, and NaN becomes 0.
+        let ns = (seconds * NS_PER_S as f64).round() as u64;
+        let sec = i32::try_from(ns / NS_PER_S).unwrap_or(i32::MAX);
+        Time { sec, nanosec: (ns % NS_PER_S) as u32 }
+    }
+}
+
+/// `std_msgs/msg/Header`.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Header {
+    /// Simulated time of what follows.
+    pub stamp: Time,
+    /// The frame that its numbers are in.
+    pub frame_id: String,
+}
+
+/// `rosgraph_msgs/msg/Clock`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Clock {
+    /// Simulated time.
+    pub clock: Time,
+}
+
+/// `std_msgs/msg/String`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Text {
+    /// The text.
+    pub data: String,
+}
+
+/// `std_msgs/msg/Float64`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Float64 {
+    /// The number.
+    pub data: f64,
+}
+
+/// `std_msgs/msg/UInt64`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct UInt64 {
+    /// The number.
+    pub data: u64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tick_has_its_exact_stamp() {
+        assert_eq!(Time::of_simulated(12.345), Time { sec: 12, nanosec: 345_000_000 });
+        assert_eq!(Time::of_simulated(f64::NAN), Time::default());
+        assert_eq!(Time::of_simulated(-1.0), Time::default());
+        assert_eq!(Time::of_simulated(1e300).sec, i32::MAX);
+    }
+}

@@ -1,0 +1,153 @@
+//! What the bridge publishes of a state, as CDR.
+
+use messages::{ARM_JOINTS, ArmMode, ArmStatus, Phase, State};
+use nalgebra::{UnitQuaternion, Vector3};
+use serde::Serialize;
+
+use crate::cdr;
+use crate::commander::OperatingState;
+use crate::msg::{
+    Clock, Float64, Header, JointState, OperatingStateMessage, PoseStamped, Text, TfMessage, Time,
+    TransformStamped, TwistStamped, UInt64, WrenchStamped,
+};
+use crate::robot::{Placed, Robot, WORLD, isometry};
+use crate::topics::{ARM_JOINT_NAMES, Output, joint_names};
+
+/// A message on its way out.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Outgoing {
+    /// Its topic.
+    pub topic: Output,
+    /// Its CDR.
+    pub cdr: Vec<u8>,
+}
+
+/// Appends a message. What this crate builds is all expressible in CDR.
+pub(crate) fn push<T: Serialize>(to: &mut Vec<Outgoing>, topic: Output, message: &T) {
+    to.extend(cdr::encode(message).ok().map(|cdr| Outgoing { topic, cdr }));
+}
+
+fn header(stamp: Time, frame_id: &str) -> Header {
+    Header { stamp, frame_id: frame_id.to_owned() }
+}
+
+/// What a new state changes.
+pub fn of_state(robot: &Robot, state: &State) -> Vec<Outgoing> {
+    let stamp = Time::of_simulated(state.sim_time_s);
+    let mut out = Vec::with_capacity(16);
+    push(&mut out, Output::Clock, &Clock { clock: stamp });
+    arm(&mut out, robot, state, stamp);
+    tool(&mut out, robot, state, stamp);
+    let transforms = robot.moving(state).into_iter().map(|placed| transform(placed, stamp)).collect();
+    push(&mut out, Output::Tf, &TfMessage { transforms });
+    out
+}
+
+fn arm(out: &mut Vec<Outgoing>, robot: &Robot, state: &State, stamp: Time) {
+    let name: Vec<String> = ARM_JOINT_NAMES.map(str::to_owned).to_vec();
+    let measured = JointState {
+        header: header(stamp, ""),
+        name: name.clone(),
+        position: state.arm_joint_position_rad.to_vec(),
+        velocity: state.arm_joint_velocity_rad_per_s.to_vec(),
+        effort: Vec::new(),
+    };
+    push(out, Output::ArmMeasuredJs, &measured);
+    let drive = |joint: usize| state.arm_joint_position_rad[joint] - state.arm_joint_deflection_rad[joint];
+    let position = (0..ARM_JOINTS).map(drive).collect();
+    let setpoint = JointState { header: header(stamp, ""), name, position, ..JointState::default() };
+    push(out, Output::ArmSetpointJs, &setpoint);
+
+    let base = PoseStamped { header: header(stamp, WORLD), pose: (&state.t_world_base).into() };
+    push(out, Output::ArmMeasuredCp, &base);
+    let [linear, angular] = robot.base_velocity(state).map(Into::into);
+    push(out, Output::ArmMeasuredCv, &TwistStamped { header: header(stamp, WORLD), linear, angular });
+    let [force, torque] = wrench_in_base(state);
+    let header = header(stamp, &robot.tool_base());
+    push(out, Output::ArmMeasuredCf, &WrenchStamped { header, force: force.into(), torque: torque.into() });
+}
+
+/// The wrench on the flange, about the tool's base, along the axes of the tool's base instead of the world's.
+fn wrench_in_base(state: &State) -> [[f64; 3]; 2] {
+    let to_base: UnitQuaternion<f64> = isometry(&state.t_world_base).rotation.inverse();
+    [state.flange_wrench.force_n, state.flange_wrench.torque_nm]
+        .map(|in_world| (to_base * Vector3::from(in_world)).into())
+}
+
+fn tool(out: &mut Vec<Outgoing>, robot: &Robot, state: &State, stamp: Time) {
+    let (tendons, flexures) = (robot.tendons(), robot.flexures());
+    let motor = JointState {
+        header: header(stamp, ""),
+        name: joint_names("tendon", tendons),
+        position: state.tendon_displacement_m[..tendons].to_vec(),
+        velocity: Vec::new(),
+        effort: state.tendon_tension_n[..tendons].to_vec(),
+    };
+    push(out, Output::TendonMeasuredJs, &motor);
+    let chain = JointState {
+        header: header(stamp, ""),
+        name: joint_names("flexure", flexures),
+        position: state.joint_position_rad[..flexures].to_vec(),
+        velocity: state.joint_velocity_rad_per_s[..flexures].to_vec(),
+        effort: Vec::new(),
+    };
+    push(out, Output::FlexureMeasuredJs, &chain);
+    let tip = PoseStamped { header: header(stamp, WORLD), pose: (&state.t_world_tip).into() };
+    push(out, Output::TipMeasuredCp, &tip);
+    let burr = JointState {
+        header: header(stamp, ""),
+        name: vec!["burr".into()],
+        velocity: vec![state.burr_speed_rad_per_s],
+        ..JointState::default()
+    };
+    push(out, Output::BurrMeasuredJs, &burr);
+    push(out, Output::BurrForce, &Float64 { data: state.burr_force_n });
+    push(out, Output::RemovedVoxels, &UInt64 { data: state.removed_total });
+}
+
+pub(crate) fn transform(placed: Placed, stamp: Time) -> TransformStamped {
+    TransformStamped {
+        header: Header { stamp, frame_id: placed.parent },
+        child_frame_id: placed.child,
+        transform: (&placed.pose).into(),
+    }
+}
+
+/// What stays for the whole session.
+pub fn of_session(robot: &Robot, urdf: String) -> Vec<Outgoing> {
+    let mut out = Vec::new();
+    let transforms = vec![transform(robot.fixed(), Time::default())];
+    push(&mut out, Output::TfStatic, &TfMessage { transforms });
+    push(&mut out, Output::RobotDescription, &Text { data: urdf });
+    out
+}
+
+/// What CRTK calls the arm's state.
+pub fn operating_state(phase: Phase, disabled: bool, state: &State) -> OperatingState {
+    match phase {
+        Phase::Paused => OperatingState::Paused,
+        _ if disabled => OperatingState::Disabled,
+        _ if state.arm_status() == Ok(ArmStatus::Fault) => OperatingState::Fault,
+        _ => OperatingState::Enabled,
+    }
+}
+
+/// Whether the arm is on its way to a goal (CRTK's `is_busy`): servo commands do not count.
+pub fn is_busy(state: &State) -> bool {
+    let to_a_goal =
+        matches!(state.arm_mode(), Ok(ArmMode::MoveJp | ArmMode::MoveCp | ArmMode::Insert | ArmMode::Rcm));
+    to_a_goal && state.arm_status() == Ok(ArmStatus::Moving)
+}
+
+/// The operating state as a message.
+pub fn of_operating_state(operating: OperatingState, is_busy: bool, state: &State) -> Vec<Outgoing> {
+    let mut out = Vec::new();
+    let message = OperatingStateMessage {
+        header: header(Time::of_simulated(state.sim_time_s), ""),
+        state: operating.word().to_owned(),
+        is_homed: true,
+        is_busy,
+    };
+    push(&mut out, Output::OperatingState, &message);
+    out
+}

@@ -1,0 +1,199 @@
+//! Arm and tool as a tree of frames, and the arm's velocity.
+
+use messages::{ARM_JOINTS, Pose, State};
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use scene::Scene;
+use simulation::arm::{ArmParameters, UrGeometry};
+
+use crate::topics::Names;
+
+/// The frame that everything stands in: the patient frame, LPS.
+pub const WORLD: &str = "world";
+
+/// A frame, its parent and its pose in it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Placed {
+    /// Parent frame.
+    pub parent: String,
+    /// The frame.
+    pub child: String,
+    /// Its pose in the parent.
+    pub pose: Pose,
+}
+
+/// The arm's geometry and place, and the names of all frames.
+#[derive(Debug, Clone)]
+pub struct Robot {
+    names: Names,
+    /// Without the tool: frame 6 is the flange.
+    geometry: UrGeometry,
+    t_world_arm_base: Isometry3<f64>,
+    /// The parts of the Denavit-Hartenberg transforms that do not turn: the identity, then `Tz(d_i) Tx(a_i) Rx(alpha_i)`.
+    fixed_parts: [Isometry3<f64>; ARM_JOINTS + 1],
+    t_flange_base: Isometry3<f64>,
+    /// Lower and upper ends of the joints' ranges.
+    ranges_rad: [[f64; ARM_JOINTS]; 2],
+    rates_rad_per_s: [f64; ARM_JOINTS],
+    flexures: usize,
+    tendons: usize,
+}
+
+impl Robot {
+    /// The robot of a scene, placed by a state: the arm's base stands where its flange and its joints say.
+    pub fn new(scene: &Scene, state: &State, names: Names) -> Robot {
+        let standard = ArmParameters::ur5(scene.dt_s());
+        let geometry = standard.geometry;
+        let limits = standard.joint_limits;
+        let arm = &scene.arm;
+        let or = |degrees: Option<[f64; 6]>, standard: [f64; 6]| {
+            degrees.map_or(standard, |d| d.map(f64::to_radians))
+        };
+        let rate = arm.max_joint_speed_deg_per_s.map_or(limits.velocity_rad_s, |deg| [deg.to_radians(); 6]);
+        let t_world_flange = isometry(&state.t_world_flange);
+        let straight = geometry.frames(&[0.0; ARM_JOINTS]);
+        let fixed_part = |index: usize| match index {
+            0 => Isometry3::identity(),
+            _ => straight.t_base_link(index - 1).inverse() * straight.t_base_link(index),
+        };
+        Robot {
+            names,
+            geometry,
+            t_world_arm_base: t_world_flange * geometry.forward(&state.arm_joint_position_rad).inverse(),
+            fixed_parts: core::array::from_fn(fixed_part),
+            t_flange_base: t_world_flange.inverse() * isometry(&state.t_world_base),
+            ranges_rad: [
+                or(arm.lower_joints_deg, limits.lower_rad),
+                or(arm.upper_joints_deg, limits.upper_rad),
+            ],
+            rates_rad_per_s: rate,
+            flexures: used(state.joint_count, state.t_world_link.len()),
+            tendons: used(state.tendon_count, state.tendon_tension_n.len()),
+        }
+    }
+
+    /// Names in topics and frames.
+    pub fn names(&self) -> &Names {
+        &self.names
+    }
+
+    /// Ends of the arm joints' ranges, and their fastest rates.
+    pub fn limits(&self, joint: usize) -> [f64; 3] {
+        [self.ranges_rad[0][joint], self.ranges_rad[1][joint], self.rates_rad_per_s[joint]]
+    }
+
+    /// Flexures in use.
+    pub fn flexures(&self) -> usize {
+        self.flexures
+    }
+
+    /// Tendons in use.
+    pub fn tendons(&self) -> usize {
+        self.tendons
+    }
+
+    /// Frame of the arm's base (index 0) and of its links (1 to 6), each at its joint and turning about its own z, as URDF wants it.
+    pub fn arm_frame(&self, index: usize) -> String {
+        if index == 0 {
+            format!("{}/base", self.names.arm)
+        } else {
+            format!("{}/link_{index}", self.names.arm)
+        }
+    }
+
+    /// Frame of the arm's flange.
+    pub fn flange(&self) -> String {
+        format!("{}/flange", self.names.arm)
+    }
+
+    /// Where each joint stands in the link before it (index 0 to 5), and the flange in link 6.
+    pub fn fixed_parts(&self) -> &[Isometry3<f64>; ARM_JOINTS + 1] {
+        &self.fixed_parts
+    }
+
+    /// The tool's base on the flange in the state that the robot was made from.
+    pub fn t_flange_base(&self) -> &Isometry3<f64> {
+        &self.t_flange_base
+    }
+
+    /// Frame of the tool's base.
+    pub fn tool_base(&self) -> String {
+        format!("{}/base", self.names.manipulator)
+    }
+
+    /// Frame of a link, just behind its flexure; the base, where there is none before it.
+    pub fn tool_link(&self, index: usize) -> String {
+        format!("{}/link_{index}", self.names.manipulator)
+    }
+
+    /// Frame of the burr's centre or of the tip.
+    pub fn tool_end(&self, which: &str) -> String {
+        format!("{}/{which}", self.names.manipulator)
+    }
+
+    /// The arm's base in the world, which stays.
+    pub fn fixed(&self) -> Placed {
+        Placed { parent: WORLD.into(), child: self.arm_frame(0), pose: pose(&self.t_world_arm_base) }
+    }
+
+    /// Every frame that moves, parents first.
+    pub fn moving(&self, state: &State) -> Vec<Placed> {
+        let mut placed = Vec::with_capacity(ARM_JOINTS + self.flexures + 4);
+        for (index, angle_rad) in state.arm_joint_position_rad.into_iter().enumerate() {
+            let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle_rad);
+            let t_parent_child = self.fixed_parts[index] * turn;
+            let (parent, child) = (self.arm_frame(index), self.arm_frame(index + 1));
+            placed.push(Placed { parent, child, pose: pose(&t_parent_child) });
+        }
+        let (parent, child) = (self.arm_frame(ARM_JOINTS), self.flange());
+        placed.push(Placed { parent, child, pose: pose(&self.fixed_parts[ARM_JOINTS]) });
+        let mut last = (self.flange(), isometry(&state.t_world_flange));
+        let mut hang = |child: String, t_world_child: &Pose, stays: bool| {
+            let t_world_child = isometry(t_world_child);
+            let pose = pose(&(last.1.inverse() * t_world_child));
+            placed.push(Placed { parent: last.0.clone(), child: child.clone(), pose });
+            if !stays {
+                last = (child, t_world_child);
+            }
+        };
+        hang(self.tool_base(), &state.t_world_base, false);
+        for (index, link) in state.t_world_link[..self.flexures].iter().enumerate() {
+            hang(self.tool_link(index), link, false);
+        }
+        hang(self.tool_end("burr"), &state.t_world_burr, true);
+        hang(self.tool_end("tip"), &state.t_world_tip, true);
+        placed
+    }
+
+    /// Velocity of the tool's base, m/s and rad/s along the world's axes: that of the flange by the arm's Jacobian, carried over to the
+    /// base.
+    pub fn base_velocity(&self, state: &State) -> [[f64; 3]; 2] {
+        let jacobian = self.geometry.frames(&state.arm_joint_position_rad).jacobian();
+        let rates = nalgebra::Vector6::from(state.arm_joint_velocity_rad_per_s);
+        let twist = jacobian * rates;
+        let turn = self.t_world_arm_base.rotation;
+        let angular = turn * Vector3::new(twist[3], twist[4], twist[5]);
+        let arm =
+            Vector3::from(state.t_world_base.position_m) - Vector3::from(state.t_world_flange.position_m);
+        let linear = turn * Vector3::new(twist[0], twist[1], twist[2]) + angular.cross(&arm);
+        [linear.into(), angular.into()]
+    }
+}
+
+/// A count of a message, at most what its array holds.
+pub(crate) fn used(count: u32, most: usize) -> usize {
+    usize::try_from(count).unwrap_or(most).min(most)
+}
+
+pub(crate) fn isometry(pose: &Pose) -> Isometry3<f64> {
+    let [x, y, z, w] = pose.orientation_xyzw;
+    let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
+    Isometry3::from_parts(Translation3::from(Vector3::from(pose.position_m)), rotation)
+}
+
+pub(crate) fn pose(isometry: &Isometry3<f64>) -> Pose {
+    let rotation = isometry.rotation;
+    Pose {
+        position_m: isometry.translation.vector.into(),
+        orientation_xyzw: [rotation.i, rotation.j, rotation.k, rotation.w],
+    }
+}

@@ -1,0 +1,176 @@
+//! Arm and tool as URDF, so that RViz and SlicerROS2 draw them: plain cylinders and a ball, no meshes.
+
+use std::fmt::Write;
+
+use messages::ARM_JOINTS;
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use scene::Scene;
+use simulation::manipulator_parameters;
+
+use crate::robot::{Robot, WORLD};
+use crate::topics::{ARM_JOINT_NAMES, joint_names};
+
+/// Radius of the arm's links as they are drawn.
+const ARM_RADIUS_M: f64 = 0.04;
+/// Angle that a flexure is said to reach; the tool's own stops are nearer.
+const FLEXURE_RANGE_RAD: f64 = core::f64::consts::FRAC_PI_2;
+
+/// The robot's description. Its links are the frames of `/tf`, its movable joints those of `measured_js`.
+///
+/// # Errors
+/// The scene's tool makes no sense; the session would not have started with it.
+pub fn describe(scene: &Scene, robot: &Robot) -> Result<String, simulation::manipulator::ManipulatorError> {
+    let tool = manipulator_parameters(scene)?;
+    let mut urdf = Urdf::default();
+    urdf.link(WORLD, None);
+    let fixed = robot.fixed();
+    urdf.link(&fixed.child, None);
+    urdf.joint("arm_mount", Kind::Fixed, &fixed.parent, &fixed.child, &crate::robot::isometry(&fixed.pose));
+    arm(&mut urdf, robot);
+    let radii = scene.manipulator.radii();
+    let chain = Chain {
+        flexures_m: &tool.joint_positions_m,
+        burr_from_last_m: tool.tip_offset_m,
+        tube_m: radii.tube_outer_m,
+        burr_m: radii.burr_m,
+    };
+    chain.add_to(&mut urdf, robot);
+    let name = foreign_text::plain(&scene.name).replace(['<', '>', '&', '"'], "_");
+    Ok(format!("<?xml version=\"1.0\"?>\n<robot name=\"{name}\">\n{}</robot>\n", urdf.text))
+}
+
+fn arm(urdf: &mut Urdf, robot: &Robot) {
+    let parts = robot.fixed_parts();
+    for (index, name) in ARM_JOINT_NAMES.into_iter().enumerate() {
+        let child = robot.arm_frame(index + 1);
+        let next = parts[index + 1].translation.vector;
+        urdf.link(&child, Some(Shape::Rod { to: next, radius_m: ARM_RADIUS_M }));
+        let [lower, upper, rate] = robot.limits(index);
+        let kind = Kind::Revolute { axis: [0, 0, 1], lower, upper, rate };
+        urdf.joint(name, kind, &robot.arm_frame(index), &child, &parts[index]);
+    }
+    urdf.link(&robot.flange(), None);
+    urdf.joint("flange", Kind::Fixed, &robot.arm_frame(ARM_JOINTS), &robot.flange(), &parts[ARM_JOINTS]);
+}
+
+/// The tool.
+struct Chain<'a> {
+    /// z of each flexure on the straight tool.
+    flexures_m: &'a [f64],
+    burr_from_last_m: f64,
+    tube_m: f64,
+    burr_m: f64,
+}
+
+impl Chain<'_> {
+    fn add_to(&self, urdf: &mut Urdf, robot: &Robot) {
+        let along = |z: f64| Vector3::new(0.0, 0.0, z);
+        let rod = |z: f64| Some(Shape::Rod { to: along(z), radius_m: self.tube_m });
+        let first = self.flexures_m.first().copied().unwrap_or(0.0);
+        urdf.link(&robot.tool_base(), rod(first));
+        urdf.joint("tool_mount", Kind::Fixed, &robot.flange(), &robot.tool_base(), robot.t_flange_base());
+        let (mut parent, mut from) = (robot.tool_base(), 0.0);
+        for (index, name) in joint_names("flexure", robot.flexures()).iter().enumerate() {
+            let here = self.flexures_m.get(index).copied().unwrap_or(from);
+            let next = self.flexures_m.get(index + 1).copied().unwrap_or(here + self.burr_from_last_m);
+            let child = robot.tool_link(index);
+            urdf.link(&child, rod(next - here));
+            let (lower, upper) = (-FLEXURE_RANGE_RAD, FLEXURE_RANGE_RAD);
+            // Positive bends +z towards +x, the side of tendon 0.
+            let kind = Kind::Revolute { axis: [0, 1, 0], lower, upper, rate: 100.0 };
+            urdf.joint(name, kind, &parent, &child, &shift(along(here - from)));
+            (parent, from) = (child, here);
+        }
+        let burr = robot.tool_end("burr");
+        urdf.link(&burr, Some(Shape::Ball { radius_m: self.burr_m }));
+        urdf.joint("burr_centre", Kind::Fixed, &parent, &burr, &shift(along(self.burr_from_last_m)));
+        let tip = robot.tool_end("tip");
+        urdf.link(&tip, None);
+        urdf.joint("tip", Kind::Fixed, &parent, &tip, &shift(along(self.burr_from_last_m + self.burr_m)));
+    }
+}
+
+fn shift(by: Vector3<f64>) -> Isometry3<f64> {
+    Isometry3::translation(by.x, by.y, by.z)
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Shape {
+    /// From the link's origin to a point.
+    Rod {
+        to: Vector3<f64>,
+        radius_m: f64,
+    },
+    Ball {
+        radius_m: f64,
+    },
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Kind {
+    Fixed,
+    Revolute { axis: [u8; 3], lower: f64, upper: f64, rate: f64 },
+}
+
+#[derive(Debug, Default)]
+struct Urdf {
+    text: String,
+}
+
+impl Urdf {
+    /// Writing to a String does not fail.
+    fn add(&mut self, line: core::fmt::Arguments) {
+        let _ = writeln!(self.text, "  {line}");
+    }
+
+    fn link(&mut self, name: &str, shape: Option<Shape>) {
+        let Some((at, geometry)) = shape.and_then(drawn) else {
+            return self.add(format_args!("<link name=\"{name}\"/>"));
+        };
+        let origin = origin(&at);
+        self.add(format_args!(
+            "<link name=\"{name}\"><visual>{origin}<geometry>{geometry}</geometry></visual></link>"
+        ));
+    }
+
+    fn joint(&mut self, name: &str, kind: Kind, parent: &str, child: &str, at: &Isometry3<f64>) {
+        let (word, more) = match kind {
+            Kind::Fixed => ("fixed", String::new()),
+            Kind::Revolute { axis: [x, y, z], lower, upper, rate } => (
+                "revolute",
+                format!(
+                    "<axis xyz=\"{x} {y} {z}\"/><limit lower=\"{lower}\" upper=\"{upper}\" velocity=\"{rate}\" effort=\"0\"/>"
+                ),
+            ),
+        };
+        let origin = origin(at);
+        self.add(format_args!(
+            "<joint name=\"{name}\" type=\"{word}\"><parent link=\"{parent}\"/><child link=\"{child}\"/>{origin}{more}</joint>"
+        ));
+    }
+}
+
+fn origin(at: &Isometry3<f64>) -> String {
+    let (roll, pitch, yaw) = at.rotation.euler_angles();
+    let at = at.translation.vector;
+    format!("<origin xyz=\"{} {} {}\" rpy=\"{roll} {pitch} {yaw}\"/>", at.x, at.y, at.z)
+}
+
+/// A shape's place and its element; `None` for a rod without length.
+fn drawn(shape: Shape) -> Option<(Isometry3<f64>, String)> {
+    match shape {
+        Shape::Ball { radius_m } => Some((Isometry3::identity(), format!("<sphere radius=\"{radius_m}\"/>"))),
+        Shape::Rod { to, radius_m } => {
+            let length = to.norm();
+            if length < 1e-6 {
+                return None;
+            }
+            // A cylinder lies along its own z, about its middle; half a turn about x where the rod goes straight back.
+            let turn = UnitQuaternion::rotation_between(&Vector3::z(), &to).unwrap_or_else(|| {
+                UnitQuaternion::from_axis_angle(&Vector3::x_axis(), core::f64::consts::PI)
+            });
+            let at = Isometry3::from_parts((to / 2.0).into(), turn);
+            Some((at, format!("<cylinder radius=\"{radius_m}\" length=\"{length}\"/>")))
+        }
+    }
+}

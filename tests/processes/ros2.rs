@@ -1,0 +1,187 @@
+//! `trabecula bridge ros2`, with peers that are not ours: `rclpy` over Fast DDS, and Cyclone DDS.
+//!
+//! Every test has a DDS domain of its own, so that tests that run at once do not hear each other.
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use serde_json::Value;
+use test_support::limited::{COMMAND_LIMIT, Watchdog};
+use test_support::python::or_skip;
+
+use crate::common::logs::{assert_replays, counts, read};
+use crate::common::program::{Guarded, Place, assert_nothing_left, trabecula, wait_for};
+use crate::common::scenes;
+use crate::languages::output_within_limit;
+
+/// A whole ROS 2 Jazzy as Python packages.
+const ROS: [&str; 6] = [
+    "ros-jazzy-rclpy[fastrtps]==7.1.6",
+    "ros-jazzy-sensor-msgs==5.3.6",
+    "ros-jazzy-geometry-msgs==5.3.6",
+    "ros-jazzy-std-msgs==5.3.6",
+    "cyclonedds==11.0.1",
+    "numpy==2.3.5",
+];
+const PROBE: &str = "rclpy, sensor_msgs.msg, geometry_msgs.msg, std_msgs.msg, cyclonedds.domain, numpy";
+/// Keeps Cyclone DDS on loopback.
+const CYCLONE: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\" multicast=\"true\"/></Interfaces></General></Domain></CycloneDDS>";
+
+fn python() -> Option<PathBuf> {
+    or_skip("ros-jazzy-7.1.6", &ROS, PROBE)
+}
+
+/// A peer's program in the bridge's domain, on loopback.
+fn peer(python: &Path, script: &str, domain: &str) -> Command {
+    let mut command = Command::new(python);
+    command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/processes/ros2").join(script));
+    command.env("ROS_DOMAIN_ID", domain).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
+    command.env("CYCLONEDDS_URI", CYCLONE);
+    command
+}
+
+/// A bridge that is ready.
+struct Bridge {
+    process: Guarded,
+    said: String,
+}
+
+impl Bridge {
+    fn start(session: &Path, domain: &str, more: &[&str]) -> Bridge {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
+        command.args(["bridge", "ros2", "--domain-id", domain, "--session"]).arg(session).args(more);
+        let mut process = Guarded(command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().unwrap());
+        let watchdog = Watchdog::over(&process.0, COMMAND_LIMIT);
+        let mut said = String::new();
+        BufReader::new(process.0.stdout.as_mut().unwrap()).read_line(&mut said).unwrap();
+        drop(watchdog);
+        assert!(said.starts_with(&format!("ROS 2 domain {domain}, ")), "{said:?}");
+        Bridge { process, said }
+    }
+
+    /// Its exit code, once its session is over.
+    fn end(mut self) -> Option<i32> {
+        wait_for("the bridge's end", || self.process.0.try_wait().unwrap()).code()
+    }
+}
+
+/// The default scene with the controller `ros` in place of the built-in one.
+fn default_scene(duration_s: f64) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/femur_curved_drilling.toml");
+    let text = std::fs::read_to_string(path).unwrap();
+    let (scene, _) = text.split_once("[[controller]]").unwrap();
+    let scene = scene.replace("duration_s = 24.0", &format!("duration_s = {duration_s:?}"));
+    let controller =
+        "[[controller]]\nname = \"ros\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nexternal = true\n";
+    format!("{scene}{controller}connect_limit_s = 120.0\n")
+}
+
+#[test]
+fn a_crtk_program_that_knows_nothing_of_us_drills_the_default_scene_and_the_log_replays() {
+    let Some(python) = python() else { return };
+    let place = Place::new();
+    let run = place.start(&default_scene(30.0));
+    let bridge = Bridge::start(&run.session(), "91", &["--controller", "ros"]);
+    assert!(bridge.said.contains("listens to 10 topics"), "{}", bridge.said);
+    let mut drilling = peer(&python, "crtk_drilling.py", "91");
+    let seen: Value =
+        serde_json::from_str(&output_within_limit(drilling.args(["0.028", "0.003", "8"]))).unwrap();
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_eq!(bridge.end(), Some(0));
+    assert_nothing_left(ended.pid);
+
+    let names = seen["nodes"].as_array().unwrap();
+    assert!(names.contains(&"trabecula_bridge".into()), "{seen}");
+    assert_eq!(seen["joints"][0], "shoulder_pan_joint");
+    assert!((seen["inserted_m"].as_f64().unwrap() - 0.028).abs() < 0.5e-3, "{seen}");
+    assert!((seen["tension_n"][0].as_f64().unwrap() - 8.0).abs() < 0.1, "{seen}");
+    // The built-in controller's path is an arc of 63 degrees, with 8 N at its end.
+    assert!((45.0..75.0).contains(&seen["bend_deg"].as_f64().unwrap()), "{seen}");
+    assert!(seen["removed"].as_u64().unwrap() > 3000, "{seen}");
+    assert_eq!(seen["image"], serde_json::json!(["mono8", 384, 384, 147_456]));
+    let log = read(&ended.folder);
+    assert!(log.ticks.last().unwrap().state.removed_total >= seen["removed"].as_u64().unwrap());
+    assert!(counts(&ended.folder.join("timing.mcap"))["/command/ros"] > 1000);
+    assert_replays(&ended.folder);
+}
+
+#[test]
+fn a_cyclone_dds_program_pulls_the_tendon_pauses_and_resumes_and_what_is_wrong_is_refused() {
+    let Some(python) = python() else { return };
+    let place = Place::new();
+    let run = place.start(&scenes::piloted("realtime", 25.0, "hold_ticks = 100"));
+    let bridge = Bridge::start(&run.session(), "92", &["--controller", "pilot"]);
+    let seen: Value =
+        serde_json::from_str(&output_within_limit(peer(&python, "cyclone.py", "92").arg("4"))).unwrap();
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_eq!(bridge.end(), Some(0));
+    assert_nothing_left(ended.pid);
+
+    let words: Vec<_> = seen["states"].as_array().unwrap().iter().map(|state| state[0].clone()).collect();
+    assert!(seen["states"].as_array().unwrap().iter().all(|state| state[1] == true), "{seen}");
+    for word in ["DISABLED", "ENABLED", "PAUSED"] {
+        assert!(words.contains(&word.into()), "{words:?}");
+    }
+    assert!((seen["kept_n"].as_f64().unwrap() - 4.0).abs() < 0.05, "a disabled arm obeyed: {seen}");
+    assert_eq!(seen["stood"], true, "simulated time went on in a pause");
+    let frames = seen["frames"].as_array().unwrap();
+    for frame in ["UR5/base", "UR5/link_6", "UR5/flange", "CM/base", "CM/link_26", "CM/burr", "CM/tip"] {
+        assert!(frames.contains(&frame.into()), "{frames:?}");
+    }
+    let log = read(&ended.folder);
+    // Up the whole chain of frames stands the tip where the log has it: the tendon was slack again.
+    let tip_m = log.ticks.last().unwrap().state.t_world_tip.position_m;
+    for (axis, there_m) in tip_m.iter().enumerate() {
+        let shown_m = seen["tip_m"][axis].as_f64().unwrap();
+        assert!((shown_m - there_m).abs() < 0.5e-3, "{seen} {tip_m:?}");
+    }
+    assert!(log.ticks.iter().any(|tick| (tick.state.tendon_tension_n[0] - 4.0).abs() < 0.05));
+    assert_replays(&ended.folder);
+}
+
+#[test]
+fn a_killed_ros_bridge_leaves_the_run_and_its_name_can_be_taken_again() {
+    let place = Place::new();
+    let run = place.start(&scenes::piloted("realtime", 6.0, "hold_ticks = 20"));
+    let mut killed = Bridge::start(&run.session(), "93", &["--controller", "pilot"]);
+    killed.process.0.kill().unwrap();
+    killed.end();
+    let again = Bridge::start(&run.session(), "93", &["--controller", "pilot"]);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_eq!(again.end(), Some(0));
+    assert_nothing_left(ended.pid);
+}
+
+#[test]
+fn a_ros_bridge_that_only_shows_listens_to_nothing() {
+    let place = Place::new();
+    let run = place.start(&scenes::hold("realtime", 4.0));
+    let bridge = Bridge::start(&run.session(), "94", &[]);
+    assert!(bridge.said.contains("shows the run"), "{}", bridge.said);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_eq!(bridge.end(), Some(0));
+}
+
+#[test]
+fn a_ros_bridge_with_a_bad_flag_or_without_session_says_so_and_ends_with_2() {
+    let place = Place::new();
+    let nowhere = place.path("nowhere");
+    let done = trabecula(&[&"bridge", &"ros2", &"--session", &nowhere]);
+    assert_eq!(done.code, Some(2), "{}", done.err);
+    let bad = [
+        (["--rate", "nan"], "--rate: NaN, expected 0.1 to 1000"),
+        (["--arm", "5/x"], "--arm: 5/x, expected a letter"),
+        (["--manipulator", "UR5"], "the same name, expected two"),
+        (["--domain-id", "233"], "233"),
+        (["--discovery-range", "OFF"], "OFF"),
+    ];
+    for ([flag, value], why) in bad {
+        let done = trabecula(&[&"bridge", &"ros2", &flag, &value]);
+        assert_eq!((done.code, done.err.contains(why)), (Some(2), true), "{flag} {value}: {}", done.err);
+    }
+}

@@ -1,0 +1,216 @@
+"""A peer on Eclipse Cyclone DDS, with the message types written down here as their .msg files have them: no ROS at all.
+
+    python cyclone.py TENSION_N
+
+Reads frames, clock and operating state; sends what must be refused; pulls the tendon; disables, pauses, resumes; prints what it saw.
+"""
+
+import json
+import math
+import os
+import sys
+import time
+from dataclasses import dataclass
+
+from cyclonedds.core import Policy, Qos
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl.types import float64, int32, sequence, uint32
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+LIMIT_S = 60.0
+
+
+@dataclass
+class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
+    sec: int32
+    nanosec: uint32
+
+
+@dataclass
+class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):
+    stamp: Time
+    frame_id: str
+
+
+@dataclass
+class Clock(IdlStruct, typename="rosgraph_msgs::msg::dds_::Clock_"):
+    clock: Time
+
+
+@dataclass
+class Vector3(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3_"):
+    x: float64
+    y: float64
+    z: float64
+
+
+@dataclass
+class Quaternion(IdlStruct, typename="geometry_msgs::msg::dds_::Quaternion_"):
+    x: float64
+    y: float64
+    z: float64
+    w: float64
+
+
+@dataclass
+class Transform(IdlStruct, typename="geometry_msgs::msg::dds_::Transform_"):
+    translation: Vector3
+    rotation: Quaternion
+
+
+@dataclass
+class TransformStamped(IdlStruct, typename="geometry_msgs::msg::dds_::TransformStamped_"):
+    header: Header
+    child_frame_id: str
+    transform: Transform
+
+
+@dataclass
+class TFMessage(IdlStruct, typename="tf2_msgs::msg::dds_::TFMessage_"):
+    transforms: sequence[TransformStamped]
+
+
+@dataclass
+class JointState(IdlStruct, typename="sensor_msgs::msg::dds_::JointState_"):
+    header: Header
+    name: sequence[str]
+    position: sequence[float64]
+    velocity: sequence[float64]
+    effort: sequence[float64]
+
+
+@dataclass
+class OperatingState(IdlStruct, typename="crtk_msgs::msg::dds_::OperatingState_"):
+    header: Header
+    state: str
+    is_homed: bool
+    is_busy: bool
+
+
+@dataclass
+class StringStamped(IdlStruct, typename="crtk_msgs::msg::dds_::StringStamped_"):
+    header: Header
+    string: str
+
+
+domain = DomainParticipant(int(os.environ["ROS_DOMAIN_ID"]))
+reliable = Policy.Reliability.Reliable(duration(seconds=1))
+plain = Qos(reliable, Policy.Durability.Volatile, Policy.History.KeepLast(50))
+kept = Qos(reliable, Policy.Durability.TransientLocal, Policy.History.KeepLast(50))
+best_effort = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(50))
+
+
+def reader(kind, name, qos):
+    return DataReader(domain, Topic(domain, "rt" + name, kind), qos)
+
+
+def writer(kind, name):
+    return DataWriter(domain, Topic(domain, "rt" + name, kind), plain)
+
+
+tf, tf_static = reader(TFMessage, "/tf", best_effort), reader(TFMessage, "/tf_static", kept)
+clock, motor = reader(Clock, "/clock", plain), reader(JointState, "/CM/bend_motor/measured_js", best_effort)
+operating = reader(OperatingState, "/UR5/operating_state", kept)
+servo_jf, move_jp = writer(JointState, "/CM/bend_motor/servo_jf"), writer(JointState, "/UR5/move_jp")
+state_command = writer(StringStamped, "/UR5/state_command")
+header = Header(Time(0, 0), "")
+newest, states, frames = {}, [], {}
+
+
+def look():
+    for name, source in (("clock", clock), ("motor", motor)):
+        for sample in source.take(50):
+            newest[name] = sample
+    for sample in operating.take(50):
+        states.append((sample.state, sample.is_homed, sample.is_busy))
+    for source in (tf_static, tf):
+        for sample in source.take(50):
+            frames.update({t.child_frame_id: t for t in sample.transforms})
+
+
+def until(what, found):
+    deadline = time.monotonic() + LIMIT_S
+    while time.monotonic() < deadline:
+        look()
+        if found():
+            return
+        time.sleep(0.01)
+    sys.exit(f"{what}: not in {LIMIT_S} s; states {states}, frames {sorted(frames)}, {newest}")
+
+
+def say(word):
+    state_command.write(StringStamped(header, word))
+
+
+def pull(effort, name=()):
+    servo_jf.write(JointState(header, list(name), [], [], list(effort)))
+
+
+def tension():
+    return newest["motor"].effort[0] if "motor" in newest else math.nan
+
+
+def matched(source):
+    return len(source.get_matched_subscriptions()) == 1
+
+
+tension_n = float(sys.argv[1])
+until("subscriptions", lambda: all(map(matched, (servo_jf, move_jp, state_command))))
+until("first state", lambda: "clock" in newest and "motor" in newest and "CM/tip" in frames and "UR5/base" in frames and states)
+pull([math.nan, 0.0])
+pull([1.0])
+pull([1.0, 0.0], ["tendon_0", "elbow"])
+move_jp.write(JointState(header, [], [0.0] * 7, [], []))
+say("fly")
+pull([tension_n, 0.0], ["tendon_0", "tendon_1"])
+until("tension", lambda: abs(tension() - tension_n) < 0.05)
+
+say("disable")
+until("DISABLED", lambda: states[-1][0] == "DISABLED")
+pull([0.0, 0.0])
+time.sleep(0.2)
+say("enable")
+until("ENABLED", lambda: states[-1][0] == "ENABLED")
+kept_n = tension()
+
+say("pause")
+until("PAUSED", lambda: states[-1][0] == "PAUSED")
+stopped = newest["clock"]
+time.sleep(0.5)
+look()
+stood = newest["clock"] == stopped or newest["clock"].clock.sec == stopped.clock.sec
+pull([0.0, 0.0])
+time.sleep(0.2)
+say("resume")
+until("going on", lambda: states[-1][0] == "ENABLED")
+until("slack", lambda: pull([0.0, 0.0]) or tension() < 0.05)
+
+
+def chain(child):
+    """Position of a frame in the world, up its parents."""
+    position = [0.0, 0.0, 0.0]
+    while child != "world":
+        t = frames[child].transform
+        q, (x, y, z) = t.rotation, position
+        ux, uy, uz = (2 * (q.y * z - q.z * y), 2 * (q.z * x - q.x * z), 2 * (q.x * y - q.y * x))
+        position = [
+            x + q.w * ux + q.y * uz - q.z * uy + t.translation.x,
+            y + q.w * uy + q.z * ux - q.x * uz + t.translation.y,
+            z + q.w * uz + q.x * uy - q.y * ux + t.translation.z,
+        ]
+        child = frames[child].header.frame_id
+    return position
+
+
+print(json.dumps({
+    "states": states,
+    "kept_n": kept_n,
+    "stood": stood,
+    "frames": sorted(frames),
+    "tip_m": chain("CM/tip"),
+    "tendons": newest["motor"].name,
+}))
