@@ -19,6 +19,7 @@ mod stress;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use trabecula::commands::bridge::BridgeCommand;
 use trabecula::commands::laboratory::about;
 use trabecula::commands::proc::ProcCommand;
 use trabecula::commands::run::RunArguments;
@@ -67,6 +68,9 @@ enum UserCommand {
     /// The viewer of a measured run.
     #[command(hide = true)]
     View(ViewArguments),
+    /// The bridge of a measured run.
+    #[command(subcommand, hide = true)]
+    Bridge(BridgeCommand),
 }
 
 /// The whole command line, each command's help with examples and exit codes.
@@ -82,6 +86,10 @@ const EXAMPLES: &[Examples] = &[
     ("bench drr", &["trabecula bench drr", "trabecula bench drr --poses 64"]),
     ("bench latency", &["trabecula bench latency --turns 5"]),
     ("bench viewer", &["trabecula bench viewer"]),
+    (
+        "bench bridge",
+        &["trabecula bench bridge", "trabecula bench bridge --kind igtl --seconds 20 --rounds 5"],
+    ),
     ("bench readings", &["trabecula bench readings"]),
     ("bench recorder", &["trabecula bench recorder"]),
     ("bench xray", &["trabecula bench xray"]),
@@ -115,6 +123,7 @@ fn dispatch(command: &UserCommand) -> Result<(), Failure> {
         UserCommand::Load(arguments) => commands::stress::disturb(arguments),
         UserCommand::Run(arguments) => trabecula::commands::run::run(arguments),
         UserCommand::View(arguments) => trabecula::commands::view::run(arguments),
+        UserCommand::Bridge(command) => trabecula::commands::bridge::run(command),
     }
 }
 

@@ -48,7 +48,7 @@ fn refuse_outside(scene: &Scene, source: &dyn std::fmt::Display, volume: &Volume
 }
 
 /// Whether a program's name is that of an executable file: a path, or a name in one of the folders of `PATH`.
-fn is_program(name: &str) -> bool {
+pub fn is_program(name: &str) -> bool {
     if name.contains('/') {
         return is_executable(Path::new(name));
     }

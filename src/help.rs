@@ -86,8 +86,19 @@ pub const EXAMPLES: &[Examples] = &[
             "trabecula scene from-markups plan.fcsv --ct bones.seg.nrrd --segment femur",
         ],
     ),
+    (
+        "scene show",
+        &["trabecula scene show scene.toml -o plan.png", "trabecula scene show -o femur.png --json"],
+    ),
     ("scene schema", &["trabecula scene schema"]),
     ("volume info", &["trabecula volume info ct.nii.gz", "trabecula volume info dicom_folder --json"]),
+    (
+        "volume probe",
+        &[
+            "trabecula volume probe ct.nii.gz --at=-99.1,-143.6,116.6",
+            "trabecula volume probe ct.nii.gz --ras --at=99.1,143.6,116.6 --at=95,143.6,116.6",
+        ],
+    ),
     ("volume drilled", &["trabecula volume drilled out/run -o drilled.nrrd --tick 5000"]),
     ("phantom", &["trabecula phantom femur -o femur.nrrd", "trabecula phantom pelvis -o pelvis.nrrd"]),
     (

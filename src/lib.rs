@@ -26,6 +26,7 @@ pub mod program;
 mod redirect_file;
 pub mod replay;
 pub mod report;
+pub mod scene_picture;
 pub mod scenes;
 pub mod tool;
 pub mod x_ray;

@@ -26,7 +26,7 @@ pub fn within(folder: &Path, names: &[&str]) -> Vec<PathBuf> {
 mod tests {
     /// Commands with an output, and the argument that names it. All are in the table of `tests/processes/outputs.rs`,
     /// except `run`, which creates a folder with a new name, and `proc recorder`, which `run` starts in it.
-    const KNOWN: [&str; 15] = [
+    const KNOWN: [&str; 16] = [
         "calibrate --output",
         "docs install --output",
         "drr --output",
@@ -41,6 +41,7 @@ mod tests {
         "run --output",
         "scene from-markups --output",
         "scene init --output",
+        "scene show --output",
         "volume drilled --output",
     ];
 

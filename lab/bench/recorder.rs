@@ -13,7 +13,7 @@ use super::{complete_run, failed};
 use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::launcher::hub::View;
-use trabecula::launcher::run::RunPlan;
+use trabecula::launcher::run::{RunPlan, RunSnapshot};
 use trabecula::launcher::volume_source::VolumeFiles;
 use trabecula::machine::Machine;
 use trabecula::scenes::SceneSource;
@@ -123,6 +123,18 @@ pub(super) fn one(
     end: &EndRequest,
     all: &mut Physics,
 ) -> Result<u64, Failure> {
+    one_seen(scene, output, view, end, all, |_| {})
+}
+
+/// The same; `see` is shown the run at every update.
+pub(super) fn one_seen(
+    scene: &Scene,
+    output: Option<&Path>,
+    view: Option<View>,
+    end: &EndRequest,
+    all: &mut Physics,
+    mut see: impl FnMut(&RunSnapshot),
+) -> Result<u64, Failure> {
     let plan = RunPlan {
         scene: scene.clone(),
         output: output.map(Path::to_owned),
@@ -132,6 +144,7 @@ pub(super) fn one(
     let mut this = Physics::default();
     let mut frames = 0;
     complete_run(&plan, end, |snapshot| {
+        see(snapshot);
         frames = snapshot.frames;
         snapshot.timings.iter().for_each(|timing| {
             this.add(timing);

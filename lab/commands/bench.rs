@@ -7,8 +7,8 @@ use ipc_types::scene::Policy;
 
 use crate::bench::ping_pong::Wait;
 use crate::bench::{
-    drr, drr_poses, instructions, latency, log, memory, overhead, ping_pong, readings, recorder, soak, step,
-    viewer, xray,
+    bridge, drr, drr_poses, instructions, latency, log, memory, overhead, ping_pong, readings, recorder,
+    soak, step, viewer, xray,
 };
 use crate::sheet::Sheet;
 use trabecula::commands::run::PolicyArgument;
@@ -142,6 +142,14 @@ pub enum BenchCommand {
     Recorder(InTurn),
     /// Measure how much the viewer slows the physics: real-time runs, alternating without and with it.
     Viewer(InTurn),
+    /// Measure how much a bridge slows the physics: real-time runs, alternating without and with it and a peer that takes all it sends.
+    Bridge {
+        #[command(flatten)]
+        in_turn: InTurn,
+        /// The bridge.
+        #[arg(long, default_value = "igtl", value_parser = bridge::names())]
+        kind: String,
+    },
     /// Measure how much X-ray frames slow the physics: real-time runs, alternating without and with them.
     Xray {
         #[command(flatten)]
@@ -194,6 +202,7 @@ impl BenchCommand {
             | BenchCommand::Soak { figures, .. } => *figures,
             BenchCommand::Recorder(plan)
             | BenchCommand::Viewer(plan)
+            | BenchCommand::Bridge { in_turn: plan, .. }
             | BenchCommand::Xray { in_turn: plan, .. } => plan.figures,
             BenchCommand::Echo { .. } | BenchCommand::Pong { .. } => Figures::default(),
         }
@@ -256,6 +265,10 @@ fn measure(command: &BenchCommand, sheet: &mut Sheet) -> Result<(), Failure> {
         BenchCommand::Viewer(plan) => {
             let (scene, seconds, rounds) = plan.checked()?;
             viewer::run(&scene, seconds, rounds, sheet)
+        }
+        BenchCommand::Bridge { in_turn, kind } => {
+            let (scene, seconds, rounds) = in_turn.checked()?;
+            bridge::run(kind, &scene, seconds, rounds, sheet)
         }
         BenchCommand::Xray { in_turn, rate_hz } => {
             let (scene, seconds, rounds) = in_turn.checked()?;

@@ -63,6 +63,7 @@
 //! | [`misses`], [`gaps`] | why ticks began late; messages that never arrived |
 //! | [`repair`](mod@repair), [`join`] | logs made from logs: repaired, recompressed, joined, split |
 //! | [`columns`], [`csv`] | a topic as a table |
+//! | [`foxglove`] | what 3D panels draw, as a log of its own |
 
 mod bare;
 pub mod cat;
@@ -74,6 +75,7 @@ pub mod difference;
 pub mod end;
 pub mod error;
 pub mod fields;
+pub mod foxglove;
 mod frame_order;
 pub mod frames;
 pub mod gaps;

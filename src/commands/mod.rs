@@ -15,6 +15,7 @@ pub mod replay;
 pub mod run;
 pub mod scene;
 pub mod session;
+pub mod show;
 pub mod tool;
 pub mod view;
 pub mod volume;

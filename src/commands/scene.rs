@@ -1,5 +1,5 @@
-//! `trabecula scene check FILE` validates a scene; `trabecula scene init` writes one to start from; `trabecula scene schema`
-//! prints the JSON schema of scenes, for editors.
+//! `trabecula scene check FILE` validates a scene; `scene init` writes one to start from; `scene show` draws one; `scene schema` prints the
+//! JSON schema of scenes, for editors.
 
 use std::path::{Path, PathBuf};
 
@@ -8,6 +8,7 @@ use controllers::Calibration;
 use ipc_types::scene::{Mode, Scene};
 
 use super::from_markups::{self, FromMarkupsArguments};
+use super::show::{self, ShowArguments};
 use crate::failure::Failure;
 use crate::feasibility;
 use crate::launcher::volume_source::{self, VolumeFiles};
@@ -40,6 +41,9 @@ pub enum SceneCommand {
     },
     /// Write a scene from a plan made in 3D Slicer: entry, bend and target, and the CT that they lie in.
     FromMarkups(FromMarkupsArguments),
+    /// Draw a scene before its run: CT slices through burr start, entry and target, the planned path, pilot hole and tool, Hounsfield units
+    /// along the path, and what is measured there.
+    Show(ShowArguments),
     /// Print the JSON schema of scenes (draft 7), by which an editor completes and checks them.
     Schema,
 }
@@ -53,6 +57,7 @@ pub fn run(command: &SceneCommand) -> Result<(), Failure> {
         SceneCommand::Check { file, volume_files, figures } => check(file, *volume_files, *figures),
         SceneCommand::Init { output, scene } => init(output, *scene),
         SceneCommand::FromMarkups(arguments) => from_markups::run(arguments),
+        SceneCommand::Show(arguments) => show::run(arguments),
         SceneCommand::Schema => schema(),
     }
 }

@@ -25,8 +25,71 @@ pub enum VolumeCommand {
         #[command(flatten)]
         figures: Figures,
     },
+    /// Print the Hounsfield units at places of a volume.
+    Probe(ProbeArguments),
     /// Write a run's CT with the drilled voxels set to air, as NRRD or NIfTI; also works during the run.
     Drilled(DrilledArguments),
+}
+
+/// Arguments of `volume probe`.
+#[derive(Debug, Args)]
+pub struct ProbeArguments {
+    /// NIfTI, NRRD, MetaImage, or a DICOM folder.
+    file: PathBuf,
+    /// A place in the patient frame (LPS: +x left, +y posterior, +z head), mm; may be given several times.
+    #[arg(long, value_name = "X,Y,Z", required = true, allow_hyphen_values = true, value_parser = place)]
+    at: Vec<[f64; 3]>,
+    /// The places are in RAS, as 3D Slicer shows them.
+    #[arg(long)]
+    ras: bool,
+    /// What of it is read.
+    #[command(flatten)]
+    choice: VolumeChoice,
+    /// How its figures are printed.
+    #[command(flatten)]
+    figures: Figures,
+}
+
+/// Three numbers between commas.
+fn place(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Vec<f64> = text.split(',').filter_map(|number| number.trim().parse().ok()).collect();
+    let three = <[f64; 3]>::try_from(numbers).ok();
+    let three =
+        three.filter(|three| text.split(',').count() == 3 && three.iter().all(|number| number.is_finite()));
+    three.ok_or_else(|| "expected three numbers such as -150.2,-135.1,101.5".to_owned())
+}
+
+fn probe(arguments: &ProbeArguments) -> Result<(), Failure> {
+    let (volume, _) = read_as(&arguments.file, &arguments.choice.options())?;
+    let mut found = Vec::new();
+    for given @ [x, y, z] in &arguments.at {
+        let lps_mm = if arguments.ras { [-x, -y, *z] } else { *given };
+        let place_m = lps_mm.map(|x| x * 1e-3);
+        let hu = volume.hu_at(place_m).ok_or_else(|| {
+            let far = [0, 1, 2].map(|axis| volume.dims[axis] as f64 - 0.5);
+            let corners = [volume.voxel_to_world_m([-0.5; 3]), volume.voxel_to_world_m(far)];
+            let [[a, b, c], [d, e, f]] = corners.map(|corner| corner.map(|x| x * 1e3));
+            Failure::bad_input(format!(
+                "--at is [{x}, {y}, {z}], expected a place within the volume, from [{a:.1}, {b:.1}, {c:.1}] to [{d:.1}, {e:.1}, {f:.1}] mm (LPS)"
+            ))
+        })?;
+        let voxel = volume.world_to_voxel(place_m);
+        let voxel =
+            [0, 1, 2].map(|axis| voxel[axis].round().clamp(0.0, (volume.dims[axis] - 1) as f64) as usize);
+        let voxel_hu = volume.at(voxel);
+        found.push(serde_json::json!({"lps_mm": lps_mm, "hu": hu, "voxel": voxel, "voxel_hu": voxel_hu}));
+    }
+    arguments.figures.say(
+        || {
+            let line = |it: &serde_json::Value| {
+                let hu = it["hu"].as_f64().unwrap_or_default();
+                format!("{}: {hu:.1} HU (voxel {}: {} HU)", it["lps_mm"], it["voxel"], it["voxel_hu"])
+            };
+            found.iter().map(line).collect::<Vec<_>>().join("\n")
+        },
+        || serde_json::json!({"places": found}),
+    );
+    Ok(())
 }
 
 /// Arguments of `volume drilled`.
@@ -90,6 +153,7 @@ fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
 pub fn run(command: &VolumeCommand) -> Result<(), Failure> {
     let (file, choice, figures) = match command {
         VolumeCommand::Info { file, choice, figures } => (file, choice, figures),
+        VolumeCommand::Probe(arguments) => return probe(arguments),
         VolumeCommand::Drilled(arguments) => return write_drilled(arguments),
     };
     let (_, info) = read_as(file, &choice.options())?;

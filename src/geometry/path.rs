@@ -58,6 +58,11 @@ impl Travelled {
         self.last = Some(place);
     }
 
+    /// What has been kept of it until now.
+    pub fn so_far(&self) -> &[Place] {
+        &self.places
+    }
+
     /// All of it.
     pub fn places(mut self) -> Vec<Place> {
         if let Some(last) = self.last.filter(|last| self.places.last() != Some(last)) {

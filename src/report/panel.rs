@@ -216,6 +216,15 @@ impl<'a> Panel<'a> {
         }
     }
 
+    /// A word in the upper end of the frame, beside an x.
+    pub fn tag(&mut self, x: f64, text: &str) {
+        let (at, _) = self.place((x, 1.0));
+        let Rect { y, .. } = self.area;
+        if self.area.contains((at, y)) {
+            self.figure.text((at + 4.0, y + 9.0), text, LABEL_SIZE, INK, Anchor::Left);
+        }
+    }
+
     /// A short bar on the x axis.
     pub fn bar(&mut self, x: f64, stroke: Stroke) {
         let (at, _) = self.place((x, 1.0));
@@ -306,7 +315,7 @@ impl<'a> Panel<'a> {
 }
 
 /// The pieces of a polyline that lie inside a rectangle.
-fn clip(points: &[Point], area: Rect) -> Vec<Vec<Point>> {
+pub fn clip(points: &[Point], area: Rect) -> Vec<Vec<Point>> {
     let mut runs: Vec<Vec<Point>> = Vec::new();
     let mut open = false;
     for pair in points.windows(2) {

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use plotters::backend::{BitMapBackend, SVGBackend};
 use plotters::coord::Shift;
 use plotters::drawing::{DrawingArea, IntoDrawingArea};
-use plotters::element::{Circle, PathElement, Polygon};
+use plotters::element::{BitMapElement, Circle, PathElement, Polygon};
 use plotters::prelude::DrawingBackend;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use plotters::style::{
@@ -73,6 +73,21 @@ pub enum Shape {
         /// Its colour.
         fill: RGBColor,
     },
+    /// Pixels, each a square or rectangle of one colour.
+    Picture {
+        /// Its upper left corner.
+        corner: Point,
+        /// Its width in figure units.
+        width: f64,
+        /// Its height in figure units.
+        height: f64,
+        /// Pixel columns.
+        columns: usize,
+        /// Pixel rows.
+        rows: usize,
+        /// `columns` x `rows` RGB pixels, row by row from the top left.
+        rgb: Vec<u8>,
+    },
     /// One line of text.
     Text {
         /// Position of its anchor.
@@ -125,6 +140,10 @@ impl Figure {
             Shape::Area { corners, .. } => corners.len() > 2 && finite(corners),
             Shape::Disc { centre, radius, .. } => finite(&[*centre]) && radius.is_finite(),
             Shape::Text { at, .. } => finite(&[*at]),
+            Shape::Picture { corner, width, height, columns, rows, rgb } => {
+                let is_whole = rgb.len() == columns * rows * 3 && !rgb.is_empty();
+                finite(&[*corner, (*width, *height)]) && is_whole
+            }
         };
         if sound {
             self.shapes.push(shape);
@@ -134,6 +153,11 @@ impl Figure {
     /// Adds a text.
     pub fn text(&mut self, at: Point, text: &str, size: f64, colour: RGBColor, anchor: Anchor) {
         self.add(Shape::Text { at, text: text.to_string(), size, colour, anchor, upwards: false });
+    }
+
+    /// Writes a PNG file alone: SVG would hold a [`Shape::Picture`] as a rectangle a pixel.
+    pub fn write_png(&self, file: &Path) -> Result<(), ReportError> {
+        Ok(output_file::write(file, self.png(file)?)?)
     }
 
     /// Writes `<stem>.png` and `<stem>.svg`.
@@ -237,6 +261,17 @@ fn draw_shape<DB: DrawingBackend>(
             let radius = (radius * SCALE as f64).round().max(1.0) as i32;
             area.draw(&Circle::new(pixel(*centre), radius, fill.filled()))
         }
+        Shape::Picture { corner, width, height, columns, rows, rgb } => {
+            let (left, top) = pixel(*corner);
+            let (right, foot) = pixel((corner.0 + width, corner.1 + height));
+            let (wide, tall) = ((right - left).max(1) as usize, (foot - top).max(1) as usize);
+            let drawn = stretched(rgb, [*columns, *rows], [wide, tall]);
+            let size = (wide as u32, tall as u32);
+            match BitMapElement::with_owned_buffer((left, top), size, drawn) {
+                Some(element) => area.draw(&element),
+                None => Ok(()),
+            }
+        }
         Shape::Text { at, text, size, colour, anchor, upwards } => {
             let horizontal = match anchor {
                 Anchor::Left => HPos::Left,
@@ -254,6 +289,19 @@ fn draw_shape<DB: DrawingBackend>(
             area.draw_text(text, &style, pixel(at))
         }
     }
+}
+
+/// RGB pixels at another size; each new pixel has the colour of the one that it lies in.
+fn stretched(rgb: &[u8], [columns, rows]: [usize; 2], [wide, tall]: [usize; 2]) -> Vec<u8> {
+    let mut out = Vec::with_capacity(wide * tall * 3);
+    for y in 0..tall {
+        let row = y * rows / tall;
+        for x in 0..wide {
+            let at = (row * columns + x * columns / wide) * 3;
+            out.extend_from_slice(&rgb[at..at + 3]);
+        }
+    }
+    out
 }
 
 /// Draws dashes one by one. In a bitmap, draws each segment separately with round joints, because plotters' outline of
@@ -337,6 +385,15 @@ mod tests {
         assert!((cut.iter().map(|dash| length(dash)).sum::<f64>() - 8.0).abs() < 1e-12);
         assert_eq!(dashes(&line, &[]), vec![line.to_vec()]);
         assert_eq!(cut[2], vec![(6.0, 0.0), (7.0, 0.0), (7.0, 1.0)], "a dash goes round the corner");
+    }
+
+    #[test]
+    fn stretching_repeats_pixels() {
+        let (red, blue) = ([255, 0, 0], [0, 0, 255]);
+        assert_eq!(
+            stretched(&[red, blue].concat(), [2, 1], [4, 2]),
+            [red, red, blue, blue].concat().repeat(2)
+        );
     }
 
     #[test]

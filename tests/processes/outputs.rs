@@ -88,6 +88,8 @@ fn table(place: &Place) -> Vec<Row> {
         row("reproduce --quick --only 4 --output @rep", &["rep/reproduce-4-tension.png"]),
         row("reproduce --quick --output @rep", &["rep/reproduce-5-thrust.csv"]),
         row("scene from-markups @plan.fcsv --ct @ball.nrrd -o @plan.toml", &["plan.toml"]),
+        row("scene show @scene.toml -o @show.png", &["show.png"]),
+        row("log export @log -o @view.mcap --foxglove", &["view.mcap"]),
         row("scene init -o @scenes", &["scenes/femur_curved_drilling.toml"]),
         row("bench soak @scene.toml --minutes 0.1 --output @soak", &["soak/run.mcap", "soak/summary.json"]),
     ]

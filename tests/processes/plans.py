@@ -1,6 +1,6 @@
 """3D Slicer's side of a plan, with the PyPI packages `slicerio`, `trimesh` and `vtk`, which know nothing of Trabecula.
 
-    plans.py plan FOLDER FRAME          curve.mrk.json, line.fcsv in FRAME (RAS or LPS); prints the targets in LPS
+    plans.py plan FOLDER FRAME          curve.mrk.json, line.fcsv, deep.fcsv in FRAME (RAS or LPS); prints the targets in LPS
     plans.py segment CT SEG             CT's bone (150 HU and more) as the segment `hip bone` of the .seg.nrrd SEG
     plans.py read FOLDER                what a run was exported to; prints figures of it
 """
@@ -18,7 +18,7 @@ ENTRY, BEND = np.array([-150.2, -135.1, 101.5]), np.array([-99.1, -143.6, 116.6]
 
 
 def points():
-    """A curve of 22 mm that turns by 40 degrees upward, and a line of 40 mm."""
+    """A curve of 22 mm that turns by 40 degrees upward, a line of 40 mm, and one of 55 mm into the dense head."""
     along = (BEND - ENTRY) / np.linalg.norm(BEND - ENTRY)
     up = np.array([0.0, 0.0, 1.0])
     side = up - along * (up @ along)
@@ -26,7 +26,8 @@ def points():
     turn = np.radians(40.0)
     radius = 22.0 / turn
     target = BEND + radius * np.sin(turn) * along + radius * (1.0 - np.cos(turn)) * side
-    return {"curve": {"Entry": ENTRY, "Bend": BEND, "Target": target}, "line": {"entry": ENTRY, "target": ENTRY + 40.0 * along}}
+    return {"curve": {"Entry": ENTRY, "Bend": BEND, "Target": target}, "line": {"entry": ENTRY, "target": ENTRY + 40.0 * along},
+            "deep": {"entry": ENTRY, "target": ENTRY + 55.0 * along}}
 
 
 def plan(folder, frame):

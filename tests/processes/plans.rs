@@ -75,10 +75,12 @@ fn a_plan_of_slicer_is_drilled_to_its_target_and_what_was_made_opens_there() {
     assert_exports(&python, &place, &ended.folder, three(&targets["curve"]), off_mm);
 
     peer(&python, &[&"plan", &place.path(""), &"LPS"]);
-    std::fs::remove_dir_all(place.path("out")).unwrap();
-    let (_, off_mm) = drilled(&place, "line.fcsv", &ct, three(&targets["line"]));
-    println!("line on the phantom: {off_mm:.3} mm off");
-    assert!(off_mm < WITHIN_MM, "{off_mm} mm off the target");
+    for name in ["line", "deep"] {
+        std::fs::remove_dir_all(place.path("out")).unwrap();
+        let (_, off_mm) = drilled(&place, &format!("{name}.fcsv"), &ct, three(&targets[name]));
+        println!("{name} on the phantom: {off_mm:.3} mm off");
+        assert!(off_mm < WITHIN_MM, "{name}: {off_mm} mm off the target");
+    }
 }
 
 /// Where the CT of `configs/pelvis_ct.toml` lies.
@@ -187,6 +189,11 @@ fn a_segment_of_slicer_is_bone_by_its_name() {
     );
     let checked = trabecula(&[&"scene", &"check", &scene]);
     assert_eq!(checked.code, Some(0), "{}", checked.err);
+    // Drilled, too: bone of the segment goes, and the log replays from the same file.
+    let ended = Run::start(&scene, place.path("out"), &["--set", "run.duration_s=3.0"]).end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert!(read(&ended.folder).ticks.last().unwrap().state.removed_total > 0, "nothing was drilled");
+    assert_replays(&ended.folder);
 }
 
 #[test]

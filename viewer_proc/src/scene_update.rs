@@ -36,11 +36,12 @@ impl Drawer {
     pub fn draw(&mut self, state: &State, time_ns: u64, board: &Board) {
         if self.is_due(board) {
             self.last = Some(Instant::now());
-            board.publish(SCENE, time_ns, 0, self.update(state, time_ns).to_string().into_bytes());
+            board.publish(SCENE, time_ns, 0, self.update(state, time_ns).into_bytes());
         }
     }
 
-    fn update(&self, state: &State, time_ns: u64) -> Value {
+    /// The drawing of a state, in JSON.
+    pub fn update(&self, state: &State, time_ns: u64) -> String {
         let links = &state.t_world_link[..(state.joint_count as usize).min(state.t_world_link.len())];
         let starts = core::iter::once(&state.t_world_base).chain(links);
         let ends = links.iter().chain(core::iter::once(&state.t_world_burr));
@@ -60,12 +61,7 @@ impl Drawer {
                     "colors": [], "indices": []})
             })
             .collect();
-        let stamp = json!({"sec": time_ns / 1_000_000_000, "nsec": time_ns % 1_000_000_000});
-        json!({"deletions": [], "entities": [{
-            "timestamp": stamp, "frame_id": "world", "id": "tool", "lifetime": {"sec": 0, "nsec": 0},
-            "frame_locked": false, "metadata": [], "arrows": [], "cubes": [], "spheres": [burr],
-            "cylinders": cylinders, "lines": lines, "triangles": [], "texts": [], "models": [],
-        }]})
+        entity("tool", time_ns, &json!([burr]), &json!(cylinders), &json!(lines))
     }
 
     fn cylinder(&self, start: &Pose, end: &Pose) -> Value {
@@ -76,6 +72,25 @@ impl Drawer {
         json!({"pose": pose(start, middle), "size": point([diameter, diameter, length_m]),
             "bottom_scale": 1.0, "top_scale": 1.0, "color": colour(0.6, 0.65, 0.7)})
     }
+}
+
+/// A line through points as a drawing of its own, in JSON.
+pub fn curve(id: &str, time_ns: u64, points_m: &[[f64; 3]], [r, g, b]: [f64; 3]) -> String {
+    let points: Vec<Value> = points_m.iter().map(|place| point(*place)).collect();
+    let line = json!({"type": 0, "pose": identity(), "thickness": 2.0, "scale_invariant": true, "points": points,
+        "color": colour(r, g, b), "colors": [], "indices": []});
+    entity(id, time_ns, &json!([]), &json!([]), &json!([line]))
+}
+
+/// A `foxglove.SceneUpdate` of one entity in the world's frame.
+fn entity(id: &str, time_ns: u64, spheres: &Value, cylinders: &Value, lines: &Value) -> String {
+    let stamp = json!({"sec": time_ns / 1_000_000_000, "nsec": time_ns % 1_000_000_000});
+    let update = json!({"deletions": [], "entities": [{
+        "timestamp": stamp, "frame_id": "world", "id": id, "lifetime": {"sec": 0, "nsec": 0},
+        "frame_locked": false, "metadata": [], "arrows": [], "cubes": [], "spheres": spheres,
+        "cylinders": cylinders, "lines": lines, "triangles": [], "texts": [], "models": [],
+    }]});
+    update.to_string()
 }
 
 fn point([x, y, z]: [f64; 3]) -> Value {

@@ -15,7 +15,7 @@ use run_log::fields::Scalar;
 use run_log::{FrameRecord, LogError, ReadOptions, Topic, Verdict, frames};
 
 use super::geometry::{self, Geometry};
-use super::{Out, concluded, json};
+use super::{Out, concluded, foxglove, json};
 use crate::failure::Failure;
 use crate::launcher::volume_source::VolumeFiles;
 use crate::output::refuse_existing;
@@ -47,6 +47,13 @@ pub struct ExportArguments {
     /// Export geometry instead of a table, in the patient frame (LPS) and mm, as of the last tick (`--to`).
     #[arg(long, value_enum, value_name = "WHAT", conflicts_with_all = ["fields", "frames", "topic", "from"])]
     pub(super) geometry: Option<Geometry>,
+    /// Export a `.mcap` file that Lichtblick and Foxglove open as it is: `/tf`, the tool, its contacts and paths for the 3D panel, X-ray
+    /// frames, states and commands for plots.
+    #[arg(long, conflicts_with_all = ["fields", "frames", "topic", "geometry"])]
+    foxglove: bool,
+    /// With `--foxglove`: states a second of simulated time, 1 to 1000.
+    #[arg(long, value_name = "HZ", default_value_t = 30.0, requires = "foxglove")]
+    pub(super) rate: f64,
     /// With `--geometry tunnel`: current path of the log's CT file.
     #[arg(long, value_name = "PATH")]
     pub(super) volume: Option<PathBuf>,
@@ -71,6 +78,9 @@ impl ExportArguments {
 pub fn run(arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     if let Some(what) = arguments.geometry {
         return geometry::export(what, arguments);
+    }
+    if arguments.foxglove {
+        return foxglove::export(arguments, out);
     }
     let log = log_path(&arguments.log);
     let (what, verdict) = match arguments.frames {

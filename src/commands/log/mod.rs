@@ -2,6 +2,7 @@
 
 mod cat;
 mod export;
+mod foxglove;
 mod geometry;
 mod json;
 mod make;

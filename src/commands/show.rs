@@ -1,0 +1,80 @@
+//! `trabecula scene show SCENE -o plan.png`: a scene before its run, as a picture and as figures.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use foreign_text::foreign_path;
+use serde_json::{Value, json};
+
+use crate::failure::Failure;
+use crate::launcher::volume_source::{self, VolumeFiles};
+use crate::output::refuse_existing;
+use crate::say::Figures;
+use crate::scene_picture::facts::Facts;
+use crate::scene_picture::figure::{Pictured, draw};
+use crate::scene_picture::shape::Shapes;
+use crate::scenes::{BuiltIn, SceneSource};
+
+/// Arguments of `scene show`.
+#[derive(Debug, Args)]
+pub struct ShowArguments {
+    /// Scene file; default: the built-in femur.
+    scene: Option<PathBuf>,
+    /// New PNG file.
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Which files the volume may name.
+    #[command(flatten)]
+    volume_files: VolumeFiles,
+    /// How its figures are printed.
+    #[command(flatten)]
+    figures: Figures,
+}
+
+/// Draws the picture.
+///
+/// # Errors
+/// An invalid scene, one without a volume, an output that is there already or is no PNG (2); a full disk (1).
+pub fn run(arguments: &ShowArguments) -> Result<(), Failure> {
+    let output = &arguments.output;
+    if !output.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("png")) {
+        return Err(Failure::bad_input(format!(
+            "--output is {}, expected a .png file",
+            foreign_path(output)
+        )));
+    }
+    refuse_existing(&[output])?;
+    let source = SceneSource::new(arguments.scene.as_deref(), BuiltIn::Femur);
+    let (scene, _) = super::plan::load(&source)?;
+    volume_source::refuse_missing(&source, &scene)?;
+    let Some(loaded) = volume_source::load(&scene, arguments.volume_files)? else {
+        return Err(Failure::bad_input(format!(
+            "{source}: the scene has no `[volume]`, so there is no CT to show"
+        )));
+    };
+    let shapes = Shapes::of(&scene)?;
+    let facts = Facts::of(&scene, &loaded, &shapes)?;
+    let pictured = Pictured { scene: &scene, volume: &loaded.0, shapes: &shapes, facts: &facts };
+    draw(&pictured)?.write_png(output)?;
+    arguments.figures.say(
+        || text_of(arguments, &facts),
+        || {
+            let mut all = json!({"scene": scene.name, "output": output});
+            if let (Value::Object(all), Value::Object(figures)) = (&mut all, facts.json(&shapes)) {
+                all.extend(figures);
+            }
+            all
+        },
+    );
+    Ok(())
+}
+
+fn text_of(arguments: &ShowArguments, facts: &Facts) -> String {
+    let findings: String = facts.findings.iter().map(|finding| format!("{finding}\n")).collect();
+    format!(
+        "{findings}target       {:.1} mm to the nearest outside of the bone, {:.1} mm of bone ahead\nwritten      {}",
+        facts.depth_mm,
+        facts.ahead_mm,
+        arguments.output.display()
+    )
+}

@@ -1,0 +1,186 @@
+//! What is measured of a scene before its run.
+
+use ipc_types::scene::Scene;
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use serde_json::{Value, json};
+use simulation::arm::{ArmParameters, COMFORTABLE_Q_RAD, place_base_for};
+use simulation::{Verdict, findings};
+use volume_io::Volume;
+
+use super::metres;
+use super::shape::{Shapes, length};
+use super::surroundings::Surroundings;
+use crate::failure::Failure;
+use crate::feasibility::is_program;
+use crate::launcher::volume_source::ct_view;
+
+/// Distance of the places where Hounsfield units are read, mm.
+const STEP_MM: f64 = 0.25;
+/// How far before a path that begins in bone its entry is looked for, mm.
+const BEFORE_MM: f64 = 100.0;
+/// How far the feed of the arm is followed, mm, and in which steps.
+const FEED_MM: u32 = 400;
+const FEED_STEP_MM: u32 = 2;
+
+/// A place on the line along which Hounsfield units are read.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sample {
+    /// Distance from the path's beginning along it, mm; negative before it.
+    pub along_mm: f64,
+    /// Where, mm.
+    pub place_mm: Vector3<f64>,
+    /// Hounsfield units; `None` outside of the volume.
+    pub hu: Option<f64>,
+}
+
+/// The figures of a scene.
+#[derive(Debug, Clone)]
+pub struct Facts {
+    /// Hounsfield units along the path.
+    pub profile: Vec<Sample>,
+    /// Where the path comes into bone.
+    pub entry: Option<Sample>,
+    /// The burr's start.
+    pub start: Sample,
+    /// The end of the path.
+    pub target: Sample,
+    /// Length of the path behind its entry in voxels at or above the threshold, mm.
+    pub in_bone_mm: f64,
+    /// Distance from the target to the nearest place outside of the bone, mm.
+    pub depth_mm: f64,
+    /// How far bone goes on behind the target in the direction of the path, mm.
+    pub ahead_mm: f64,
+    /// How far the arm can feed from the start, mm; at most [`FEED_MM`].
+    pub feed_mm: f64,
+    /// What `scene check` finds, with what it refuses.
+    pub findings: Vec<String>,
+}
+
+impl Facts {
+    /// Measures a scene.
+    ///
+    /// # Errors
+    /// Bad input: the simulation refuses the scene.
+    pub fn of(scene: &Scene, loaded: &(Volume, [u8; 32]), shapes: &Shapes) -> Result<Facts, Failure> {
+        let volume = &loaded.0;
+        let threshold_hu = scene.volume.as_ref().map_or(0, |volume| volume.bone_threshold_hu);
+        let is_bone = |sample: &Sample| sample.hu.is_some_and(|hu| hu >= f64::from(threshold_hu));
+        let profile = profile(volume, shapes, is_bone);
+        let nearest = |point: &Vector3<f64>| {
+            let by = |sample: &&Sample| (sample.place_mm - point).norm_squared();
+            let found = profile.iter().min_by(|a, b| by(a).total_cmp(&by(b)));
+            found.copied().unwrap_or(Sample { along_mm: 0.0, place_mm: *point, hu: None })
+        };
+        let (start, target) = (nearest(&shapes.start_mm), nearest(&shapes.target_mm()));
+        let entry = profile.iter().find(|sample| is_bone(sample)).copied();
+        let in_bone = profile.iter().filter(|sample| is_bone(sample)).count();
+        let surroundings = Surroundings::of(volume, threshold_hu);
+        let found = findings(scene, Some(ct_view(loaded)), &is_program).map_err(Failure::bad_input)?;
+        let word = |verdict| if verdict == Verdict::Impossible { "refused" } else { "warning" };
+        Ok(Facts {
+            entry,
+            start,
+            target,
+            in_bone_mm: in_bone as f64 * STEP_MM,
+            depth_mm: surroundings.depth_mm(&shapes.target_mm()),
+            ahead_mm: surroundings.ahead_mm(&shapes.target_mm(), &shapes.last_direction()),
+            feed_mm: feed_mm(scene, shapes),
+            findings: found.iter().map(|finding| format!("{}: {finding}", word(finding.verdict))).collect(),
+            profile,
+        })
+    }
+
+    /// Least, mean and largest Hounsfield units from the entry to the target; `None` if the path meets no bone.
+    pub fn hu_range(&self) -> Option<[f64; 3]> {
+        let entry = self.entry?;
+        let behind = self.profile.iter().filter(|sample| sample.along_mm >= entry.along_mm);
+        let values: Vec<f64> = behind.filter_map(|sample| sample.hu).collect();
+        let sum: f64 = values.iter().sum();
+        let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+        let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        (!values.is_empty()).then(|| [least, sum / values.len() as f64, most])
+    }
+
+    /// The figures as JSON.
+    pub fn json(&self, shapes: &Shapes) -> Value {
+        let place = |sample: &Sample| json!({"place_mm": sample.place_mm.as_slice(), "along_mm": sample.along_mm, "hu": sample.hu});
+        let range = self.hu_range();
+        json!({
+            "is_planned": shapes.is_planned,
+            "entry": self.entry.as_ref().map(place),
+            "burr_start": place(&self.start),
+            "target": place(&self.target),
+            "path_mm": length(&shapes.path_mm),
+            "insertion_mm": shapes.insertion_mm,
+            "in_bone_mm": self.in_bone_mm,
+            "least_hu": range.map(|it| it[0]),
+            "mean_hu": range.map(|it| it[1]),
+            "most_hu": range.map(|it| it[2]),
+            "target_depth_mm": self.depth_mm,
+            "bone_ahead_mm": self.ahead_mm,
+            "arm_feed_mm": self.feed_mm,
+            "findings": self.findings,
+        })
+    }
+}
+
+/// Hounsfield units along the path; where the path begins in bone, from where that begins.
+fn profile(volume: &Volume, shapes: &Shapes, is_bone: impl Fn(&Sample) -> bool) -> Vec<Sample> {
+    let sample = |along_mm: f64, place_mm: Vector3<f64>| Sample {
+        along_mm,
+        place_mm,
+        hu: volume.hu_at(metres(place_mm.into())),
+    };
+    let begin = shapes.path_mm.first().copied().unwrap_or(shapes.start_mm);
+    let mut before = Vec::new();
+    let mut far_mm = 0.0;
+    let mut last = sample(0.0, begin);
+    while is_bone(&last) && far_mm < BEFORE_MM {
+        far_mm += STEP_MM;
+        last = sample(-far_mm, begin - shapes.along * far_mm);
+        before.push(last);
+    }
+    before.reverse();
+    let mut passed_mm = 0.0;
+    before.push(sample(0.0, begin));
+    for piece in shapes.path_mm.windows(2) {
+        let way = piece[1] - piece[0];
+        let piece_mm = way.norm();
+        let count = (piece_mm / STEP_MM).round().max(1.0);
+        before.extend((1..=count as usize).map(|step| {
+            let share = step as f64 / count;
+            sample(passed_mm + share * piece_mm, piece[0] + way * share)
+        }));
+        passed_mm += piece_mm;
+    }
+    before
+}
+
+/// How far the arm can move the tool's base straight ahead from the start, by its closed inverse kinematics and its joint limits.
+fn feed_mm(scene: &Scene, shapes: &Shapes) -> f64 {
+    let given = &scene.arm;
+    let mut arm = ArmParameters::ur5(scene.dt_s());
+    if given.tool_position_mm != [0.0; 3] || given.tool_rotation_vector_deg != [0.0; 3] {
+        let turn = Vector3::from(given.tool_rotation_vector_deg).map(f64::to_radians);
+        arm.geometry.t_flange_tool = Some(Isometry3::new(Vector3::from(given.tool_position_mm) * 1e-3, turn));
+    }
+    let joints = given.initial_joints_deg.map_or(COMFORTABLE_Q_RAD, |q| q.map(f64::to_radians));
+    let radians = |deg: Option<[f64; 6]>, usual: [f64; 6]| deg.map_or(usual, |q| q.map(f64::to_radians));
+    let lower = radians(given.lower_joints_deg, arm.joint_limits.lower_rad);
+    let upper = radians(given.upper_joints_deg, arm.joint_limits.upper_rad);
+    let across = shapes.along.cross(&shapes.toward);
+    let axes = Matrix3::from_columns(&[shapes.toward, across, shapes.along]);
+    let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
+    let base = |feed_mm: f64| {
+        let place_mm = shapes.start_mm + shapes.along * (feed_mm - shapes.tool_mm);
+        Isometry3::from_parts(Translation3::from(place_mm * 1e-3), turn)
+    };
+    let t_arm_world = place_base_for(&arm.geometry, &base(0.0), &joints).inverse();
+    let (mut reached_mm, mut near) = (0, joints);
+    for feed_mm in (FEED_STEP_MM..=FEED_MM).step_by(FEED_STEP_MM as usize) {
+        let goal = t_arm_world * base(f64::from(feed_mm));
+        let Ok(found) = arm.geometry.inverse_nearest(&goal, &near, &lower, &upper) else { break };
+        (reached_mm, near) = (feed_mm, found);
+    }
+    f64::from(reached_mm)
+}

@@ -1,0 +1,187 @@
+//! Where the bone ends: what of the volume lies outside of it, and how far that is from a place.
+
+use nalgebra::Vector3;
+use volume_io::Volume;
+
+use super::metres;
+
+/// Most cells of the map. A larger volume is mapped by every second voxel, or every third.
+const MOST_CELLS: usize = 16 << 20;
+/// Distance of the places of a ray, mm.
+const RAY_STEP_MM: f64 = 0.25;
+
+/// The places outside of the bone: below the threshold, and connected with the volume's border by such places. Marrow and the holes of
+/// cancellous bone, closed in by the cortex, are inside.
+pub struct Surroundings<'a> {
+    volume: &'a Volume,
+    /// Voxels from one cell to the next.
+    stride: usize,
+    cells: [usize; 3],
+    is_outside: Vec<bool>,
+}
+
+impl<'a> Surroundings<'a> {
+    /// Maps a volume.
+    pub fn of(volume: &'a Volume, threshold_hu: i16) -> Surroundings<'a> {
+        let cells_at = |stride: usize| volume.dims.map(|count| count.div_ceil(stride));
+        let fits = |stride: &usize| cells_at(*stride).iter().product::<usize>() <= MOST_CELLS;
+        let stride = (1..).find(fits).unwrap_or(1);
+        let cells = cells_at(stride);
+        let mut map = Surroundings { volume, stride, cells, is_outside: Vec::new() };
+        map.is_outside = vec![false; cells.iter().product()];
+        map.flood(threshold_hu);
+        map
+    }
+
+    fn index(&self, [i, j, k]: [usize; 3]) -> usize {
+        i + self.cells[0] * (j + self.cells[1] * k)
+    }
+
+    fn is_open(&self, cell: [usize; 3], threshold_hu: i16) -> bool {
+        self.volume.at(cell.map(|index| index * self.stride)).is_some_and(|hu| hu < threshold_hu)
+    }
+
+    fn flood(&mut self, threshold_hu: i16) {
+        let [ni, nj, nk] = self.cells;
+        let mut waiting = Vec::new();
+        let faces = |at: [usize; 3]| (0..3).any(|axis| at[axis] == 0 || at[axis] + 1 == [ni, nj, nk][axis]);
+        for k in 0..nk {
+            for j in 0..nj {
+                // Inner rows have only two cells at the border.
+                let step = if k == 0 || k + 1 == nk || j == 0 || j + 1 == nj { 1 } else { (ni - 1).max(1) };
+                for i in (0..ni).step_by(step).filter(|i| faces([*i, j, k])) {
+                    self.enter([i, j, k], threshold_hu, &mut waiting);
+                }
+            }
+        }
+        while let Some(at) = waiting.pop() {
+            for axis in 0..3 {
+                let mut beside = at;
+                if at[axis] > 0 {
+                    beside[axis] = at[axis] - 1;
+                    self.enter(beside, threshold_hu, &mut waiting);
+                }
+                if at[axis] + 1 < self.cells[axis] {
+                    beside[axis] = at[axis] + 1;
+                    self.enter(beside, threshold_hu, &mut waiting);
+                }
+            }
+        }
+    }
+
+    fn enter(&mut self, cell: [usize; 3], threshold_hu: i16, waiting: &mut Vec<[usize; 3]>) {
+        let index = self.index(cell);
+        if !self.is_outside[index] && self.is_open(cell, threshold_hu) {
+            self.is_outside[index] = true;
+            waiting.push(cell);
+        }
+    }
+
+    /// Whether a place is outside of the bone, by the nearest cell; outside of the volume it is.
+    pub fn is_outside(&self, point_mm: &Vector3<f64>) -> bool {
+        let voxel = self.volume.world_to_voxel(metres((*point_mm).into()));
+        let cell = [0, 1, 2].map(|axis| (voxel[axis] / self.stride as f64).round());
+        if (0..3).any(|axis| cell[axis] < 0.0 || cell[axis] >= self.cells[axis] as f64) {
+            return true;
+        }
+        self.is_outside[self.index(cell.map(|index| index as usize))]
+    }
+
+    /// Distance of a place from the nearest one outside of the bone, mm, to a voxel; 0 outside.
+    pub fn depth_mm(&self, point_mm: &Vector3<f64>) -> f64 {
+        if self.is_outside(point_mm) {
+            return 0.0;
+        }
+        let voxel = self.volume.world_to_voxel(metres((*point_mm).into()));
+        let place = voxel.map(|index| index / self.stride as f64);
+        let size_mm = self.volume.spacing_m.map(|spacing_m| 1e3 * spacing_m * self.stride as f64);
+        let least_mm = size_mm.iter().copied().fold(f64::INFINITY, f64::min);
+        let mut half = 4;
+        loop {
+            let (found, is_all) = self.nearest_mm(place, size_mm, half);
+            // What lies beyond the searched box is at least this far away.
+            if found <= half as f64 * least_mm || is_all {
+                return found;
+            }
+            half *= 2;
+        }
+    }
+
+    /// The nearest outside cell within a box of so many cells to each side, and whether the box is the whole map.
+    fn nearest_mm(&self, place: [f64; 3], size_mm: [f64; 3], half: usize) -> (f64, bool) {
+        let middle =
+            [0, 1, 2].map(|axis| place[axis].round().clamp(0.0, (self.cells[axis] - 1) as f64) as usize);
+        let low = middle.map(|index| index.saturating_sub(half));
+        let high = [0, 1, 2].map(|axis| (middle[axis] + half).min(self.cells[axis] - 1));
+        let mut best = f64::INFINITY;
+        for k in low[2]..=high[2] {
+            for j in low[1]..=high[1] {
+                for i in low[0]..=high[0] {
+                    if self.is_outside[self.index([i, j, k])] {
+                        let off = |axis: usize, index: usize| (index as f64 - place[axis]) * size_mm[axis];
+                        let (x, y, z) = (off(0, i), off(1, j), off(2, k));
+                        best = best.min(x * x + y * y + z * z);
+                    }
+                }
+            }
+        }
+        let is_all = low == [0; 3] && (0..3).all(|axis| high[axis] + 1 == self.cells[axis]);
+        (best.sqrt(), is_all)
+    }
+
+    /// How far bone goes on from a place in a direction, mm.
+    pub fn ahead_mm(&self, from_mm: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
+        let places = (0..).map(|step| f64::from(step) * RAY_STEP_MM);
+        let mut places = places.skip_while(|far_mm| !self.is_outside(&(from_mm + direction * *far_mm)));
+        places.next().unwrap_or(0.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use volume_io::IDENTITY_DIRECTION;
+
+    /// A ball of bone of 10 mm with marrow of 4 mm in it, in voxels of half a millimetre.
+    fn ball() -> Volume {
+        let count = 61;
+        let far = |index: usize| (index as f64 - 30.0) * 0.5;
+        let mut hu = Vec::new();
+        for k in 0..count {
+            for j in 0..count {
+                for i in 0..count {
+                    let radius_mm = (far(i).powi(2) + far(j).powi(2) + far(k).powi(2)).sqrt();
+                    hu.push(if radius_mm <= 4.0 {
+                        -50
+                    } else if radius_mm <= 10.0 {
+                        900
+                    } else {
+                        -1000
+                    });
+                }
+            }
+        }
+        Volume {
+            dims: [count; 3],
+            spacing_m: [0.5e-3; 3],
+            origin_m: [-15e-3; 3],
+            direction: IDENTITY_DIRECTION,
+            hu,
+        }
+    }
+
+    #[test]
+    fn marrow_is_inside_and_distances_are_those_of_the_ball_to_a_voxel() {
+        let volume = ball();
+        let map = Surroundings::of(&volume, 150);
+        assert!(!map.is_outside(&Vector3::zeros()) && map.is_outside(&Vector3::new(12.0, 0.0, 0.0)));
+        for (point, depth_mm) in
+            [([0.0; 3], 10.0), ([6.0, 0.0, 0.0], 4.0), ([3.0, 4.0, 0.0], 5.0), ([0.0, 0.0, 12.0], 0.0)]
+        {
+            let found = map.depth_mm(&Vector3::from(point));
+            assert!((found - depth_mm).abs() <= 0.5, "{point:?}: {found}, expected {depth_mm}");
+        }
+        let ahead = map.ahead_mm(&Vector3::new(2.0, 0.0, 0.0), &Vector3::x());
+        assert!((ahead - 8.0).abs() <= 0.5, "{ahead}");
+    }
+}

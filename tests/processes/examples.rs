@@ -1,0 +1,45 @@
+//! The gallery `configs/examples`: one scene a feature, each run for a second.
+
+use std::fs;
+use std::path::Path;
+
+use crate::common::logs::{assert_replays, read};
+use crate::common::program::{Place, Run, assert_nothing_left};
+
+/// Each scene, and the line by which it shows its feature.
+const GALLERY: [(&str, &str); 11] = [
+    ("arm_compliance.toml", "[arm.compliance]"),
+    ("contact_voxels.toml", "voxels = \"balls\""),
+    ("drilling_removal.toml", "removal = \"capped\""),
+    ("drr_carm.toml", "[drr.carm]"),
+    ("drr_detector.toml", "[drr.detector]"),
+    ("drr_notch.toml", "[drr.notch]"),
+    ("drr_projector.toml", "projector = \"siddon\""),
+    ("drr_spectrum.toml", "[drr.spectrum]"),
+    ("manipulator_model.toml", "model = \"spatial\""),
+    ("tendons.toml", "[[tendon]]"),
+    ("tolerance.toml", "[tolerance]"),
+];
+
+#[test]
+fn every_example_drills_for_a_second_without_a_warning_and_replays() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/examples");
+    let mut there: Vec<String> = fs::read_dir(&folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    there.sort();
+    assert_eq!(there, GALLERY.map(|(name, _)| name), "a scene without a row, or a row without a scene");
+    for (name, line) in GALLERY {
+        let text = fs::read_to_string(folder.join(name)).unwrap();
+        assert!(text.lines().any(|found| found == line), "{name} does not say `{line}`");
+        let place = Place::new();
+        let ended = Run::start(&folder.join(name), place.path("out"), &["--set", "run.duration_s=1.0"]).end();
+        assert_eq!(ended.code, Some(0), "{name}: {}", ended.err);
+        assert!(!ended.err.contains("warning"), "{name}: {}", ended.err);
+        let removed = read(&ended.folder).ticks.last().unwrap().state.removed_total;
+        assert!(removed > 0, "{name}: nothing was drilled");
+        assert_replays(&ended.folder);
+        assert_nothing_left(ended.pid);
+    }
+}
