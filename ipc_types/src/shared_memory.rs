@@ -204,7 +204,10 @@ mod tests {
         }
         // What is there stays.
         let whole = fs::read(folder.path().join(format!("{PREFIX}some.data"))).unwrap();
-        assert!(whole[..50 * 4096].iter().all(|byte| *byte == 1) && whole[50 * 4096..].iter().all(|byte| *byte == 0));
+        assert!(
+            whole[..50 * 4096].iter().all(|byte| *byte == 1)
+                && whole[50 * 4096..].iter().all(|byte| *byte == 0)
+        );
     }
 
     /// Links and other users' files under a session's names must be left alone, including the file that a link points to.

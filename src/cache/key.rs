@@ -47,7 +47,9 @@ impl From<&Metadata> for Stamp {
 fn begin(kind: &str) -> Sha256 {
     let build = build_info::current();
     let mut hasher = Sha256::new();
-    for part in ["trabecula cache 1", kind, &build.version, &build.target, build.rustc.as_deref().unwrap_or("")] {
+    for part in
+        ["trabecula cache 1", kind, &build.version, &build.target, build.rustc.as_deref().unwrap_or("")]
+    {
         add(&mut hasher, part.as_bytes());
     }
     hasher
@@ -90,8 +92,9 @@ impl Key {
 
     /// Whether the files are still those that were hashed.
     pub(super) fn is_current(&self) -> bool {
-        let is_same =
-            |(file, stamp): &(PathBuf, Stamp)| file.metadata().is_ok_and(|found| Stamp::from(&found) == *stamp);
+        let is_same = |(file, stamp): &(PathBuf, Stamp)| {
+            file.metadata().is_ok_and(|found| Stamp::from(&found) == *stamp)
+        };
         self.files.iter().all(is_same)
     }
 

@@ -77,9 +77,7 @@ pub fn through(
 ///
 /// # Errors
 /// What `make` fails with.
-pub fn fresh(
-    make: impl FnOnce() -> Result<(Volume, Vec<String>), VolumeError>,
-) -> Result<Made, VolumeError> {
+pub fn fresh(make: impl FnOnce() -> Result<(Volume, Vec<String>), VolumeError>) -> Result<Made, VolumeError> {
     let (volume, notes) = make()?;
     Ok(Made { sha256: volume_hash(&volume), volume, notes })
 }

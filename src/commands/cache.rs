@@ -66,7 +66,8 @@ fn info(path: Option<PathBuf>, cache: Option<&Cache>, figures: Figures) {
         )
     };
     let listed = || {
-        let file = |file: &CachedFile| json!({"name": file.name, "bytes": file.bytes, "idle_s": idle_s(file)});
+        let file =
+            |file: &CachedFile| json!({"name": file.name, "bytes": file.bytes, "idle_s": idle_s(file)});
         let files: Vec<_> = files.iter().map(file).collect();
         json!({"folder": path, "bytes": bytes, "limit_bytes": LIMIT_BYTES, "volumes": files})
     };
@@ -75,7 +76,11 @@ fn info(path: Option<PathBuf>, cache: Option<&Cache>, figures: Figures) {
 
 fn line(file: &CachedFile) -> String {
     let name = file.name.get(..12).unwrap_or(&file.name);
-    format!("{name}  {:9.1} MB, last used {:.1} h ago", file.bytes as f64 * 1e-6, idle_s(file) as f64 / 3600.0)
+    format!(
+        "{name}  {:9.1} MB, last used {:.1} h ago",
+        file.bytes as f64 * 1e-6,
+        idle_s(file) as f64 / 3600.0
+    )
 }
 
 fn idle_s(file: &CachedFile) -> u64 {

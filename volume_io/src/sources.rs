@@ -48,7 +48,6 @@ pub fn sources(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Option<S
 /// Whether a NIfTI file holds its voxels.
 fn is_one_nifti(path: &Path, head: &[u8]) -> bool {
     let codec = if head.starts_with(&[0x1f, 0x8b]) { Codec::Gzip } else { Codec::Raw };
-    let header =
-        input::head(path, 0, codec, NIFTI2_SIZE).and_then(|bytes| nifti_header::parse(path, &bytes));
+    let header = input::head(path, 0, codec, NIFTI2_SIZE).and_then(|bytes| nifti_header::parse(path, &bytes));
     header.is_ok_and(|header| header.single_file)
 }
