@@ -82,6 +82,7 @@ fn command_line() -> clap::Command {
 const EXAMPLES: &[Examples] = &[
     ("bench overhead", &["trabecula bench overhead"]),
     ("bench step", &["trabecula bench step", "trabecula bench step --instructions"]),
+    ("bench start", &["trabecula bench start", "trabecula bench start --rounds 9 --empty-cache"]),
     ("bench memory", &["trabecula bench memory"]),
     ("bench drr", &["trabecula bench drr", "trabecula bench drr --poses 64"]),
     ("bench latency", &["trabecula bench latency --turns 5"]),

@@ -6,6 +6,7 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use crate::commands;
 use crate::commands::bridge::BridgeCommand;
+use crate::commands::cache::CacheCommand;
 use crate::commands::calibrate::CalibrateArguments;
 use crate::commands::docs::DocsCommand;
 use crate::commands::doctor::DoctorArguments;
@@ -69,6 +70,9 @@ enum UserCommand {
     /// List this user's running sessions; pause, resume or stop one.
     #[command(subcommand)]
     Session(SessionCommand),
+    /// Show or clear the volumes that are kept for the next run.
+    #[command(subcommand)]
+    Cache(CacheCommand),
     /// Show the tool's dimensions.
     #[command(subcommand)]
     Tool(ToolCommand),
@@ -126,6 +130,7 @@ fn dispatch(command: &UserCommand) -> Result<(), Failure> {
         UserCommand::Plan(arguments) => commands::plan::run(arguments),
         UserCommand::Scene(command) => commands::scene::run(command),
         UserCommand::Session(command) => commands::session::run(command),
+        UserCommand::Cache(command) => commands::cache::run(command),
         UserCommand::Tool(command) => commands::tool::run(command),
         UserCommand::Volume(command) => commands::volume::run(command),
         UserCommand::Phantom(arguments) => commands::volume::write_phantom(arguments),

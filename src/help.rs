@@ -119,6 +119,8 @@ pub const EXAMPLES: &[Examples] = &[
     ("session pause", &["trabecula session pause"]),
     ("session resume", &["trabecula session resume"]),
     ("session env", &["trabecula session env"]),
+    ("cache info", &["trabecula cache info", "trabecula cache info --json"]),
+    ("cache clear", &["trabecula cache clear"]),
     ("tool show", &["trabecula tool show", "trabecula tool show scene.toml --json"]),
     ("doctor", &["trabecula doctor", "trabecula doctor --json --seconds 5"]),
 ];

@@ -9,6 +9,7 @@
 #[macro_use]
 pub mod say;
 
+pub mod cache;
 pub mod cli;
 pub mod commands;
 pub mod failure;

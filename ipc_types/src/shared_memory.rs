@@ -74,13 +74,13 @@ impl SharedMemory {
     }
 
     /// Reserves the memory of every data segment of a session now, so that a full `/dev/shm` is an error here rather than a SIGBUS at the
-    /// first write.
+    /// first write. Passes over what another port has reserved: reserving a page twice makes the kernel clear it at once.
     pub(crate) fn reserve(&self, prefix: &str) -> Result<(), Short> {
         for name in self.names(prefix).iter().filter(|name| name.ends_with(".data")) {
             // The segment of a process that has just ended needs no memory.
             let Some((file, stat)) = self.open_own(name, OFlags::WRONLY) else { continue };
             let bytes = u64::try_from(stat.st_size).unwrap_or(0);
-            if bytes > 0 {
+            if !is_reserved(&stat) {
                 rustix::fs::fallocate(file.as_fd(), FallocateFlags::empty(), 0, bytes)
                     .map_err(|cause| Short { bytes, cause: cause.into() })?;
             }
@@ -88,6 +88,14 @@ impl SharedMemory {
         Ok(())
     }
 }
+
+/// Whether a segment has memory for all its bytes. Shared memory is given in whole pages, each counted once.
+fn is_reserved(stat: &Stat) -> bool {
+    stat.st_blocks.saturating_mul(STAT_BLOCK_BYTES) >= stat.st_size
+}
+
+/// Unit of `st_blocks` on Linux (stat(2)).
+const STAT_BLOCK_BYTES: i64 = 512;
 
 fn is_own(stat: &Stat) -> bool {
     FileType::from_raw_mode(stat.st_mode) == FileType::RegularFile
@@ -171,11 +179,36 @@ impl Display for Refused {
 #[cfg(test)]
 mod tests {
     use std::fs::{self, Permissions};
+    use std::io::Write;
     use std::os::unix::fs::{MetadataExt, PermissionsExt};
 
     use super::*;
 
     const PREFIX: &str = "trabecula010_0123456789a_";
+
+    #[test]
+    fn every_byte_of_a_segment_is_reserved_whatever_was_there_before() {
+        let folder = tempfile::tempdir_in(FOLDER).unwrap();
+        let memory = SharedMemory(fs::File::open(folder.path()).unwrap().into());
+        let blocks = |name: &str| fs::metadata(folder.path().join(name)).unwrap().blocks() as i64;
+        let bytes = 100 * 4096 + 1;
+        for (name, touched) in [("empty", 0), ("some", 50 * 4096), ("whole", bytes)] {
+            let name = format!("{PREFIX}{name}.data");
+            let file = fs::File::create(folder.path().join(&name)).unwrap();
+            (&file).write_all(&vec![1; touched]).unwrap();
+            file.set_len(bytes as u64).unwrap();
+        }
+        memory.reserve(PREFIX).unwrap();
+        for name in ["empty", "some", "whole"] {
+            assert!(blocks(&format!("{PREFIX}{name}.data")) * STAT_BLOCK_BYTES >= bytes as i64, "{name}");
+        }
+        // What is there stays.
+        let whole = fs::read(folder.path().join(format!("{PREFIX}some.data"))).unwrap();
+        assert!(
+            whole[..50 * 4096].iter().all(|byte| *byte == 1)
+                && whole[50 * 4096..].iter().all(|byte| *byte == 0)
+        );
+    }
 
     /// Links and other users' files under a session's names must be left alone, including the file that a link points to.
     #[test]

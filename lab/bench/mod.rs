@@ -15,6 +15,7 @@ pub mod readings;
 pub mod recorder;
 pub mod samples;
 pub mod soak;
+pub mod start;
 pub mod step;
 pub mod viewer;
 pub mod xray;

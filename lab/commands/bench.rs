@@ -6,9 +6,10 @@ use clap::{Args, Subcommand};
 use ipc_types::scene::Policy;
 
 use crate::bench::ping_pong::Wait;
+use crate::bench::start::CacheState;
 use crate::bench::{
     bridge, drr, drr_poses, instructions, latency, log, memory, overhead, ping_pong, readings, recorder,
-    soak, step, viewer, xray,
+    soak, start, step, viewer, xray,
 };
 use crate::sheet::Sheet;
 use trabecula::commands::run::PolicyArgument;
@@ -70,6 +71,19 @@ pub enum BenchCommand {
         /// Rounds in one process, 1 to 100; the minimum time of each tick is printed too.
         #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100))]
         rounds: u64,
+        #[command(flatten)]
+        figures: Figures,
+    },
+    /// Time a run from exec to its first tick and from its last to its exit, phase by phase.
+    Start {
+        /// Scene file; default: the built-in femur.
+        scene: Option<PathBuf>,
+        /// Number of rounds, 1 to 1000.
+        #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=1000))]
+        rounds: u64,
+        /// Begin each round with an empty cache.
+        #[arg(long)]
+        empty_cache: bool,
         #[command(flatten)]
         figures: Figures,
     },
@@ -195,6 +209,7 @@ impl BenchCommand {
         match self {
             BenchCommand::Overhead { figures, .. }
             | BenchCommand::Step { figures, .. }
+            | BenchCommand::Start { figures, .. }
             | BenchCommand::Memory { figures, .. }
             | BenchCommand::Drr { figures, .. }
             | BenchCommand::Latency { figures, .. }
@@ -240,6 +255,10 @@ fn measure(command: &BenchCommand, sheet: &mut Sheet) -> Result<(), Failure> {
             }
             sheet.line("");
             sheet.within("recorded_run", |sheet| log::run(&scene, *ticks, sheet))
+        }
+        BenchCommand::Start { scene, rounds, empty_cache, .. } => {
+            let cache = if *empty_cache { CacheState::Empty } else { CacheState::AsItIs };
+            start::run(scene.as_deref(), *rounds as usize, cache, sheet)
         }
         BenchCommand::Memory { scene, dimensions, ticks, .. } => {
             memory::run(&femur_or(scene.as_deref()), *dimensions, *ticks, sheet)

@@ -1,6 +1,7 @@
 //! The subcommands, one per file.
 
 pub mod bridge;
+pub mod cache;
 pub mod calibrate;
 pub mod docs;
 pub mod doctor;

@@ -277,7 +277,8 @@ fn write_report(result: &RunResult, output: &Path, told: Told) -> Result<(), Fai
         Told::Json => {
             let (session, outcome) = (&result.session, &facts.outcome);
             let ended = serde_json::json!({
-                "phase": "ended", "session": session, "folder": output, "outcome": outcome, "summary": report.summary,
+                "phase": "ended", "session": session, "folder": output, "outcome": outcome, "began_ns": result.began_ns,
+                "summary": report.summary,
             });
             say!("{ended}");
         }

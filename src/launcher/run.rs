@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use foreign_text::foreign_line;
+use ipc_types::clock::now_ns;
 use ipc_types::messages::{EventCode, Phase, RunStatus, State, Tick, TickTiming};
 use ipc_types::ports::PortError;
 use ipc_types::process::{EXIT_GAP, EndRequest, ProcessorTime};
@@ -113,6 +114,10 @@ pub struct RunResult {
     pub running: Duration,
     /// Wall time from the start of the launcher to the first tick.
     pub starting: Duration,
+    /// When that start was, on the monotonic clock, ns.
+    pub began_ns: u64,
+    /// Wall time of each phase, by name, in order.
+    pub phases: [(&'static str, Duration); 5],
     /// Peak memory of each process, by name.
     pub memory: Vec<(String, Memory)>,
     /// Processor time of each process from its start to its end, by name.
@@ -129,6 +134,11 @@ impl RunResult {
         RunFacts {
             wall_s: self.running.as_secs_f64(),
             startup_s: self.starting.as_secs_f64(),
+            phases_s: self
+                .phases
+                .iter()
+                .map(|(name, time)| ((*name).to_owned(), time.as_secs_f64()))
+                .collect(),
             outcome,
             peak_memory_bytes: self.memory.iter().flat_map(both).collect(),
             processor_s: self
@@ -200,6 +210,7 @@ pub fn run_with(
     end: &EndRequest,
     mut show: impl FnMut(&RunSnapshot),
 ) -> Result<RunResult, RunError> {
+    let loaded = Instant::now();
     let recording = if plan.output.is_some() { Recording::On } else { Recording::Off };
     let hub = Hub::create(&plan.scene, volume.as_ref(), recording)?;
     let mut own_memory = Memory::default();
@@ -211,6 +222,7 @@ pub fn run_with(
     let replacements = Replacements::new(&hub.host.session)?;
     // The viewer is not a part of the run: if it fails, the run continues.
     let mut viewer = plan.view.map(|view| hub.start_viewer(view)).transpose()?;
+    let begun = Instant::now();
     let mut running = Running { plan, end, hub: &hub, subscriptions, parts, replacements, first_tick: None };
     let outcome = running.watch(&mut show)?;
     let Running { mut subscriptions, mut parts, replacements, first_tick, .. } = running;
@@ -223,6 +235,14 @@ pub fn run_with(
     let ending = Ending { plan, end, session: hub.folder(), has_begun: subscriptions.status.is_some() };
     let (over, outcome) = ending.end_parts(outcome, &mut parts);
     let running = over.duration_since(first_tick);
+    let phases = [
+        ("volume", loaded.duration_since(began)),
+        ("session", begun.duration_since(loaded)),
+        ("connect", first_tick.saturating_duration_since(begun)),
+        ("ticks", running),
+        ("parts_end", over.elapsed()),
+    ];
+    let began_ns = now_ns().saturating_sub(began.elapsed().as_nanos() as u64);
     if let Some(viewer) = &mut viewer {
         ending.end_viewer(viewer);
     }
@@ -239,7 +259,18 @@ pub fn run_with(
     processor.push((LAUNCHER.to_owned(), ProcessorTime::of("self").unwrap_or_default().own));
     let has_gap = parts.iter_mut().any(has_gap);
     let (session, starting) = (hub.folder().to_owned(), first_tick.duration_since(began));
-    Ok(RunResult { outcome, session, has_started, has_gap, running, starting, memory, processor })
+    Ok(RunResult {
+        outcome,
+        session,
+        has_started,
+        has_gap,
+        running,
+        starting,
+        began_ns,
+        phases,
+        memory,
+        processor,
+    })
 }
 
 /// A run in progress.
@@ -263,7 +294,7 @@ impl Running<'_> {
             self.subscriptions.poll()?;
             show(&self.subscriptions.snapshot(self.hub.folder(), &awaited, &self.parts));
             if self.first_tick.is_none() && self.subscriptions.status.is_some_and(has_started) {
-                self.first_tick = Some(Instant::now());
+                self.first_tick = Some(self.subscriptions.first_start().unwrap_or_else(Instant::now));
             }
             self.parts.iter_mut().for_each(Part::measure);
             if self.end.is_set() {

@@ -1,8 +1,10 @@
 //! What the launcher hears of its run.
 
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 use foreign_text::foreign_line;
+use ipc_types::clock::now_ns;
 use ipc_types::messages::{
     Event, EventCode, Frame, Part as HubPart, Participant, Phase, RunStatus, State, TickTiming,
 };
@@ -48,6 +50,12 @@ impl Subscriptions {
             frames: 0,
             waiting: None,
         })
+    }
+
+    /// When the first tick of this update began.
+    pub(super) fn first_start(&self) -> Option<Instant> {
+        let since_ns = now_ns().checked_sub(self.timings.first()?.start_ns)?;
+        Instant::now().checked_sub(Duration::from_nanos(since_ns))
     }
 
     pub(super) fn poll(&mut self) -> Result<(), PortError> {

@@ -3,6 +3,8 @@
 use std::path::Path;
 
 use super::suspicions;
+use crate::cache::key::Key;
+use crate::cache::{self, Made};
 use crate::failure::Failure;
 use foreign_text::foreign_path;
 use ipc_types::layout::Message;
@@ -112,32 +114,52 @@ pub struct Loaded {
 /// As [`load`].
 pub fn load_with_notes(scene: &Scene, files: VolumeFiles) -> Result<Option<Loaded>, VolumeError> {
     let Some(source) = &scene.volume else { return Ok(None) };
-    let mut notes = Vec::new();
-    let volume = match (&source.path, source.phantom) {
-        (Some(path), _) => {
-            let (mut volume, info) = volume_io::read_as(path, &options(source, files))?;
-            notes.extend(info.notes);
-            if source.mask {
-                mask_to_hu(&mut volume, &MASK_MODEL)?;
-            } else {
-                notes.extend(suspicions::of_a_mask(&volume));
-            }
-            notes.extend(suspicions::of_places(&volume, scene));
-            match source.resample_mm {
-                Some(spacing_mm) => resample(&volume, spacing_mm * 1e-3)?,
-                None => volume,
-            }
+    let made = match (&source.path, source.phantom) {
+        (Some(path), _) => of_file(path, source, files)?,
+        (None, Some(Phantom::Block)) => {
+            let volume = block(source)?;
+            Made { sha256: volume_hash(&volume), volume, notes: Vec::new() }
         }
-        (None, Some(Phantom::Block)) => block(source)?,
         (None, _) => {
             let spacing_m = source.spacing_mm * 1e-3;
-            phantom::femur(&phantom::FemurSpec { spacing_m, ..phantom::FemurSpec::default() })?
+            let spec = phantom::FemurSpec { spacing_m, ..phantom::FemurSpec::default() };
+            cache::through(&Key::of_phantom("femur", &spec), || Ok((phantom::femur(&spec)?, Vec::new())))?
         }
     };
+    let Made { volume, sha256, mut notes } = made;
     // Refuse early whatever a part would refuse later.
     volume.check(source.path.as_deref().unwrap_or(Path::new("volume")))?;
-    let hash = volume_hash(&volume);
-    Ok(Some(Loaded { volume, sha256: hash, notes }))
+    if source.path.is_some() {
+        notes.extend(suspicions::of_places(&volume, scene));
+    }
+    Ok(Some(Loaded { volume, sha256, notes }))
+}
+
+/// The volume of a file, as the scene wants it: from the cache if it takes long to decode.
+fn of_file(path: &Path, source: &SceneVolume, files: VolumeFiles) -> Result<Made, VolumeError> {
+    let options = options(source, files);
+    let treatment = match (source.mask, source.resample_mm) {
+        (false, None) => String::new(),
+        (mask, resample_mm) => format!("{:?}, {resample_mm:?} mm", mask.then_some(&MASK_MODEL)),
+    };
+    let make = || {
+        let (mut volume, info) = volume_io::read_as(path, &options)?;
+        let mut notes = info.notes;
+        if source.mask {
+            mask_to_hu(&mut volume, &MASK_MODEL)?;
+        } else {
+            notes.extend(suspicions::of_a_mask(&volume));
+        }
+        let volume = match source.resample_mm {
+            Some(spacing_mm) => resample(&volume, spacing_mm * 1e-3)?,
+            None => volume,
+        };
+        Ok((volume, notes))
+    };
+    match Key::of_file(path, &options, &treatment) {
+        Some(key) => cache::through(&key, make),
+        None => cache::fresh(make),
+    }
 }
 
 /// Synthetic bone for a mask: cancellous down to the middle of a femoral head (22 mm deep), so that there is something

@@ -46,6 +46,7 @@ pub fn encode_png(
         let mut encoder = png::Encoder::new(&mut bytes, columns, rows);
         encoder.set_color(colour);
         encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_compression(png::Compression::Fast);
         let mut writer = encoder.write_header()?;
         writer.write_image_data(samples)?;
         writer.finish()

@@ -68,6 +68,8 @@ pub struct RunFacts {
     pub wall_s: f64,
     /// Wall time from the start to the first tick.
     pub startup_s: f64,
+    /// Wall time of each phase of the run, by its name, s.
+    pub phases_s: BTreeMap<String, f64>,
     /// How the run ended, as text.
     pub outcome: String,
     /// Peak memory (VmHWM) of each process by its name, bytes.
@@ -166,10 +168,17 @@ pub fn write(folder: &Path, facts: &RunFacts) -> Result<Report, ReportError> {
             Err(error) => missing.push(error),
         }
     }
-    for (stem, figure) in
-        [("tip_path", tip_figure::draw(&run)), ("timing", timing_figure::draw(&timing, run.end_ns))]
-    {
-        match figure.and_then(|figure| figure.files(folder, stem)) {
+    // Drawing is most of a report's time: each figure on a thread of its own.
+    let (tip, over_time) = std::thread::scope(|scope| {
+        let tip = scope.spawn(|| tip_figure::draw(&run).and_then(|figure| figure.files(folder, "tip_path")));
+        let over_time =
+            timing_figure::draw(&timing, run.end_ns).and_then(|figure| figure.files(folder, "timing"));
+        (tip.join(), over_time)
+    });
+    let lost =
+        || ReportError::Draw { path: folder.join("tip_path.png"), cause: "its thread failed".to_owned() };
+    for (stem, files) in [("tip_path", tip.unwrap_or_else(|_| Err(lost()))), ("timing", over_time)] {
+        match files {
             Ok(files) => {
                 drawn.push(Picture::svg(stem, &files[1].1));
                 let written = files.iter().map(|(path, bytes)| output_file::write(path, bytes));

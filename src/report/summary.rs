@@ -30,6 +30,9 @@ pub struct Summary {
     pub wall_s: f64,
     /// Wall time from the start to the first tick.
     pub startup_s: f64,
+    /// Wall time of each phase of the run: volume, session and connecting before the first tick, ticks, end of the parts.
+    #[serde(default)]
+    pub phases_s: BTreeMap<String, f64>,
     /// Simulated over wall time.
     pub real_time_factor: Option<f64>,
     /// `State.hash` of the last state, 32 hexadecimal digits, high word first.
@@ -223,6 +226,7 @@ impl Summary {
             simulated_s,
             wall_s: facts.wall_s,
             startup_s: facts.startup_s,
+            phases_s: facts.phases_s.clone(),
             real_time_factor: ratio(simulated_s, facts.wall_s),
             final_hash: run.last.as_ref().map(|state| hash_text(state.hash)),
             tool: ToolSummary::of(run),

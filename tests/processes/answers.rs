@@ -50,6 +50,9 @@ fn call(command: &str) -> Call {
         "docs install" => As("docs install -o @usr#"),
         "doctor" => As("doctor"),
         "session list" => As("session list"),
+        // It would remove what this machine's other runs need: `tests/processes/cache.rs`.
+        "cache clear" => HelpOnly,
+        "cache info" => As("cache info"),
         "tool show" => As("tool show @scene.toml"),
         // They need a run under way: `tests/processes/session_commands.rs`.
         "session stop" | "session pause" | "session resume" | "session env" => HelpOnly,

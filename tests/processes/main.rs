@@ -9,6 +9,7 @@ mod anywhere;
 mod attacked;
 mod bad_input;
 mod bare_iceoryx2;
+mod cache;
 mod calibrate;
 mod capacities;
 mod charts;

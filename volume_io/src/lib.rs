@@ -48,6 +48,7 @@ mod read;
 mod rectify;
 mod resample;
 mod scalar;
+mod sources;
 mod text_header;
 mod volume;
 
@@ -61,4 +62,5 @@ pub use nrrd_write::write_nrrd;
 pub use options::{Label, ReadOptions, Slices};
 pub use read::{read, read_as, read_with_info};
 pub use resample::resample;
+pub use sources::{Sources, sources};
 pub use volume::{HuStatistics, IDENTITY_DIRECTION, Volume, VolumeInfo};

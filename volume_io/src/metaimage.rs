@@ -24,6 +24,14 @@ struct Header<'a> {
     length: u64,
 }
 
+/// Whether voxels in the header's own file are compressed; none if they are in others.
+pub(crate) fn is_local_compressed(path: &Path, options: &ReadOptions) -> Result<Option<bool>, VolumeError> {
+    let header = Header::read(path, options.data_files)?;
+    let is_local = header.data_files()?.iter().all(|file| file.path == path);
+    let is_compressed = header.flag("CompressedData")?.unwrap_or(false);
+    Ok(is_local.then_some(is_compressed))
+}
+
 /// Reads the volume whose header is at `path`.
 pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<(Volume, VolumeInfo), VolumeError> {
     let header = Header::read(path, options.data_files)?;

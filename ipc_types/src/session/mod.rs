@@ -38,7 +38,7 @@ pub(crate) use folder::{create_file, is_locked, open as open_folder};
 pub use host::{SessionHost, SessionPlan};
 pub use id::SessionId;
 pub(crate) use id::prefix_of;
-pub use places::{Place, Searched, Unfit, passed_over, places};
+pub use places::{Place, Searched, Unfit, open_private, passed_over, places};
 
 /// The hub's iceoryx2 version; programs with another version cannot join.
 pub const ICEORYX2_VERSION: &str = "0.10.0";

@@ -127,7 +127,7 @@ fn open_folder(above: impl AsFd, path: &Path) -> Result<OwnedFd, Unfit> {
 ///
 /// # Errors
 /// What is wrong with it.
-pub(crate) fn open_private(above: impl AsFd, path: &Path) -> Result<OwnedFd, Unfit> {
+pub fn open_private(above: impl AsFd, path: &Path) -> Result<OwnedFd, Unfit> {
     let folder = open_folder(above, path)?;
     private(&rustix::fs::fstat(&folder).map_err(Unfit::System)?)?;
     Ok(folder)

@@ -20,6 +20,7 @@ fn facts() -> RunFacts {
     RunFacts {
         wall_s: 4.0,
         startup_s: 0.5,
+        phases_s: BTreeMap::from([("volume".to_string(), 0.25)]),
         outcome: "completed".to_string(),
         peak_memory_bytes: BTreeMap::from([("physics".to_string(), 40_000_000)]),
         processor_s: BTreeMap::from([("physics".to_string(), 2.5)]),

@@ -6,6 +6,7 @@ use super::slice::{Identity, Images, Slice, identify, read_headers, series_of};
 use crate::error::VolumeError;
 use crate::input::{self, Codec, DataFiles, folder_of};
 use crate::options::ReadOptions;
+use crate::sources::Sources;
 use crate::volume::{Volume, VolumeInfo};
 use foreign_text::foreign;
 use std::collections::BTreeMap;
@@ -55,6 +56,18 @@ pub(crate) fn read_folder(folder: &Path, options: &ReadOptions) -> Result<(Volum
         slices.extend(read_headers(&file)?);
     }
     assemble(folder, slices, options.slices, notes)
+}
+
+/// The files that [`read_folder`] looks at, and what else its notes depend on.
+pub(crate) fn sources(folder: &Path, options: &ReadOptions) -> Result<Sources, VolumeError> {
+    let mut found = Found { where_to: options.data_files, files: Vec::new(), others: 0, entries: 0 };
+    found.look_into(folder, folder, 0)?;
+    found.files.sort();
+    // Relative, so that a folder that was moved stays the same.
+    let name = |file: &PathBuf| file.strip_prefix(folder).unwrap_or(file).to_string_lossy().into_owned();
+    let mut names: Vec<String> = found.files.iter().map(name).collect();
+    names.push(format!("{} other files", found.others));
+    Ok(Sources { files: found.files, names, are_encoded: true })
 }
 
 /// The series asked for, or the only one.

@@ -11,4 +11,4 @@ mod series;
 mod slice;
 
 pub(crate) use file::{is_dicom, is_part10};
-pub(crate) use folder::{read_file, read_folder};
+pub(crate) use folder::{read_file, read_folder, sources};

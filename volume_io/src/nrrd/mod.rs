@@ -16,6 +16,13 @@ use axes::Axes;
 use header::Header;
 use std::path::Path;
 
+/// The encoding of voxels in the header's own file; none if they are in others.
+pub(crate) fn attached_encoding(path: &Path, options: &ReadOptions) -> Result<Option<String>, VolumeError> {
+    let header = Header::read(path, options.data_files)?;
+    let encoding = header.get("encoding").unwrap_or_default().to_lowercase();
+    Ok(header.get("data file").is_none().then_some(encoding))
+}
+
 /// Reads the volume whose header is at `path`.
 pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<(Volume, VolumeInfo), VolumeError> {
     let header = Header::read(path, options.data_files)?;

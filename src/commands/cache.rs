@@ -1,0 +1,96 @@
+//! `trabecula cache`: shows and clears the volumes that are kept for the next run.
+
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+use clap::Subcommand;
+use ipc_types::session::Unfit;
+use serde_json::json;
+
+use crate::cache::{Cache, CachedFile, LIMIT_BYTES, place};
+use crate::failure::Failure;
+use crate::say::Figures;
+
+/// What to do with the cache.
+#[derive(Debug, Subcommand)]
+pub enum CacheCommand {
+    /// Show where volumes are kept, and how many bytes they take.
+    Info(Figures),
+    /// Remove every kept volume; each is made again when it is needed.
+    Clear(Figures),
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A folder that is there and cannot be used as a cache (2).
+pub fn run(command: &CacheCommand) -> Result<(), Failure> {
+    let (CacheCommand::Info(figures) | CacheCommand::Clear(figures)) = command;
+    let path = place();
+    let cache = path.as_deref().map(opened).transpose()?.flatten();
+    match command {
+        CacheCommand::Info(_) => info(path, cache.as_ref(), *figures),
+        CacheCommand::Clear(_) => clear(cache.as_ref(), *figures),
+    }
+    Ok(())
+}
+
+/// The cache; none if nothing was ever kept.
+fn opened(path: &Path) -> Result<Option<Cache>, Failure> {
+    match Cache::open_existing(path) {
+        Ok(cache) => Ok(Some(cache)),
+        Err(Unfit::Missing | Unfit::System(_)) => Ok(None),
+        Err(cause) => Err(Failure::bad_input(format!(
+            "{}: not used as a cache: {cause}; make it a folder of mode 700 that belongs to you, or remove it",
+            path.display()
+        ))),
+    }
+}
+
+fn info(path: Option<PathBuf>, cache: Option<&Cache>, figures: Figures) {
+    let files = cache.map(Cache::files).unwrap_or_default();
+    let bytes: u64 = files.iter().map(|file| file.bytes).sum();
+    let text = || {
+        let folder = match (&path, cache) {
+            (None, _) => "none: neither XDG_CACHE_HOME nor HOME is an absolute path".to_owned(),
+            (Some(path), None) => format!("{} (not there)", path.display()),
+            (Some(path), Some(_)) => path.display().to_string(),
+        };
+        let lines = files.iter().map(|file| format!("\n  {}", line(file)));
+        format!(
+            "folder       {folder}\nvolumes      {}, {:.1} MB of at most {:.0} MB{}",
+            files.len(),
+            bytes as f64 * 1e-6,
+            LIMIT_BYTES as f64 * 1e-6,
+            lines.collect::<String>()
+        )
+    };
+    let listed = || {
+        let file =
+            |file: &CachedFile| json!({"name": file.name, "bytes": file.bytes, "idle_s": idle_s(file)});
+        let files: Vec<_> = files.iter().map(file).collect();
+        json!({"folder": path, "bytes": bytes, "limit_bytes": LIMIT_BYTES, "volumes": files})
+    };
+    figures.say(text, listed);
+}
+
+fn line(file: &CachedFile) -> String {
+    let name = file.name.get(..12).unwrap_or(&file.name);
+    format!(
+        "{name}  {:9.1} MB, last used {:.1} h ago",
+        file.bytes as f64 * 1e-6,
+        idle_s(file) as f64 / 3600.0
+    )
+}
+
+fn idle_s(file: &CachedFile) -> u64 {
+    SystemTime::now().duration_since(file.used).map_or(0, |idle| idle.as_secs())
+}
+
+fn clear(cache: Option<&Cache>, figures: Figures) {
+    let (removed, bytes) = cache.map(Cache::clear).unwrap_or_default();
+    figures.say(
+        || format!("removed      {removed} volumes, {:.1} MB", bytes as f64 * 1e-6),
+        || json!({"removed": removed, "bytes": bytes}),
+    );
+}
