@@ -58,6 +58,7 @@ mod security;
 mod sent;
 mod session_commands;
 mod sessions;
+mod simulations;
 mod stalled_recorder;
 mod strays;
 mod stress;
