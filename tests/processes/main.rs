@@ -63,6 +63,7 @@ mod security;
 mod sent;
 mod session_commands;
 mod sessions;
+mod simulations;
 mod stalled_recorder;
 mod strays;
 mod stress;

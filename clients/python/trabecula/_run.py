@@ -52,8 +52,8 @@ def run(
         TimeoutError: No session in time.
     """
     words = [_program(), "run", *([] if scene is None else [str(scene)]), "--json", "--output", str(output)]
-    for key, value in (overrides or {}).items():
-        words += ["--set", f"{key}={_toml(key, value)}"]
+    for setting in settings(overrides):
+        words += ["--set", setting]
     with _Started(words) as started:
         session = started.session(timeout_s)
         with _joined(session, controller, timeout_s) as client:
@@ -83,6 +83,11 @@ def _program() -> str:
         text = f"no program `{NAME}` in {places}: build it with `cargo build --release` and put its folder into the PATH, or name it in {PROGRAM_VARIABLE}"
         raise Error(g.ERROR_ABSENT, text)
     return found
+
+
+def settings(overrides: Optional[Mapping[str, Any]]) -> list[str]:
+    """Overrides as lines `KEY=VALUE` of `--set`."""
+    return [f"{key}={_toml(key, value)}" for key, value in (overrides or {}).items()]
 
 
 def _toml(key: str, value: Any) -> str:

@@ -21,6 +21,8 @@ mod move_tool;
 mod setup;
 mod tendon_drive;
 
+use std::sync::Arc;
+
 use messages::{ControllerIndex, Latched, Plant, Refusal, State, Volume};
 use nalgebra::{Matrix3, Vector3};
 use scene::Scene;
@@ -70,6 +72,33 @@ impl<'v> CtView<'v> {
     }
 }
 
+/// A CT that several simulations share; a copy of this value shares the voxels too.
+#[derive(Debug, Clone)]
+pub struct SharedCt {
+    /// Grid.
+    pub geometry: GridGeometry,
+    /// Hounsfield units, x fastest.
+    pub hu: Arc<[i16]>,
+}
+
+/// The voxels of a CT: of a volume that outlives the simulation, or shared with others.
+enum Hounsfield<'v> {
+    Borrowed(&'v [i16]),
+    Shared(Arc<[i16]>),
+}
+
+impl core::ops::Deref for Hounsfield<'_> {
+    type Target = [i16];
+
+    #[inline]
+    fn deref(&self) -> &[i16] {
+        match self {
+            Hounsfield::Borrowed(hu) => hu,
+            Hounsfield::Shared(hu) => hu,
+        }
+    }
+}
+
 /// Why a simulation cannot be built or a tick cannot be computed.
 #[derive(Debug, Error)]
 pub enum SimulationError {
@@ -112,6 +141,13 @@ pub struct SimulationSnapshot {
     cutting_energy_j: f64,
     crushing_energy_j: f64,
     state: State,
+}
+
+impl SimulationSnapshot {
+    /// The state after the last tick before it.
+    pub fn state(&self) -> &State {
+        &self.state
+    }
 }
 
 /// The simulated world.
@@ -163,9 +199,23 @@ struct Driver {
 }
 
 struct Bone<'v> {
-    hu: &'v [i16],
+    hu: Hounsfield<'v>,
     field: BoneField,
     contacts: ContactBuffer,
+}
+
+impl Simulation<'static> {
+    /// The world of a scene at tick 0, with a CT that others share: the same bits as [`Simulation::new`] with a borrowed one.
+    ///
+    /// # Errors
+    /// As [`Simulation::new`].
+    pub fn with_shared_ct(
+        scene: &Scene,
+        ct: Option<&SharedCt>,
+    ) -> Result<Simulation<'static>, SimulationError> {
+        let ct = ct.map(|ct| (ct.geometry, Hounsfield::Shared(Arc::clone(&ct.hu))));
+        Simulation::start(setup::build(scene, ct)?)
+    }
 }
 
 impl<'v> Simulation<'v> {
@@ -174,7 +224,10 @@ impl<'v> Simulation<'v> {
     /// # Errors
     /// A component refuses its parameters; the error names them.
     pub fn new(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulation<'v>, SimulationError> {
-        let mut simulation = setup::build(scene, ct)?;
+        Self::start(setup::build(scene, ct.map(|ct| (ct.geometry, Hounsfield::Borrowed(ct.hu))))?)
+    }
+
+    fn start(mut simulation: Simulation<'v>) -> Result<Simulation<'v>, SimulationError> {
         simulation.update_state(&Latched::zeroed(), 0);
         simulation.initial = Some(Box::new(simulation.snapshot()));
         Ok(simulation)
@@ -221,7 +274,7 @@ impl<'v> Simulation<'v> {
         let Some(bone) = &self.bone else { return Vec::new() };
         let voxels = bone.field.voxels();
         let threshold_hu = voxels.parameters().threshold_hu;
-        let was_solid = (0..).zip(bone.hu).filter(|(_, hu)| **hu >= threshold_hu);
+        let was_solid = (0..).zip(&*bone.hu).filter(|(_, hu)| **hu >= threshold_hu);
         was_solid
             .map(|(number, _)| number)
             .filter(|number| !voxels.is_listed_solid(VoxelIndex::new(*number)))
@@ -326,7 +379,7 @@ impl<'v> Simulation<'v> {
             normal_force_n: self.burr_contacts.iter().map(|contact| contact.normal_force_n).sum(),
         };
         let work = Work { burr: &burr, contacts: &self.burr_contacts, indentations: &self.indentations };
-        let report = bone.field.wear(bone.hu, work, self.dt_s)?;
+        let report = bone.field.wear(&bone.hu, work, self.dt_s)?;
         self.cutting_energy_j += report.energy_used_j;
         self.crushing_energy_j += report.crushed.energy_j;
         self.uncut_voxels = report.refused_count + report.crushed.refused_count;

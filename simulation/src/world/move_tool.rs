@@ -150,7 +150,7 @@ impl Simulation<'_> {
             let mut spheres = self.planes.chunk_by(|a, b| a.sphere_index == b.sphere_index);
             let own = |planes: &&[ContactPlane]| planes[0].sphere_index == indentation.sphere_index;
             let planes = spheres.find(own).unwrap_or_default();
-            let strengths_n = strengths_n(bone.field.voxels(), bone.hu, indentation.radius_m, way, planes);
+            let strengths_n = strengths_n(bone.field.voxels(), &bone.hu, indentation.radius_m, way, planes);
             any |= planes.iter().zip(strengths_n).any(|(plane, strength_n)| {
                 *plane.normal == indentation.normal && strength_n > STRONGER * plane.strength_n
             });
@@ -217,7 +217,7 @@ impl Simulation<'_> {
                 if reach.presses {
                     let way = (&sphere.centre_m, &reach.expected_m);
                     let voxels = bone.field.voxels();
-                    let strengths_n = strengths_n(voxels, bone.hu, sphere.radius_m, way, planes);
+                    let strengths_n = strengths_n(voxels, &bone.hu, sphere.radius_m, way, planes);
                     for (plane, strength_n) in planes.iter_mut().zip(strengths_n) {
                         plane.strength_n = strength_n;
                     }

@@ -10,9 +10,11 @@ use scene::{
 use super::burr_drive::{BurrDrive, BurrDriveState};
 use super::move_tool::PLANES_PER_SPHERE;
 use super::tendon_drive::TendonDrive;
-use super::{Bone, CtView, Driver, Simulation, SimulationError};
+use super::{ArmDriver, Bone, Hounsfield, Simulation, SimulationError};
 use crate::arm::{Arm, ArmParameters, COMFORTABLE_Q_RAD, Compliance, ComplianceParameters, place_base_for};
-use crate::bone::{BoneField, BoneParameters, ContactBuffer, ContactKind, CuttingLaw, Removal, VoxelIndex};
+use crate::bone::{
+    BoneField, BoneParameters, ContactBuffer, ContactKind, CuttingLaw, GridGeometry, Removal, VoxelIndex,
+};
 use crate::manipulator::{
     AnyManipulator, BaseMotion, Integrator, ManipulatorError, ManipulatorModel, ManipulatorParameters, Notch,
     Rung,
@@ -21,7 +23,10 @@ use crate::rigid::{BodyMotion, BodyParameters, BodyShape, RigidScene};
 
 const RAD_PER_DEG: f64 = core::f64::consts::PI / 180.0;
 
-pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulation<'v>, SimulationError> {
+pub(super) fn build<'v>(
+    scene: &Scene,
+    ct: Option<(GridGeometry, Hounsfield<'v>)>,
+) -> Result<Simulation<'v>, SimulationError> {
     let parameters = manipulator_parameters(scene)?;
     let t_world_base = tool_base(&scene.tool, &parameters);
     let arm = arm(scene, &t_world_base)?;
@@ -236,7 +241,7 @@ fn compliance(scene: &Scene, tool: &ManipulatorParameters) -> Result<Option<Comp
 
 fn bone<'v>(
     scene: &Scene,
-    ct: CtView<'v>,
+    (geometry, hu): (GridGeometry, Hounsfield<'v>),
     max_burr_radius_m: f64,
     most_planes: usize,
 ) -> Result<(Bone<'v>, Vec<u32>), SimulationError> {
@@ -278,7 +283,7 @@ fn bone<'v>(
         Some(SceneRemoval::Decrement) => Removal::Decrement,
         Some(SceneRemoval::Energy) | None => Removal::Energy,
     };
-    let mut field = BoneField::new(ct.geometry, ct.hu, parameters)?;
+    let mut field = BoneField::new(geometry, &hu, parameters)?;
     let mut predrilled = Vec::new();
     for hole in &scene.predrill {
         let [from, to] = [hole.from_mm, hole.to_mm].map(|end| Vector3::from(end) * 1e-3);
@@ -288,7 +293,7 @@ fn bone<'v>(
     predrilled.sort_unstable();
     let mut contacts = ContactBuffer::with_capacity(most_planes);
     contacts.make_room(field.voxels());
-    Ok((Bone { hu: ct.hu, field, contacts }, predrilled))
+    Ok((Bone { hu, field, contacts }, predrilled))
 }
 
 /// The contact kind that a scene's `contact.voxels` selects.

@@ -1,0 +1,83 @@
+//! Many simulations.
+
+use ::sim::SimError;
+use pyo3::prelude::*;
+use pyo3::types::PyBytes;
+use zerocopy::IntoBytes;
+
+use crate::failing::raised;
+use crate::scene::Scene;
+use crate::simulation::{Snapshot, commands, drive};
+
+/// Simulations that are stepped together.
+#[pyclass(frozen, module = "trabecula._sim")]
+pub(crate) struct Batch(::sim::Batch);
+
+impl Batch {
+    /// Works with the simulations while other Python threads run.
+    fn with<R: Send>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&::sim::Batch) -> Result<R, SimError> + Send,
+    ) -> PyResult<R> {
+        py.detach(|| work(&self.0)).map_err(|error| raised(py, &error))
+    }
+}
+
+#[pymethods]
+impl Batch {
+    #[new]
+    fn new(
+        py: Python<'_>,
+        scenes: Vec<PyRef<'_, Scene>>,
+        threads: usize,
+        everything: bool,
+        names: Vec<String>,
+    ) -> PyResult<Batch> {
+        let scenes: Vec<_> = scenes.iter().map(|scene| scene.0.clone()).collect();
+        let batch = py.detach(|| ::sim::Batch::new(&scenes, &drive(everything, names), threads));
+        batch.map(Batch).map_err(|error| raised(py, &error))
+    }
+
+    /// Makes ticks with every simulation; the bytes of all states, one after the other.
+    #[pyo3(signature = (given, ticks))]
+    fn step<'py>(&self, py: Python<'py>, given: Option<&[u8]>, ticks: u64) -> PyResult<Bound<'py, PyBytes>> {
+        let given = given.map(|bytes| commands(py, bytes)).transpose()?;
+        let states = self.with(py, |batch| batch.step(given, ticks))?;
+        Ok(PyBytes::new(py, states.as_bytes()))
+    }
+
+    /// The bytes of all states, one after the other.
+    fn states<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let states = self.with(py, ::sim::Batch::states)?;
+        Ok(PyBytes::new(py, states.as_bytes()))
+    }
+
+    fn driven(&self) -> Vec<String> {
+        self.0.driven().to_vec()
+    }
+
+    fn threads(&self) -> usize {
+        self.0.threads()
+    }
+
+    /// The state of one simulation.
+    fn snapshot(&self, py: Python<'_>, index: usize) -> PyResult<Snapshot> {
+        self.with(py, |batch| batch.with(index, |sim| Ok(sim.snapshot()))).map(Snapshot)
+    }
+
+    fn restore(&self, py: Python<'_>, snapshots: Vec<PyRef<'_, Snapshot>>) -> PyResult<()> {
+        let snapshots: Vec<_> = snapshots.iter().map(|snapshot| snapshot.0.clone()).collect();
+        self.with(py, |batch| batch.restore(snapshots))
+    }
+
+    fn reset(&self, py: Python<'_>, which: Vec<bool>) -> PyResult<()> {
+        self.with(py, |batch| batch.reset(which))
+    }
+
+    /// Indices of the voxels that one simulation has drilled, as bytes of uint32.
+    fn drilled<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyBytes>> {
+        let drilled = self.with(py, |batch| batch.with(index, |sim| Ok(sim.drilled().to_vec())))?;
+        Ok(PyBytes::new(py, drilled.as_bytes()))
+    }
+}

@@ -1,0 +1,164 @@
+//! One simulation.
+
+use ::sim::{Batch, Drive, Maker, SimError, View};
+use ipc_types::layout::Message;
+use ipc_types::messages::{CArmGeometry, Command};
+use pyo3::prelude::*;
+use pyo3::types::PyBytes;
+use std::path::PathBuf;
+use zerocopy::{FromBytes, IntoBytes};
+
+use crate::failing::{raised, refused};
+use crate::scene::Scene;
+
+/// A simulation, on a thread of its own. Calls from several threads wait for each other.
+#[pyclass(frozen, module = "trabecula._sim")]
+pub(crate) struct Sim(Batch);
+
+/// A simulation's state at a tick.
+#[pyclass(frozen, module = "trabecula._sim")]
+pub(crate) struct Snapshot(pub(crate) ::sim::Snapshot);
+
+#[pymethods]
+impl Snapshot {
+    /// The state's bytes.
+    fn state<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
+        PyBytes::new(py, self.0.state().as_bytes())
+    }
+}
+
+/// `everything` or the controllers of these names.
+pub(crate) fn drive(everything: bool, names: Vec<String>) -> Drive {
+    match (everything, names.is_empty()) {
+        (true, _) => Drive::Everything,
+        (false, true) => Drive::Nothing,
+        (false, false) => Drive::These(names),
+    }
+}
+
+/// Commands one after the other.
+pub(crate) fn commands(py: Python<'_>, bytes: &[u8]) -> PyResult<Vec<Command>> {
+    let size = Command::DESCRIPTION.size;
+    if !bytes.len().is_multiple_of(size) {
+        let text = format!("the commands have {} bytes, expected a multiple of {size}", bytes.len());
+        return Err(refused(py, &text));
+    }
+    // Each chunk has the size of a command.
+    Ok(bytes.chunks_exact(size).filter_map(|bytes| Command::read_from_bytes(bytes).ok()).collect())
+}
+
+impl Sim {
+    /// Works with the simulation while other Python threads run.
+    fn with<R: Send + 'static>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&mut ::sim::Sim) -> Result<R, SimError> + Send + 'static,
+    ) -> PyResult<R> {
+        py.detach(|| self.0.with(0, work)).map_err(|error| raised(py, &error))
+    }
+
+    fn of(py: Python<'_>, maker: Maker) -> PyResult<Sim> {
+        py.detach(|| Batch::of(vec![maker], 1)).map(Sim).map_err(|error| raised(py, &error))
+    }
+}
+
+#[pymethods]
+impl Sim {
+    #[new]
+    fn new(py: Python<'_>, scene: &Scene, everything: bool, names: Vec<String>) -> PyResult<Sim> {
+        let (scene, drive) = (scene.0.clone(), drive(everything, names));
+        Sim::of(py, Box::new(move || ::sim::Sim::new(&scene, &drive)))
+    }
+
+    /// The simulation of a log at a tick.
+    #[staticmethod]
+    #[pyo3(signature = (log, tick, everything, names))]
+    fn from_log(
+        py: Python<'_>,
+        log: PathBuf,
+        tick: Option<u64>,
+        everything: bool,
+        names: Vec<String>,
+    ) -> PyResult<Sim> {
+        let drive = drive(everything, names);
+        Sim::of(py, Box::new(move || ::sim::Sim::from_log(&log, tick, &drive)))
+    }
+
+    /// Makes ticks; returns the state's bytes.
+    fn step<'py>(&self, py: Python<'py>, given: &[u8], ticks: u64) -> PyResult<Bound<'py, PyBytes>> {
+        let given = commands(py, given)?;
+        let state = self.with(py, move |sim| sim.step(&given, ticks).map(|()| *sim.state()))?;
+        Ok(PyBytes::new(py, state.as_bytes()))
+    }
+
+    /// The state's bytes.
+    fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let state = self.with(py, |sim| Ok(*sim.state()))?;
+        Ok(PyBytes::new(py, state.as_bytes()))
+    }
+
+    /// The scene.
+    fn scene(&self, py: Python<'_>) -> PyResult<Scene> {
+        self.with(py, |sim| Ok(Scene(sim.shared().clone())))
+    }
+
+    /// Names of the controllers that the caller drives.
+    fn driven(&self, py: Python<'_>) -> PyResult<Vec<String>> {
+        self.with(py, |sim| Ok(sim.driven()))
+    }
+
+    /// Refused parts of the last commands.
+    fn refusals(&self, py: Python<'_>) -> PyResult<Vec<String>> {
+        self.with(py, |sim| Ok(sim.refusals().to_vec()))
+    }
+
+    /// Indices of the drilled voxels, as bytes of uint32.
+    fn drilled<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let drilled = self.with(py, |sim| Ok(sim.drilled().to_vec()))?;
+        Ok(PyBytes::new(py, drilled.as_bytes()))
+    }
+
+    fn snapshot(&self, py: Python<'_>) -> PyResult<Snapshot> {
+        self.with(py, |sim| Ok(Snapshot(sim.snapshot())))
+    }
+
+    fn restore(&self, py: Python<'_>, snapshot: &Snapshot) -> PyResult<()> {
+        let snapshot = snapshot.0.clone();
+        self.with(py, move |sim| sim.restore(&snapshot))
+    }
+
+    fn reset(&self, py: Python<'_>) -> PyResult<()> {
+        self.with(py, ::sim::Sim::reset)
+    }
+
+    fn branch(&self, py: Python<'_>) -> PyResult<Sim> {
+        let maker = self.with(py, |sim| Ok(sim.brancher()))?;
+        Sim::of(py, maker)
+    }
+
+    /// Bytes of the frame, and of its pixels; from a C-arm by its bytes or angles, or from the scene's.
+    #[pyo3(signature = (geometry, angles_deg))]
+    fn render<'py>(
+        &self,
+        py: Python<'py>,
+        geometry: Option<&[u8]>,
+        angles_deg: Option<(f64, f64)>,
+    ) -> PyResult<(Bound<'py, PyBytes>, Bound<'py, PyBytes>)> {
+        let view = match (geometry.map(CArmGeometry::read_from_bytes), angles_deg) {
+            (Some(Ok(geometry)), _) => View::Geometry(geometry),
+            (Some(Err(_)), _) => return Err(refused(py, "the C-arm has not the size of a CArmGeometry")),
+            (None, Some((primary_deg, secondary_deg))) => View::Angles { primary_deg, secondary_deg },
+            (None, None) => View::Scene,
+        };
+        let rendered = self.with(py, move |sim| sim.render(view))?;
+        Ok((PyBytes::new(py, rendered.frame.as_bytes()), PyBytes::new(py, rendered.pixels.as_bytes())))
+    }
+
+    fn record(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
+        self.with(py, move |sim| sim.record(&folder))
+    }
+
+    fn close_recording(&self, py: Python<'_>) -> PyResult<bool> {
+        self.with(py, ::sim::Sim::close_recording)
+    }
+}

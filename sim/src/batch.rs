@@ -1,0 +1,235 @@
+//! Simulations on threads of their own.
+
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::JoinHandle;
+
+use messages::{Command, State};
+
+use crate::error::SimError;
+use crate::shared::SharedScene;
+use crate::simulator::{Drive, Sim, Snapshot};
+
+/// Makes a simulation on the thread that will hold it.
+pub type Maker = Box<dyn FnOnce() -> Result<Sim, SimError> + Send>;
+
+type Job = Box<dyn FnOnce(&mut [Held]) + Send>;
+
+/// A simulation and its number.
+struct Held {
+    index: usize,
+    sim: Sim,
+}
+
+/// Simulations that are stepped together. A thread makes its simulations, holds them and steps each of them whole, so no number of threads
+/// changes a bit. They never leave it, because the arm's trajectories are objects of C++ (Ruckig) that belong to one thread.
+pub struct Batch {
+    workers: Vec<Worker>,
+    count: usize,
+    driven: Vec<String>,
+    /// The process that the threads belong to: a forked child has none of them.
+    process: u32,
+}
+
+struct Worker {
+    jobs: Option<Sender<Job>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Batch {
+    /// One simulation of each scene, on this many threads; `0`: as many as the machine has cores.
+    ///
+    /// # Errors
+    /// As [`Sim::new`]; the threads cannot be started.
+    pub fn new(scenes: &[Arc<SharedScene>], drive: &Drive, threads: usize) -> Result<Batch, SimError> {
+        let maker = |scene: &Arc<SharedScene>| -> Maker {
+            let (scene, drive) = (Arc::clone(scene), drive.clone());
+            Box::new(move || Sim::new(&scene, &drive))
+        };
+        Batch::of(scenes.iter().map(maker).collect(), threads)
+    }
+
+    /// Simulations as these make them.
+    ///
+    /// # Errors
+    /// As [`Batch::new`].
+    pub fn of(makers: Vec<Maker>, threads: usize) -> Result<Batch, SimError> {
+        let count = makers.len();
+        let cores = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+        let threads = if threads == 0 { cores() } else { threads };
+        let mut parts: Vec<Vec<(usize, Maker)>> = Vec::new();
+        parts.resize_with(threads.min(count).max(1), Vec::new);
+        let workers = parts.len();
+        for (index, maker) in makers.into_iter().enumerate() {
+            parts[index % workers].push((index, maker));
+        }
+        let (made, is_made) = channel();
+        let start = |(number, part)| Worker::start(number, part, made.clone());
+        let started: std::io::Result<Vec<Worker>> = parts.into_iter().enumerate().map(start).collect();
+        let failed = |cause: std::io::Error| SimError::Threads { threads, reason: cause.to_string() };
+        let workers = started.map_err(failed)?;
+        drop(made);
+        is_made.iter().collect::<Result<Vec<()>, SimError>>()?;
+        let mut batch = Batch { workers, count, driven: Vec::new(), process: std::process::id() };
+        if count > 0 {
+            batch.driven = batch.with(0, |sim| Ok(sim.driven()))?;
+        }
+        Ok(batch)
+    }
+
+    /// Number of simulations.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Number of threads: never more than simulations.
+    pub fn threads(&self) -> usize {
+        self.workers.len()
+    }
+
+    /// Names of the controllers that the caller drives in each simulation.
+    pub fn driven(&self) -> &[String] {
+        &self.driven
+    }
+
+    /// Works with one simulation.
+    ///
+    /// # Errors
+    /// No simulation has this index; what `work` returns; the process was forked.
+    pub fn with<R: Send + 'static>(
+        &self,
+        index: usize,
+        work: impl FnOnce(&mut Sim) -> Result<R, SimError> + Send + 'static,
+    ) -> Result<R, SimError> {
+        let none = SimError::NoSimulation { index, count: self.count };
+        if index >= self.count {
+            return Err(none);
+        }
+        let worker = index % self.workers.len();
+        let answer = self.ask(worker, move |held| {
+            held.iter_mut().find(|held| held.index == index).map(|held| work(&mut held.sim))
+        })?;
+        answer.recv().map_err(|_| SimError::Gone)?.unwrap_or(Err(none))
+    }
+
+    /// Makes `ticks` ticks with every simulation and returns their states, in order. `commands` holds those of the first, then those of the second and so on,
+    /// each as for [`Sim::step`]; without any, no driven controller asks for anything.
+    ///
+    /// # Errors
+    /// Too few or too many commands: nothing has changed. Otherwise the error of the first simulation, in their order, that has one; the
+    /// others have made their ticks.
+    pub fn step(&self, commands: Option<Vec<Command>>, ticks: u64) -> Result<Vec<State>, SimError> {
+        let driven = self.driven.len();
+        let (given, expected) = (commands.as_ref().map_or(0, Vec::len), driven * self.count);
+        if commands.is_some() && given != expected {
+            return Err(SimError::Count { what: "commands", given, expected });
+        }
+        let commands = Arc::new(commands.unwrap_or_else(|| vec![Command::zeroed(); expected]));
+        self.each(move |index, sim| {
+            sim.step(&commands[index * driven..(index + 1) * driven], ticks)?;
+            Ok(*sim.state())
+        })
+    }
+
+    /// The states, in order.
+    ///
+    /// # Errors
+    /// The process was forked.
+    pub fn states(&self) -> Result<Vec<State>, SimError> {
+        self.each(|_, sim| Ok(*sim.state()))
+    }
+
+    /// Takes every simulation to a snapshot: all to the same, or each to its own.
+    ///
+    /// # Errors
+    /// As [`Sim::restore`], or not one snapshot for each.
+    pub fn restore(&self, snapshots: Vec<Snapshot>) -> Result<(), SimError> {
+        let (given, expected) = (snapshots.len(), self.count);
+        if given != 1 && given != expected {
+            return Err(SimError::Count { what: "snapshots", given, expected });
+        }
+        self.each(move |index, sim| sim.restore(&snapshots[index.min(given - 1)])).map(|_| ())
+    }
+
+    /// Takes the simulations whose flag is true back to their start.
+    ///
+    /// # Errors
+    /// As [`Sim::reset`], or not one flag for each.
+    pub fn reset(&self, which: Vec<bool>) -> Result<(), SimError> {
+        if which.len() != self.count {
+            return Err(SimError::Count { what: "flags", given: which.len(), expected: self.count });
+        }
+        self.each(move |index, sim| if which[index] { sim.reset() } else { Ok(()) }).map(|_| ())
+    }
+
+    /// Works with every simulation at once; the results are in their order.
+    fn each<R: Send + 'static>(
+        &self,
+        work: impl Fn(usize, &mut Sim) -> Result<R, SimError> + Send + Sync + 'static,
+    ) -> Result<Vec<R>, SimError> {
+        let work = Arc::new(work);
+        let ask = |worker| {
+            let work = Arc::clone(&work);
+            self.ask(worker, move |held: &mut [Held]| -> Vec<(usize, Result<R, SimError>)> {
+                held.iter_mut().map(|held| (held.index, work(held.index, &mut held.sim))).collect()
+            })
+        };
+        let asked: Vec<_> = (0..self.workers.len()).map(ask).collect::<Result<_, _>>()?;
+        let mut done = Vec::with_capacity(self.count);
+        for answer in asked {
+            done.extend(answer.recv().map_err(|_| SimError::Gone)?);
+        }
+        done.sort_by_key(|(index, _)| *index);
+        done.into_iter().map(|(_, result)| result).collect()
+    }
+
+    fn ask<R: Send + 'static>(
+        &self,
+        worker: usize,
+        work: impl FnOnce(&mut [Held]) -> R + Send + 'static,
+    ) -> Result<Receiver<R>, SimError> {
+        if self.process != std::process::id() {
+            return Err(SimError::Forked);
+        }
+        let (answer, answered) = channel();
+        let jobs = self.workers.get(worker).and_then(|worker| worker.jobs.as_ref()).ok_or(SimError::Gone)?;
+        let job: Job = Box::new(move |held| _ = answer.send(work(held)));
+        jobs.send(job).map_err(|_| SimError::Gone)?;
+        Ok(answered)
+    }
+}
+
+impl Drop for Batch {
+    fn drop(&mut self) {
+        self.workers.iter_mut().for_each(|worker| worker.jobs = None);
+        // In a forked child there is no thread to wait for.
+        if self.process == std::process::id() {
+            let threads = self.workers.iter_mut().filter_map(|worker| worker.thread.take());
+            threads.for_each(|thread| _ = thread.join());
+        }
+    }
+}
+
+impl Worker {
+    fn start(
+        number: usize,
+        part: Vec<(usize, Maker)>,
+        made: Sender<Result<(), SimError>>,
+    ) -> std::io::Result<Worker> {
+        let (jobs, to_do) = channel::<Job>();
+        let work = move || {
+            let make = |(index, make): (usize, Maker)| make().map(|sim| Held { index, sim });
+            let sims: Result<Vec<Held>, SimError> = part.into_iter().map(make).collect();
+            let (told, sims) = match sims {
+                Ok(sims) => (Ok(()), sims),
+                Err(error) => (Err(error), Vec::new()),
+            };
+            _ = made.send(told);
+            drop(made);
+            let mut sims = sims;
+            to_do.iter().for_each(|job| job(&mut sims));
+        };
+        let thread = std::thread::Builder::new().name(format!("sim-{number}")).spawn(work)?;
+        Ok(Worker { jobs: Some(jobs), thread: Some(thread) })
+    }
+}

@@ -1,0 +1,108 @@
+//! A simulation in the state that a log holds at a tick.
+
+use std::path::Path;
+
+use controllers::Controller;
+use hub::latch::Latch;
+use messages::{Command, CommandSource, ControllerIndex, Latched, Reset, Tick};
+use run_log::difference::Divergence;
+use run_log::verify::{compare_state, compare_tick};
+use run_log::{LogReader, RunMode};
+use trabecula::replay::{OpenedLog, Overrides};
+
+use crate::error::SimError;
+use crate::shared::SharedScene;
+use crate::simulator::{Drive, Driver, Sim};
+
+impl Sim {
+    /// The simulation of a log's scene, taken to the state of `tick`, or of the log's last tick: the log's commands are stepped through
+    /// the physics, and every state on the way is compared with the log's. Built-in controllers that `drive` leaves to the simulation are
+    /// shown the states on the way, so they go on as they would have.
+    ///
+    /// # Errors
+    /// Not a log of this build; the tick is not in it, or lies behind a gap; a built-in controller cannot be brought to where it was: the
+    /// log is of real time or begins with a keyframe, or it sees frames.
+    pub fn from_log(log: &Path, tick: Option<u64>, drive: &Drive) -> Result<Sim, SimError> {
+        let mut opened = OpenedLog::open(log, &Overrides::default())?;
+        let mut reader = opened.reader()?;
+        let shared = SharedScene::of_log(&mut opened);
+        let mut sim = Sim::new(&shared, drive)?;
+        let path = &opened.path;
+        refuse_lost_controllers(&sim, &reader, path)?;
+        let differs = |divergence: Divergence| SimError::Differs { path: path.clone(), divergence };
+        if let Some(saved) = reader.beginning() {
+            let restored = sim.plant.restore_keyframe(&saved.bytes);
+            restored.map_err(|cause| SimError::Physics { tick: Tick(reader.initial().tick), cause })?;
+            let predrilled = sim.plant.predrilled().to_vec();
+            sim.drilled = sim.plant.gone();
+            sim.drilled.retain(|voxel| predrilled.binary_search(voxel).is_err());
+        }
+        compare_state(reader.initial(), sim.plant.state()).map_or(Ok(()), |found| Err(differs(found)))?;
+        let first = Tick(reader.initial().tick);
+        let goal = tick.map(Tick);
+        while goal.is_none_or(|goal| Tick(sim.state().tick) < goal) {
+            let Some(record) = reader.next().transpose()? else { break };
+            sim.follow(&record.latched)?;
+            compare_tick(&record, &sim.plant).map_or(Ok(()), |found| Err(differs(found)))?;
+        }
+        let last = Tick(sim.state().tick);
+        match goal.filter(|goal| *goal != last) {
+            Some(tick) => Err(SimError::NotInLog { tick, path: path.clone(), first, last }),
+            None => {
+                sim.starts_here();
+                Ok(sim)
+            }
+        }
+    }
+
+    /// Makes a tick with the commands that were latched then.
+    fn follow(&mut self, latched: &Latched) -> Result<(), SimError> {
+        let state = self.plant.state();
+        for (driver, entry) in self.drivers.iter_mut().zip(&latched.commands) {
+            driver.sequence = driver.sequence.max(entry.command.sequence);
+            if let Some(built_in) = &mut driver.built_in {
+                built_in.step(state, &mut Command::zeroed());
+            }
+        }
+        for (index, entry) in ControllerIndex::first(self.drivers.len()).zip(&latched.commands) {
+            if entry.source() == Ok(CommandSource::Fresh) {
+                take(&mut self.latch, &mut self.drivers[index.slot()], index, &entry.command);
+            }
+        }
+        if latched.reset() == Reset::Yes {
+            self.drilled.clear();
+        }
+        self.lane.tick(&mut self.plant, latched)?;
+        self.drilled.extend_from_slice(self.plant.removed());
+        Ok(())
+    }
+}
+
+/// Gives the latch a command that it has taken before.
+fn take(latch: &mut Latch, driver: &mut Driver, index: ControllerIndex, command: &Command) {
+    let tick = Tick(command.state_tick);
+    if latch.offer(index, command, tick).is_err() {
+        // A controller that came back began its numbers anew.
+        latch.connect(index);
+        driver.sequence = command.sequence;
+        // The log's own commands are valid; otherwise its states differ, which is found.
+        let _ = latch.offer(index, command, tick);
+    }
+}
+
+/// Refuses to go on with a built-in controller whose inner state the log does not lead to.
+fn refuse_lost_controllers(sim: &Sim, reader: &LogReader, path: &Path) -> Result<(), SimError> {
+    let Some(driver) = sim.drivers.iter().find(|driver| driver.built_in.is_some()) else { return Ok(()) };
+    let frames = sim.drivers.iter().find(|driver| driver.sees_frames);
+    let (driver, reason) = match () {
+        () if reader.header().mode == RunMode::RealTime => {
+            (driver, "it ran in real time and saw other states than the log's")
+        }
+        () if reader.beginning().is_some() => (driver, "the log does not begin at tick 0"),
+        () => match frames {
+            Some(driver) => (driver, "it sees frames"),
+            None => return Ok(()),
+        },
+    };
+    Err(SimError::NoContinuation { path: path.to_owned(), controller: driver.name.clone(), reason })
+}

@@ -1,0 +1,53 @@
+//! Scenes stepped in this process: no session, no shared memory, no clock.
+//!
+//! [`Sim`] makes the ticks that `trabecula run --mode lockstep` makes: the same latch, the same run lane, the same step, so the same hash
+//! at every tick for the same commands. On top it has what only one process can have: snapshots, branches, a start from the middle of a
+//! log. [`Batch`] steps many of them on several threads.
+//!
+//! **Boundary:** it opens the files that a scene names and those of logs; it starts no part and prints nothing. The Python module
+//! `trabecula.sim` (`clients/python/native`) is a thin layer above it.
+//!
+//! **Invariants:** a tick depends on the scene and the commands alone, not on threads, other simulations, snapshots taken, frames rendered,
+//! or whether it is recorded. Simulations of one [`SharedScene`] share its volume. A refused command changes nothing.
+//!
+//! ```
+//! use sim::{Drive, SharedScene, Sim};
+//!
+//! # fn main() -> Result<(), sim::SimError> {
+//! let settings = ["volume.phantom=\"block\"".to_owned(), "predrill=[]".to_owned(),
+//!     "tool.burr_start_mm=[0.0, 0.0, -35.0]".to_owned(), "controller.0.curved_drilling.target_mm=[0.0, 0.0, 0.0]".to_owned()];
+//! # let settings = [settings.as_slice(), &["drr.isocentre_mm=[0.0, 0.0, 0.0]".to_owned()]].concat();
+//! // The built-in femur scene with another volume; its own controller drives.
+//! let scene = SharedScene::load(None, &settings, Some(3))?;
+//! let mut sim = Sim::new(&scene, &Drive::Nothing)?;
+//! sim.step(&[], 20)?;
+//! let here = sim.snapshot();
+//! sim.step(&[], 5)?;
+//! let hash = sim.state().hash;
+//! sim.restore(&here)?;
+//! sim.step(&[], 5)?;
+//! assert_eq!((sim.state().tick, sim.state().hash), (25, hash));
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | [`Sim`], [`Snapshot`] | one simulation; its state at a tick |
+//! | [`SharedScene`] | a checked scene with its volume |
+//! | [`Batch`] | many simulations on several threads |
+//! | `from_log`, `recording`, `x_ray` | from a log, into a log, the X-ray of a state |
+
+mod batch;
+mod error;
+mod from_log;
+mod recording;
+mod shared;
+mod simulator;
+mod x_ray;
+
+pub use batch::{Batch, Maker};
+pub use error::SimError;
+pub use shared::SharedScene;
+pub use simulator::{Drive, Sim, Snapshot};
+pub use x_ray::View;

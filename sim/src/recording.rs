@@ -1,0 +1,174 @@
+//! A simulation's run lane: into a log, or nowhere.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use hub::Outputs;
+use hub::run_lane::{LaneError, RunLane};
+use messages::layout::Message;
+use messages::{CArmGeometry, Keyframe, Latched, Removed, State, Tick};
+use output_file::{OutputError, OutputFile};
+use recorder_proc::build_info;
+use recorder_proc::log_file::index_beside;
+use run_log::cat::whole;
+use run_log::{EndReason, LogError, LogHeader, RunLog, RunMode};
+use simulation::{Simulation, SimulationError};
+use xray::from_scene::scene_c_arm;
+use xray::message::c_arm_message;
+use zerocopy::IntoBytes;
+
+use crate::error::SimError;
+use crate::shared::{SharedScene, log_in};
+
+/// Makes ticks, and publishes them as the physics of a run does.
+pub(crate) struct Lane {
+    lane: RunLane,
+    out: Out,
+}
+
+enum Out {
+    Nowhere,
+    Log(Box<Recording>),
+}
+
+/// A log that is being written; it gets its name when it is whole.
+pub(crate) struct Recording {
+    log: RunLog<BufWriter<File>>,
+    file: OutputFile,
+    path: PathBuf,
+}
+
+impl Recording {
+    pub(crate) fn create(folder: &Path, shared: &SharedScene) -> Result<Recording, SimError> {
+        let path = log_in(folder);
+        output_file::refuse_existing(&[&path])?;
+        output_file::create_folder(folder)
+            .map_err(|source| OutputError::Create { path: folder.to_owned(), source })?;
+        let file = OutputFile::create(&path)?;
+        let written = BufWriter::with_capacity(1 << 16, file.handle()?);
+        let log = RunLog::create_named(written, &path, index_beside(&path), &header(shared)?)?;
+        Ok(Recording { log, file, path })
+    }
+
+    fn finish(self, reason: EndReason) -> Result<(), SimError> {
+        let (_, mut written) = self.log.finish(reason, &Default::default())?;
+        // A failed flush must be an error, or the file would silently lack its end.
+        written.flush().map_err(OutputError::write(&self.path))?;
+        Ok(self.file.keep()?)
+    }
+}
+
+impl Lane {
+    pub(crate) fn silent() -> Lane {
+        Lane { lane: RunLane::new(None), out: Out::Nowhere }
+    }
+
+    pub(crate) fn recorded(recording: Recording, keyframe_period_ticks: Option<u64>) -> Lane {
+        Lane { lane: RunLane::new(keyframe_period_ticks), out: Out::Log(Box::new(recording)) }
+    }
+
+    pub(crate) fn begin(&mut self, plant: &Simulation<'static>) -> Result<(), SimError> {
+        self.lane.begin(plant, &mut self.out).map_err(|error| failed(error, Tick::START))
+    }
+
+    /// Makes a tick, with its keyframe if one is due.
+    pub(crate) fn tick(
+        &mut self,
+        plant: &mut Simulation<'static>,
+        latched: &Latched,
+    ) -> Result<(), SimError> {
+        let failed = |error| failed(error, Tick(latched.tick));
+        self.lane.tick(plant, latched, &mut self.out, |_| 0).map_err(failed)?;
+        plant.make_room();
+        self.lane.keyframe_if_due(plant, &mut self.out).map_err(failed)
+    }
+
+    /// # Errors
+    /// Ticks are being recorded, which must follow each other.
+    pub(crate) fn refuse_a_jump(&self) -> Result<(), SimError> {
+        match &self.out {
+            Out::Nowhere => Ok(()),
+            Out::Log(recording) => Err(SimError::Recording { path: recording.path.clone() }),
+        }
+    }
+
+    /// Whether there was a recording, which now is whole.
+    pub(crate) fn finish(mut self, ended: bool) -> Result<bool, SimError> {
+        match std::mem::replace(&mut self.out, Out::Nowhere) {
+            Out::Nowhere => Ok(false),
+            Out::Log(recording) => {
+                recording.finish(if ended { EndReason::Completed } else { EndReason::Stopped })?;
+                Ok(true)
+            }
+        }
+    }
+}
+
+impl Drop for Lane {
+    /// A simulation that goes out of use with a recording open leaves a whole log.
+    fn drop(&mut self) {
+        if let Out::Log(recording) = std::mem::replace(&mut self.out, Out::Nowhere) {
+            // Whoever wants to hear of an error closes it.
+            let _ = recording.finish(EndReason::Stopped);
+        }
+    }
+}
+
+fn failed(error: LaneError<LogError, SimulationError>, tick: Tick) -> SimError {
+    match error {
+        LaneError::Plant(cause) => SimError::Physics { tick, cause },
+        LaneError::Output(cause) => SimError::Log(cause),
+    }
+}
+
+/// The header that the recorder of a lockstep run writes.
+fn header(shared: &SharedScene) -> Result<LogHeader, SimError> {
+    let scene = shared.scene();
+    let c_arm = scene.drr.as_ref().and_then(|drr| scene_c_arm(drr).ok());
+    let calibration =
+        |c_arm| format!("{:#}\n", whole(CArmGeometry::DESCRIPTION, c_arm_message(&c_arm).as_bytes()));
+    Ok(LogHeader {
+        scene_toml: shared.toml()?,
+        calibration_json: c_arm.map(calibration),
+        scene_name: scene.name.clone(),
+        volume_sha256: shared.volume().map(|volume| volume.sha256),
+        volume_dimensions: shared.volume().map_or([0; 3], |volume| volume.dimensions),
+        dt_ns: scene.dt_ns(),
+        mode: RunMode::Lockstep,
+        controllers: scene.controller_names(),
+        build: build_info::current(),
+    })
+}
+
+impl Outputs for Out {
+    type Error = LogError;
+
+    fn send_latched(&mut self, latched: &Latched) -> Result<(), LogError> {
+        match self {
+            Out::Nowhere => Ok(()),
+            Out::Log(recording) => recording.log.latched(latched),
+        }
+    }
+
+    fn send_removed(&mut self, removed: &Removed, voxels: &[u32]) -> Result<(), LogError> {
+        match self {
+            Out::Nowhere => Ok(()),
+            Out::Log(recording) => recording.log.removed(&[removed.as_bytes(), voxels.as_bytes()].concat()),
+        }
+    }
+
+    fn send_state(&mut self, state: &State) -> Result<(), LogError> {
+        match self {
+            Out::Nowhere => Ok(()),
+            Out::Log(recording) => recording.log.state(state),
+        }
+    }
+
+    fn send_keyframe(&mut self, keyframe: &Keyframe, part: &[u8]) -> Result<(), LogError> {
+        match self {
+            Out::Nowhere => Ok(()),
+            Out::Log(recording) => recording.log.keyframe(&[keyframe.as_bytes(), part].concat()),
+        }
+    }
+}

@@ -1,0 +1,374 @@
+//! One simulation.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use controllers::{BuiltIn, Controller};
+use hub::command_check::check;
+use hub::latch::{Latch, Reset};
+use messages::{Command, ControllerIndex, State, Tick};
+use simulation::{Simulation, SimulationSnapshot};
+use xray::frame::Rendered;
+
+use crate::batch::Maker;
+use crate::error::SimError;
+use crate::recording::{Lane, Recording};
+use crate::shared::SharedScene;
+use crate::x_ray::{View, XRay};
+
+/// Which controllers the caller drives, of those that the simulation could run itself. The caller always drives external ones and
+/// programs; built-in ones otherwise run in the simulation, as they do in a run.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Drive {
+    /// No built-in one.
+    Nothing,
+    /// Those of these names.
+    These(Vec<String>),
+    /// Every one.
+    Everything,
+}
+
+/// A scene stepped in this process.
+pub struct Sim {
+    pub(crate) shared: Arc<SharedScene>,
+    pub(crate) plant: Simulation<'static>,
+    pub(crate) latch: Latch,
+    pub(crate) drivers: Vec<Driver>,
+    /// Voxels drilled since the start or the last reset, in the order of their removal.
+    pub(crate) drilled: Vec<u32>,
+    /// The newest scheduled frame, for the controllers that see it.
+    frame: Option<Arc<Rendered>>,
+    frames_rendered: u64,
+    /// Parts of commands that could not be followed in the last call of [`Sim::step`].
+    refusals: Vec<String>,
+    start: Option<Snapshot>,
+    pub(crate) lane: Lane,
+    x_ray: Option<XRay>,
+}
+
+/// A controller of the scene.
+#[derive(Debug, Clone)]
+pub(crate) struct Driver {
+    pub(crate) name: String,
+    /// Number of its last command.
+    pub(crate) sequence: u64,
+    /// `None` if the caller drives it.
+    pub(crate) built_in: Option<BuiltIn>,
+    /// Whether it is built in and sees frames.
+    pub(crate) sees_frames: bool,
+    /// Whether a run begins without it.
+    optional: bool,
+}
+
+/// A simulation's state at a tick. Its size follows what has been drilled; copies share it.
+#[derive(Debug, Clone)]
+pub struct Snapshot(Arc<Saved>);
+
+#[derive(Debug)]
+struct Saved {
+    shared: Arc<SharedScene>,
+    simulation: SimulationSnapshot,
+    latch: Latch,
+    drivers: Vec<Driver>,
+    drilled: Vec<u32>,
+    frame: Option<Arc<Rendered>>,
+    frames_rendered: u64,
+}
+
+impl Snapshot {
+    /// The state of its tick.
+    pub fn state(&self) -> &State {
+        self.0.simulation.state()
+    }
+}
+
+impl Sim {
+    /// A simulation at tick 0.
+    ///
+    /// # Errors
+    /// The scene has no controller that `drive` names; a calibration cannot be used; the physics refuses the scene.
+    pub fn new(shared: &Arc<SharedScene>, drive: &Drive) -> Result<Sim, SimError> {
+        let mut sim = Sim::at_start(shared, drivers(shared, drive)?)?;
+        sim.start = Some(sim.snapshot());
+        Ok(sim)
+    }
+
+    fn at_start(shared: &Arc<SharedScene>, drivers: Vec<Driver>) -> Result<Sim, SimError> {
+        let plant = Simulation::with_shared_ct(shared.scene(), shared.ct());
+        Ok(Sim {
+            plant: plant.map_err(|cause| SimError::Physics { tick: Tick::START, cause })?,
+            latch: Latch::new(shared.scene()),
+            shared: Arc::clone(shared),
+            drivers,
+            drilled: Vec::new(),
+            frame: None,
+            frames_rendered: 0,
+            refusals: Vec::new(),
+            start: None,
+            lane: Lane::silent(),
+            x_ray: None,
+        })
+    }
+
+    /// Another simulation in the same state; it shares scene and volume and is not recorded.
+    ///
+    /// # Errors
+    /// The physics refuses the scene, which it has accepted before.
+    pub fn branch(&self) -> Result<Sim, SimError> {
+        self.brancher()()
+    }
+
+    /// Makes [`Sim::branch`] of the present state, on any thread.
+    pub fn brancher(&self) -> Maker {
+        let (here, start) = (self.snapshot(), self.start.clone());
+        Box::new(move || {
+            let mut branch = Sim::at_start(&here.0.shared, here.0.drivers.clone())?;
+            branch.restore(&here)?;
+            branch.start = start;
+            Ok(branch)
+        })
+    }
+
+    /// The scene with its volume.
+    pub fn shared(&self) -> &Arc<SharedScene> {
+        &self.shared
+    }
+
+    /// x_k, with h_k.
+    pub fn state(&self) -> &State {
+        self.plant.state()
+    }
+
+    /// Names of the controllers that the caller drives, in the scene's order.
+    pub fn driven(&self) -> Vec<String> {
+        let driven = self.drivers.iter().filter(|driver| driver.built_in.is_none());
+        driven.map(|driver| driver.name.clone()).collect()
+    }
+
+    /// Linear indices of the voxels drilled since the start, in the order of their removal.
+    pub fn drilled(&self) -> &[u32] {
+        &self.drilled
+    }
+
+    /// Parts of commands that could not be followed in the last call of [`Sim::step`], such as unreachable goals, and why.
+    pub fn refusals(&self) -> &[String] {
+        &self.refusals
+    }
+
+    /// Makes `ticks` ticks, in each of which every driven controller sends its command again. `commands` holds one for each of
+    /// [`Sim::driven`], in that order; their `sequence` and `state_tick` are filled in.
+    ///
+    /// # Errors
+    /// A command is refused: nothing has changed. The physics, the X-ray or the recording fails.
+    pub fn step(&mut self, commands: &[Command], ticks: u64) -> Result<(), SimError> {
+        self.refusals.clear();
+        self.check(commands)?;
+        (0..ticks).try_for_each(|_| self.tick(commands))
+    }
+
+    fn check(&self, commands: &[Command]) -> Result<(), SimError> {
+        let driven = || self.drivers.iter().zip(&self.shared.scene().controller);
+        let driven = driven().filter(|(driver, _)| driver.built_in.is_none());
+        if commands.len() != driven.clone().count() {
+            return Err(SimError::CommandCount { given: commands.len(), driven: self.driven() });
+        }
+        let tick = Tick(self.state().tick);
+        for (command, (driver, entry)) in commands.iter().zip(driven) {
+            let command = driver.numbered(command, tick);
+            check(&command, &entry.drives, driver.sequence, tick).map_err(|cause| SimError::Refused {
+                controller: driver.name.clone(),
+                tick,
+                cause,
+            })?;
+        }
+        Ok(())
+    }
+
+    fn tick(&mut self, commands: &[Command]) -> Result<(), SimError> {
+        self.exchange_frames()?;
+        let state = self.plant.state();
+        let tick = Tick(state.tick);
+        let mut given = commands.iter();
+        for (index, driver) in ControllerIndex::first(self.drivers.len()).zip(&mut self.drivers) {
+            let own = if driver.built_in.is_none() { given.next() } else { None };
+            if own.is_some_and(|own| driver.stays_away(own)) {
+                continue;
+            }
+            let mut command = driver.numbered(own.unwrap_or(&Command::zeroed()), tick);
+            if let Some(built_in) = &mut driver.built_in {
+                built_in.step(state, &mut command);
+            }
+            self.latch.offer(index, &command, tick).map_err(|cause| SimError::Refused {
+                controller: driver.name.clone(),
+                tick,
+                cause,
+            })?;
+            driver.sequence = command.sequence;
+        }
+        let latched = self.latch.latch(tick, Reset::No);
+        self.lane.tick(&mut self.plant, &latched)?;
+        self.drilled.extend_from_slice(self.plant.removed());
+        self.take_refusals(tick);
+        Ok(())
+    }
+
+    fn take_refusals(&mut self, tick: Tick) {
+        let drivers = &self.drivers;
+        self.refusals.extend(self.plant.refusals().iter().map(|refusal| {
+            let name = drivers.get(refusal.controller.slot()).map_or("", |driver| &driver.name);
+            format!("tick {tick}: controller `{name}`: {}", refusal.reason)
+        }));
+    }
+
+    /// Shows the newest frame to the controllers that are due to see it, and renders the one that is due.
+    fn exchange_frames(&mut self) -> Result<(), SimError> {
+        if !self.drivers.iter().any(|driver| driver.sees_frames) {
+            return Ok(());
+        }
+        let tick = self.state().tick;
+        let due = self.shared.scene().frame_seen_at(tick);
+        if let Some(rendered) = self.frame.as_ref().filter(|rendered| due == Some(rendered.frame.tick)) {
+            let controllers = self.drivers.iter_mut().filter_map(|driver| driver.built_in.as_mut());
+            controllers.for_each(|controller| controller.frame(&rendered.frame, &rendered.pixels));
+        }
+        if self.shared.scene().frame_period_ticks().is_some_and(|period| tick.is_multiple_of(period)) {
+            self.frame = Some(Arc::new(self.render(View::Scene)?));
+        }
+        Ok(())
+    }
+
+    /// The X-ray of the present state. Changes no later tick. With the scene's seed and the tick as
+    /// the noise's, the scene's C-arm gives the pixels of a run's scheduled frame.
+    ///
+    /// # Errors
+    /// The scene has no X-ray, or the C-arm is refused.
+    pub fn render(&mut self, from: View) -> Result<Rendered, SimError> {
+        let x_ray = match &mut self.x_ray {
+            Some(x_ray) => x_ray,
+            none => none.insert(XRay::new(&self.shared, self.plant.predrilled())?),
+        };
+        self.frames_rendered += 1;
+        x_ray.render(&self.shared, self.plant.state(), &self.drilled, from, self.frames_rendered)
+    }
+
+    /// The present state. Its size and cost follow what has been drilled.
+    pub fn snapshot(&self) -> Snapshot {
+        Snapshot(Arc::new(Saved {
+            shared: Arc::clone(&self.shared),
+            simulation: self.plant.snapshot(),
+            latch: self.latch.clone(),
+            drivers: self.drivers.clone(),
+            drilled: self.drilled.clone(),
+            frame: self.frame.clone(),
+            frames_rendered: self.frames_rendered,
+        }))
+    }
+
+    /// Goes to the state of a snapshot, of this or another simulation of the same scene, and continues from there bit for bit.
+    ///
+    /// # Errors
+    /// The snapshot is of another scene, or of a simulation that drives other controllers itself; this one is being recorded.
+    pub fn restore(&mut self, snapshot: &Snapshot) -> Result<(), SimError> {
+        let saved = &*snapshot.0;
+        let drives = |drivers: &[Driver]| -> Vec<bool> {
+            drivers.iter().map(|driver| driver.built_in.is_some()).collect()
+        };
+        if !self.shared.is_same(&saved.shared) || drives(&self.drivers) != drives(&saved.drivers) {
+            return Err(SimError::OtherScene);
+        }
+        self.lane.refuse_a_jump()?;
+        let tick = Tick(saved.simulation.state().tick);
+        self.plant.restore(&saved.simulation).map_err(|cause| SimError::Physics { tick, cause })?;
+        self.latch.clone_from(&saved.latch);
+        self.drivers.clone_from(&saved.drivers);
+        self.drilled.clone_from(&saved.drilled);
+        self.frame.clone_from(&saved.frame);
+        self.frames_rendered = saved.frames_rendered;
+        self.refusals.clear();
+        if let Some(x_ray) = &mut self.x_ray {
+            x_ray.forget();
+        }
+        Ok(())
+    }
+
+    /// Goes back to tick 0. Of a simulation from a log: to where it was taken from the log.
+    ///
+    /// # Errors
+    /// It is being recorded.
+    pub fn reset(&mut self) -> Result<(), SimError> {
+        match self.start.clone() {
+            Some(start) => self.restore(&start),
+            None => Ok(()),
+        }
+    }
+
+    /// The present state is where [`Sim::reset`] goes back to.
+    pub(crate) fn starts_here(&mut self) {
+        self.start = Some(self.snapshot());
+    }
+
+    /// Records from tick 0 into `run.mcap` of a folder, which is created. `trabecula replay --verify` accepts the log. The file has its
+    /// name when the recording is closed.
+    ///
+    /// # Errors
+    /// Ticks have been made; a recording is open; the folder holds a `run.mcap` or cannot be written.
+    pub fn record(&mut self, folder: &Path) -> Result<(), SimError> {
+        self.lane.refuse_a_jump()?;
+        let tick = Tick(self.state().tick);
+        if tick != Tick::START {
+            return Err(SimError::RecordingLate { tick });
+        }
+        let recording = Recording::create(folder, &self.shared)?;
+        self.lane = Lane::recorded(recording, self.shared.scene().keyframe_period_ticks());
+        self.lane.begin(&self.plant)
+    }
+
+    /// Writes the rest of the log and names it; `false` if nothing was recorded.
+    ///
+    /// # Errors
+    /// The log cannot be written.
+    pub fn close_recording(&mut self) -> Result<bool, SimError> {
+        let ended = self.state().tick >= self.shared.scene().tick_count();
+        std::mem::replace(&mut self.lane, Lane::silent()).finish(ended)
+    }
+}
+
+impl Driver {
+    /// Whether it is optional and does not join yet: it does with its first command that asks for something.
+    fn stays_away(&self, command: &Command) -> bool {
+        let asks = [command.tendon_mode, command.arm_mode, command.burr_mode].iter().any(|mode| *mode != 0);
+        self.optional && self.sequence == 0 && !asks
+    }
+
+    /// A command with the numbers that a client of a run gives it.
+    fn numbered(&self, command: &Command, tick: Tick) -> Command {
+        Command { sequence: self.sequence + 1, state_tick: tick.0, ..*command }
+    }
+}
+
+/// The scene's controllers.
+fn drivers(shared: &SharedScene, drive: &Drive) -> Result<Vec<Driver>, SimError> {
+    let scene = shared.scene();
+    if let Drive::These(names) = drive {
+        let known = scene.controller_names();
+        if let Some(name) = names.iter().find(|name| !known.contains(name)) {
+            return Err(SimError::NoController { name: name.clone(), scene: known });
+        }
+    }
+    let driver = |entry: &scene::Controller| -> Result<Driver, SimError> {
+        let is_driven = match drive {
+            Drive::Nothing => false,
+            Drive::These(names) => names.contains(&entry.name),
+            Drive::Everything => true,
+        };
+        let built_in = match is_driven {
+            true => None,
+            false => BuiltIn::of(scene, &entry.name, &ipc_types::text_file::read)?,
+        };
+        let by_image =
+            entry.curved_drilling.as_ref().is_some_and(|plan| plan.feedback == scene::Feedback::Image);
+        let sees_frames = built_in.is_some() && by_image && scene.frame_period_ticks().is_some();
+        Ok(Driver { name: entry.name.clone(), sequence: 0, built_in, sees_frames, optional: entry.optional })
+    };
+    scene.controller.iter().map(driver).collect()
+}

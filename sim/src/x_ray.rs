@@ -1,0 +1,121 @@
+//! The X-ray of a simulation's state.
+
+use drr_proc::ThisMachine;
+use messages::{CArmGeometry, Restores, State};
+use xray::frame::{Cache, Job, Rendered, render_job};
+use xray::from_scene::{renderer_parameters, scene_c_arm, scene_isocentre_m};
+use xray::message::{c_arm_of, volume_view};
+use xray::{CArm, DetectorFormat, DrrRenderer, PositionerAngles, VolumeView};
+use zerocopy::IntoBytes;
+
+use crate::error::SimError;
+use crate::shared::SharedScene;
+
+/// The renderer of a simulation, and how much of the drilling it has been told.
+pub(crate) struct XRay {
+    renderer: DrrRenderer,
+    c_arm: CArm,
+    predrilled: Vec<u32>,
+    /// Voxels of the simulation's list that are removed here; `None` if it must be told everything anew.
+    told: Option<usize>,
+}
+
+impl XRay {
+    pub(crate) fn new(shared: &SharedScene, predrilled: &[u32]) -> Result<XRay, SimError> {
+        let drr = shared.scene().drr.as_ref().ok_or(SimError::NoXRay)?;
+        let parameters = renderer_parameters(drr, shared.scene().tolerance.as_ref());
+        Ok(XRay {
+            renderer: DrrRenderer::new(&volume(shared)?, parameters, &ThisMachine)?,
+            c_arm: scene_c_arm(drr)?,
+            predrilled: predrilled.to_vec(),
+            told: None,
+        })
+    }
+
+    /// The simulation has gone to another state.
+    pub(crate) fn forget(&mut self) {
+        self.told = None;
+    }
+
+    pub(crate) fn render(
+        &mut self,
+        shared: &SharedScene,
+        state: &State,
+        drilled: &[u32],
+        from: View,
+        sequence: u64,
+    ) -> Result<Rendered, SimError> {
+        let scene = shared.scene();
+        let c_arm = from.c_arm(shared)?;
+        let (restores, removed) = match self.told {
+            Some(told) => (Restores::Nothing, drilled.get(told..).unwrap_or_default().to_vec()),
+            None => (Restores::Drilled, [&self.predrilled, drilled].concat()),
+        };
+        // A frame that fails leaves the renderer between two states.
+        self.told = None;
+        let job = Job {
+            state: Box::new(*state),
+            restores,
+            removed,
+            sequence,
+            request_id: 0,
+            // The cached anatomy stays that of the scene's C-arm.
+            cache: if c_arm.is_some() { Cache::Kept } else { Cache::Follows },
+            c_arm: c_arm.unwrap_or(self.c_arm),
+            isocentre_m: scene_isocentre_m(scene),
+            noise_seed: scene.run.seed,
+            radii: scene.manipulator.radii(),
+            notch: scene.drr.as_ref().and_then(|drr| drr.notch),
+        };
+        let rendered = render_job(&mut self.renderer, &volume(shared)?, &job)?;
+        self.told = Some(drilled.len());
+        Ok(rendered)
+    }
+}
+
+/// The volume as the renderer takes it.
+fn volume(shared: &SharedScene) -> Result<VolumeView<'_>, SimError> {
+    let message = shared.volume().ok_or(SimError::NoXRay)?;
+    Ok(volume_view(message, shared.hu().as_bytes())?)
+}
+
+/// From where a picture is taken.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum View {
+    /// From the scene's C-arm.
+    Scene,
+    /// From the scene's C-arm turned about the scene's isocentre to these positioner angles, as DICOM has them.
+    Angles {
+        /// Primary angle.
+        primary_deg: f64,
+        /// Secondary angle.
+        secondary_deg: f64,
+    },
+    /// From this C-arm.
+    Geometry(CArmGeometry),
+}
+
+impl View {
+    /// The C-arm; `None` for the scene's.
+    fn c_arm(self, shared: &SharedScene) -> Result<Option<CArm>, SimError> {
+        match self {
+            View::Scene => Ok(None),
+            View::Geometry(geometry) => Ok(Some(c_arm_of(&geometry)?)),
+            View::Angles { primary_deg, secondary_deg } => {
+                let drr = shared.scene().drr.as_ref().ok_or(SimError::NoXRay)?;
+                let format = DetectorFormat {
+                    columns: drr.columns,
+                    rows: drr.rows,
+                    pixel_pitch_m: [drr.pixel_pitch_mm * 1e-3; 2],
+                };
+                let angles = PositionerAngles::from_degrees(primary_deg, secondary_deg);
+                let [to_isocentre_m, to_detector_m] =
+                    [drr.source_isocentre_mm, drr.source_detector_mm].map(|mm| mm * 1e-3);
+                let isocentre_m = scene_isocentre_m(shared.scene());
+                let c_arm =
+                    CArm::from_positioner_angles(isocentre_m, angles, to_isocentre_m, to_detector_m, format)?;
+                Ok(Some(c_arm))
+            }
+        }
+    }
+}

@@ -1,0 +1,78 @@
+//! `trabecula.sim` as Python programs use it, against runs and replays of the program: the cases of `clients/python/tests/sim.py`.
+
+use std::path::PathBuf;
+use std::process::Command;
+use std::sync::OnceLock;
+
+use ipc_types::session::{CONTROLLER_VARIABLE, SESSION_VARIABLE};
+use test_support::limited::Limited;
+use test_support::python::or_skip;
+
+use crate::common::program::Place;
+use crate::languages::{built, clients, library, output_of};
+
+/// An environment with NumPy, Gymnasium and the package, made once a test run.
+fn python() -> Option<PathBuf> {
+    static PYTHON: OnceLock<Option<PathBuf>> = OnceLock::new();
+    PYTHON.get_or_init(make_python).clone()
+}
+
+fn make_python() -> Option<PathBuf> {
+    let native = built().join("deps/libtrabecula_sim.so");
+    let hint = "`cargo build --release --workspace` builds it";
+    assert!(native.exists(), "{}: not built; {hint}", native.display());
+    let python = or_skip("sim-1", &["numpy==2.3.5", "gymnasium==1.4.0"], "numpy, gymnasium")?;
+    let pip = ["-m", "pip", "install", "-q", "--no-deps", "--force-reinstall", "--disable-pip-version-check"];
+    let mut install = Command::new(&python);
+    install.args(pip).arg(clients().join("python"));
+    install.env("TRABECULA_CLIENT_LIBRARY", library()).env("TRABECULA_SIM_LIBRARY", native);
+    let done = install.limited_output().unwrap();
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    Some(python)
+}
+
+/// Runs a case in an empty folder.
+fn case(name: &str) {
+    let Some(python) = python() else { return };
+    let place = Place::new();
+    let mut command = Command::new(python);
+    command.arg(clients().join("python/tests/sim.py")).arg(name).arg(place.path(""));
+    command.env("TRABECULA_PROGRAM", env!("CARGO_BIN_EXE_trabecula"));
+    command.env_remove(SESSION_VARIABLE).env_remove(CONTROLLER_VARIABLE);
+    assert_eq!(output_of(&mut command), "done\n");
+}
+
+#[test]
+fn the_commands_of_a_run_lead_to_the_hash_of_the_run_at_every_tick() {
+    case("follows");
+}
+
+#[test]
+fn a_scene_with_its_own_controllers_leads_to_the_hashes_and_frames_of_its_run() {
+    case("runs");
+}
+
+#[test]
+fn what_a_simulation_records_replays_identically() {
+    case("records");
+}
+
+#[test]
+fn no_number_of_threads_changes_the_hash_of_a_simulation() {
+    case("batches");
+}
+
+#[test]
+fn a_bad_scene_is_refused_in_the_words_of_the_command_that_checks_it() {
+    case("errors");
+}
+
+#[test]
+fn what_a_simulation_returns_stays_and_threads_and_a_forked_child_may_use_it() {
+    case("memory");
+}
+
+#[test]
+fn gymnasium_accepts_the_environment_and_an_episode_repeats() {
+    case("gymnasium");
+}
