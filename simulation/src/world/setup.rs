@@ -10,7 +10,7 @@ use scene::{
 use super::burr_drive::{BurrDrive, BurrDriveState};
 use super::move_tool::PLANES_PER_SPHERE;
 use super::tendon_drive::TendonDrive;
-use super::{ArmDriver, Bone, Hounsfield, Simulation, SimulationError};
+use super::{Bone, Driver, Hounsfield, Simulation, SimulationError};
 use crate::arm::{Arm, ArmParameters, COMFORTABLE_Q_RAD, Compliance, ComplianceParameters, place_base_for};
 use crate::bone::{
     BoneField, BoneParameters, ContactBuffer, ContactKind, CuttingLaw, GridGeometry, Removal, VoxelIndex,
