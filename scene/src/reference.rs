@@ -108,7 +108,7 @@ fn unit_of(name: &str) -> Option<String> {
 }
 
 fn symbol(word: &str) -> Option<&'static str> {
-    const SYMBOLS: [(&str, &str); 22] = [
+    const SYMBOLS: [(&str, &str); 23] = [
         ("mm", "mm"),
         ("mm3", "mm³"),
         ("m", "m"),
