@@ -335,8 +335,8 @@ impl<const D: usize> SpatialChain<D> {
             loads.add([frame_force[k]; 2], moved, FRAME_SHARE);
         }
         self.state.energy_ceiling_j = loads.ceiling_j(ceiling_j, before_j);
-        // True for NaN, which marks a failed step.
-        !(after_j <= self.state.energy_ceiling_j)
+        // NaN marks a failed step.
+        after_j > self.state.energy_ceiling_j || after_j.is_nan()
     }
 
     /// The error estimate; `None` if a tendon binds, or starts or stops sliding within the step.
