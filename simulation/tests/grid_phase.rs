@@ -42,9 +42,9 @@ fn path(tension_n: f64, shift: [f64; 3], turn_deg: f64, start_mm: f64) -> Vec<Ve
 fn apart_mm(paths: &[Vec<Vector3<f64>>]) -> (f64, f64) {
     let (mut along_mm, mut end_mm) = (0.0f64, 0.0f64);
     for (one, other) in paths.iter().flat_map(|one| paths.iter().map(move |other| (one, other))) {
-        let apart = one.iter().zip(other).map(|(one, other)| (one - other).norm());
+        let mut apart = one.iter().zip(other).map(|(one, other)| (one - other).norm());
         along_mm = apart.clone().fold(along_mm, f64::max);
-        end_mm = end_mm.max(apart.last().unwrap_or(0.0));
+        end_mm = end_mm.max(apart.next_back().unwrap_or(0.0));
     }
     (along_mm, end_mm)
 }

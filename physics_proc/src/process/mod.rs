@@ -103,26 +103,20 @@ fn drive(
     }
 }
 
-/// Locks all memory of this process, where the system permits it: what is in use at once. The rest, mostly queues that fill only while a
-/// reader is seconds behind, is 150 MB to clear, for which the first tick does not wait: in real time a thread of its own does it at the
-/// lowest priority; in lockstep nothing has a deadline, and each page is locked at its first use.
+/// Locks all memory of this process, where the system permits it. In real time all of it is brought in before the first tick. In lockstep
+/// nothing has a deadline: the rest, mostly queues that fill only while a reader is seconds behind, is 150 MB to clear, so each page is
+/// locked at its first use.
 fn lock_memory(memory: &mut SharedMemory<'_>, scene: &Scene) -> Result<(), PortError> {
     let all = MlockAllFlags::CURRENT | MlockAllFlags::FUTURE;
-    if let Err(cause) = rustix::mm::mlockall(all | MlockAllFlags::ONFAULT) {
-        return inform(memory, &format!("memory is not locked ({cause}): page faults may delay ticks"));
+    let flags = match scene.run.mode {
+        Mode::Realtime => all,
+        Mode::Lockstep => all | MlockAllFlags::ONFAULT,
+    };
+    match rustix::mm::mlockall(flags) {
+        Ok(()) => Ok(()),
+        Err(cause) => inform(memory, &format!("memory is not locked ({cause}): page faults may delay ticks")),
     }
-    if scene.run.mode == Mode::Realtime {
-        // Without it, the first use of a page costs its tick a few microseconds.
-        let _ = std::thread::Builder::new().name("lock".to_owned()).spawn(move || {
-            let _ = rustix::process::setpriority_process(None, LOWEST_PRIORITY);
-            let _ = rustix::mm::mlockall(all);
-        });
-    }
-    Ok(())
 }
-
-/// The highest nice value.
-const LOWEST_PRIORITY: i32 = 19;
 
 /// Raises the priority, since in real time the tick comes first; reports it if the scheduler refuses.
 fn take_priority(memory: &mut SharedMemory<'_>, scene: &Scene) -> Result<(), PortError> {
