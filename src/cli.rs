@@ -149,6 +149,7 @@ mod tests {
     /// Commands that print no figures: their answer is text for another program, a picture or a page, or files alone.
     const WITHOUT_FIGURES: [&str; 18] = [
         "bridge igtl",
+        "bridge ros2",
         "docs completions",
         "docs install",
         "docs man",

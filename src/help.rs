@@ -50,6 +50,10 @@ pub const EXAMPLES: &[Examples] = &[
         &["trabecula bridge igtl", "trabecula bridge igtl --controller plan --control-token-file token.txt"],
     ),
     (
+        "bridge ros2",
+        &["trabecula bridge ros2", "trabecula bridge ros2 --controller ros --rate 100 --domain-id 7"],
+    ),
+    (
         "plot",
         &[
             "trabecula plot out/run bend_rad tendon_tension_n[0]",
