@@ -147,7 +147,7 @@ mod tests {
     use test_support::grammar;
 
     /// Commands that print no figures: their answer is text for another program, a picture or a page, or files alone.
-    const WITHOUT_FIGURES: [&str; 18] = [
+    const WITHOUT_FIGURES: [&str; 19] = [
         "bridge igtl",
         "bridge ros2",
         "docs completions",
