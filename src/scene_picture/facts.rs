@@ -50,7 +50,7 @@ pub struct Facts {
     pub depth_mm: f64,
     /// How far bone goes on behind the target in the direction of the path, mm.
     pub ahead_mm: f64,
-    /// How far the arm can feed from the start, mm; at most [`FEED_MM`].
+    /// How far the arm can feed from the start, mm; at most `FEED_MM`.
     pub feed_mm: f64,
     /// What `scene check` finds, with what it refuses.
     pub findings: Vec<String>,

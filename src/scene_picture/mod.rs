@@ -6,7 +6,7 @@
 //! | [`shape`] | what is drawn into the CT: the pilot holes, the path, the tool at the start and at the end of the path |
 //! | [`surroundings`] | where the bone ends: distances from the path |
 //! | [`facts`] | the figures |
-//! | [`slice`] | a plane through the CT as pixels |
+//! | [`mod@slice`] | a plane through the CT as pixels |
 //! | [`figure`] | the picture |
 
 pub mod facts;

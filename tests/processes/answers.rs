@@ -119,7 +119,10 @@ fn an_answer_that_cannot_be_written_ends_with_1_whatever_the_command() {
     fs::rename(folder, place.path("log")).unwrap();
     let (log, ball, two) = (place.path("log"), place.path("ball.nrrd"), place.path("two.mcap"));
     assert_eq!(trabecula(&[&"phantom", &"sphere", &"-o", &ball, &"--spacing-mm", &"2"]).code, Some(0));
-    fs::write(place.path("plan.fcsv"), scenes::PLAN_OF_THE_BALL).unwrap();
+    let (plan, planned) = (place.path("plan.fcsv"), place.path("ball.toml"));
+    fs::write(&plan, scenes::PLAN_OF_THE_BALL).unwrap();
+    let made = trabecula(&[&"scene", &"from-markups", &plan, &"--ct", &ball, &"-o", &planned]);
+    assert_eq!(made.code, Some(0), "{}", made.err);
     assert_eq!(trabecula(&[&"log", &"cat-files", &log, &log, &"-o", &two]).code, Some(0));
     let here = place.path("");
     let here = here.to_str().unwrap();
