@@ -6,6 +6,7 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
+use ipc_types::messages::State;
 use serde_json::Value;
 use test_support::limited::{COMMAND_LIMIT, Watchdog};
 use test_support::python::or_skip;
@@ -132,8 +133,13 @@ fn a_cyclone_dds_program_pulls_the_tendon_pauses_and_resumes_and_what_is_wrong_i
         assert!(frames.contains(&frame.into()), "{frames:?}");
     }
     let log = read(&ended.folder);
-    // Up the whole chain of frames stands the tip where the log has it: the tendon was slack again.
-    let tip_m = log.ticks.last().unwrap().state.t_world_tip.position_m;
+    // Up the whole chain of frames stands the tip where the log has it at that moment, to a tick: it moves while the tendon slackens.
+    let time_s = seen["tip_time_s"].as_f64().unwrap();
+    let states = log.ticks.iter().map(|tick| &tick.state);
+    let off_s = |state: &State| (state.sim_time_s - time_s).abs();
+    let then = states.min_by(|one, other| off_s(one).total_cmp(&off_s(other))).unwrap();
+    assert!(off_s(then) < 2e-3, "no state of {time_s} s");
+    let tip_m = then.t_world_tip.position_m;
     for (axis, there_m) in tip_m.iter().enumerate() {
         let shown_m = seen["tip_m"][axis].as_f64().unwrap();
         assert!((shown_m - there_m).abs() < 0.5e-3, "{seen} {tip_m:?}");

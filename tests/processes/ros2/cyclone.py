@@ -206,11 +206,13 @@ def chain(child):
     return position
 
 
+stamp = frames["CM/tip"].header.stamp
 print(json.dumps({
     "states": states,
     "kept_n": kept_n,
     "stood": stood,
     "frames": sorted(frames),
     "tip_m": chain("CM/tip"),
+    "tip_time_s": stamp.sec + 1e-9 * stamp.nanosec,
     "tendons": newest["motor"].name,
 }))
