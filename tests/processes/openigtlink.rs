@@ -6,14 +6,17 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use openigtlink::{Body, HeaderVersion, Message};
+use recorder_proc::log_file::LogFile;
+use run_log::{FrameRecord, ReadOptions, frames};
 use serde_json::Value;
+use test_support::debian::library_or_skip;
 use test_support::limited::{COMMAND_LIMIT, Watchdog};
 use test_support::python::or_skip;
 
 use crate::common::logs::{assert_replays, counts, read};
 use crate::common::program::{Guarded, LIMIT, Place, assert_nothing_left, trabecula, wait_for};
 use crate::common::scenes;
-use crate::languages::output_within_limit;
+use crate::languages::{output_of, output_within_limit};
 
 const TOKEN: &str = "0f1e2d3c4b5a";
 const DRR: &str = "
@@ -53,8 +56,16 @@ impl Bridge {
     }
 
     /// Its exit code, once its session is over.
-    fn end(mut self) -> Option<i32> {
-        wait_for("the bridge's end", || self.process.0.try_wait().unwrap()).code()
+    fn end(self) -> Option<i32> {
+        self.end_and_words().0
+    }
+
+    /// The same, and what it said last.
+    fn end_and_words(mut self) -> (Option<i32>, String) {
+        let code = wait_for("the bridge's end", || self.process.0.try_wait().unwrap()).code();
+        let mut said = String::new();
+        self.process.0.stdout.take().unwrap().read_to_string(&mut said).unwrap();
+        (code, said)
     }
 }
 
@@ -98,11 +109,111 @@ fn a_slicer_program_plans_drills_looks_pauses_and_stops_and_the_log_replays() {
     assert_replays(&ended.folder);
 }
 
+/// The C++ program of `openigtlink.cxx`, built with the OpenIGTLink project's own library.
+fn reference_peer(place: &Place) -> Option<Command> {
+    let probe = "usr/lib/openigtlink/OpenIGTLinkConfig.cmake";
+    let root = library_or_skip(&["libopenigtlink-dev", "libopenigtlink1.11"], probe)?;
+    let (include, lib) = (root.join("usr/include/openigtlink"), root.join("usr/lib"));
+    let program = place.path("peer");
+    let mut compiler = Command::new("c++");
+    compiler.args(["-std=c++17", "-Wall", "-Wextra", "-Werror", "-isystem"]).arg(include);
+    compiler.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/processes/openigtlink.cxx"));
+    compiler.arg("-L").arg(&lib).args(["-lOpenIGTLink", "-o"]).arg(&program);
+    output_of(&mut compiler);
+    let mut peer = Command::new(program);
+    peer.env("LD_LIBRARY_PATH", lib);
+    Some(peer)
+}
+
+/// FNV-1a, as the peer computes it of the bytes of an image.
+fn fnv1a(bytes: &[u8]) -> u64 {
+    let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01b3);
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, step)
+}
+
+fn floats(value: &Value) -> Vec<f64> {
+    value.as_array().unwrap().iter().map(|one| one.as_f64().unwrap()).collect()
+}
+
+/// Compares what came by wire, in single precision, with what should have come.
+fn assert_close(what: &str, got: &Value, wanted: &[f64]) {
+    let got = floats(got);
+    let off = |(a, b): (&f64, &f64)| (a - b).abs() > 1e-6 * b.abs().max(1.0);
+    assert_eq!(got.len(), wanted.len(), "{what}");
+    assert!(!got.iter().zip(wanted).any(off), "{what}: {got:?}, expected {wanted:?}");
+}
+
+/// The library takes an image's last column as its centre, in millimetres of the axes that the message names: RAS.
+fn assert_image(image: &Value, records: &[FrameRecord]) {
+    let wanted = image["fnv1a"].as_str().unwrap();
+    let record = records.iter().find(|record| fnv1a(&record.pixels).to_string() == wanted);
+    let geometry = &record.expect("no frame of the log has the image's pixels").frame.geometry;
+    assert_eq!(image["size"], serde_json::json!([64, 48, 1]));
+    assert_eq!((&image["whole"], &image["endian"]), (&Value::Bool(true), &Value::from(2)), "little-endian");
+    assert_eq!(image["coordinates"], 1, "RAS");
+    let pitch_mm = geometry.pixel_pitch_m.map(|pitch_m| 1000.0 * pitch_m);
+    assert_close("spacing", &image["spacing_mm"], &[pitch_mm[0], pitch_mm[1], 1.0]);
+    let ras = |[x, y, z]: [f64; 3]| [-x, -y, z];
+    let (row, column) = (ras(geometry.row_axis), ras(geometry.column_axis));
+    let normal = [
+        row[1] * column[2] - row[2] * column[1],
+        row[2] * column[0] - row[0] * column[2],
+        row[0] * column[1] - row[1] * column[0],
+    ];
+    let centre_mm = ras(geometry.detector_centre_m).map(|component| 1000.0 * component);
+    let rows = (0..3).flat_map(|axis| [row[axis], column[axis], normal[axis], centre_mm[axis]]);
+    assert_close("matrix", &image["matrix"], &rows.chain([0.0, 0.0, 0.0, 1.0]).collect::<Vec<f64>>());
+}
+
 #[test]
-fn what_a_peer_must_not_do_is_refused_and_the_run_goes_on() {
+fn the_projects_own_cpp_library_reads_every_message_and_is_obeyed() {
     let place = Place::new();
-    let run = place.start(&scenes::hold("realtime", 6.0));
-    let bridge = Bridge::start(&run.session(), &[]);
+    let Some(mut peer) = reference_peer(&place) else { return };
+    let run = place.start(&format!("{}{DRR}", scenes::drill_unseen("realtime", 60.0)));
+    let token = place.path("token");
+    std::fs::write(&token, format!("{TOKEN}\n")).unwrap();
+    let bridge = Bridge::start(&run.session(), &["--control-token-file", token.to_str().unwrap()]);
+    peer.args([bridge.port.to_string().as_str(), TOKEN]);
+    let seen: Value = serde_json::from_str(&output_within_limit(&mut peer)).unwrap();
+    let (code, said) = bridge.end_and_words();
+    assert_eq!(code, Some(0));
+    assert!(said.contains("2 of peers refused"), "one without the token, one unknown: {said}");
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+
+    assert!(seen["good"].as_u64() > Some(100) && seen["bad"] == 0 && seen["other"] == 0, "CRCs: {seen}");
+    let poses: Vec<&str> = seen["poses"].as_array().unwrap().iter().filter_map(Value::as_str).collect();
+    assert_eq!(poses.len(), 31, "{poses:?}");
+    let points = seen["points"].as_array().unwrap();
+    assert_eq!(points[0], serde_json::json!(["BurrStart", "Tool", [0.0, 0.0, -34.0]]));
+    // 27 links, base, burr and tip, 12 corners each.
+    assert_eq!(
+        (&seen["surface"]["points"], &seen["surface"]["polygons"]),
+        (&Value::from(360), &Value::from(348))
+    );
+    assert_eq!(seen["surface"]["valid"], true);
+
+    let log = read(&ended.folder);
+    let text = seen["pair"]["state"].as_str().unwrap();
+    let tick: usize = text.strip_prefix("tick=").unwrap().split(' ').next().unwrap().parse().unwrap();
+    let state = if tick == 0 { &log.initial } else { &log.ticks[tick - 1].state };
+    let [x, y, z] = state.t_world_burr.position_m.map(|component| 1000.0 * component);
+    let matrix = floats(&seen["pair"]["burr"]);
+    let moved = serde_json::json!([matrix[3], matrix[7], matrix[11]]);
+    assert_close(&format!("the burr at tick {tick}"), &moved, &[-x, -y, z]);
+    let records = frames(&LogFile::at(ended.folder.join("run.mcap")), ReadOptions::default()).unwrap();
+    assert_image(&seen["image"], &records.map(Result::unwrap).collect::<Vec<_>>());
+    assert_replays(&ended.folder);
+    assert_nothing_left(ended.pid);
+}
+
+#[test]
+fn what_a_peer_must_not_do_is_refused_and_counted_and_the_run_goes_on() {
+    let place = Place::new();
+    let run = place.start(&scenes::hold("realtime", 8.0));
+    let bridge = Bridge::start(&run.session(), &["--rate", "1000"]);
+    let stop = || Message::new("Command", Body::Text("stop".into())).unwrap();
+    let bytes = || stop().encode(HeaderVersion::V1).unwrap();
 
     let mut garbage = bridge.peer();
     garbage.write_all(&[0xff; 4096]).unwrap();
@@ -111,27 +222,41 @@ fn what_a_peer_must_not_do_is_refused_and_the_run_goes_on() {
     let _ = garbage.read_to_end(&mut rest);
 
     let mut huge = bridge.peer();
-    let mut bytes =
-        Message::new("Command", Body::Text("stop".into())).unwrap().encode(HeaderVersion::V1).unwrap();
-    bytes[42..50].copy_from_slice(&(1_u64 << 40).to_be_bytes());
-    huge.write_all(&bytes).unwrap();
+    let mut announced = bytes();
+    announced[42..50].copy_from_slice(&(1_u64 << 40).to_be_bytes());
+    huge.write_all(&announced).unwrap();
     let _ = huge.read_to_end(&mut rest);
 
-    // Never reads: its messages are replaced, and nobody waits for it.
+    // Reads nothing of some MB a second: its messages are replaced, and nobody waits for it.
     let deaf = bridge.peer();
+    // Never ends what it begins, and costs no more than its thread.
+    let mut dawdler = bridge.peer();
+    dawdler.write_all(&bytes()[..60]).unwrap();
     let mut watcher = bridge.peer();
+    let mut damaged = bytes();
+    *damaged.last_mut().unwrap() ^= 1;
+    watcher.write_all(&damaged).unwrap();
     say(&mut watcher, "Command", "stop");
     say(&mut watcher, "Token", "guessed!");
+    say(&mut watcher, "Command", "jump");
+    let mut heard = Vec::new();
+    let _ = watcher.read_to_end(&mut heard);
 
     let ended = run.end();
     assert_eq!(ended.code, Some(0), "{}", ended.err);
-    assert_eq!(read(&ended.folder).ticks.len(), 6000, "a peer without permission stopped the run");
-    assert_eq!(bridge.end(), Some(0));
-    drop(deaf);
-    let mut heard = Vec::new();
-    let _ = watcher.read_to_end(&mut heard);
+    assert_eq!(read(&ended.folder).ticks.len(), 8000, "a peer without permission stopped the run");
+    let (code, said) = bridge.end_and_words();
+    assert_eq!(code, Some(0));
+    drop((deaf, dawdler));
     let told = String::from_utf8_lossy(&heard);
-    assert!(told.contains("this bridge only shows the run"), "the refusal was not said");
+    for refusal in
+        ["this bridge only shows the run", "CRC-64", "not the token of this bridge", "jump is none of"]
+    {
+        assert!(told.contains(refusal), "`{refusal}` was not said");
+    }
+    // Garbage, a huge body, a wrong CRC, a command and a token without permission, an unknown command.
+    assert!(said.contains("5 peers; ") && said.contains(" 6 of peers refused"), "{said}");
+    assert!(!said.contains("; 0 messages replaced"), "{said}");
     assert_nothing_left(ended.pid);
 }
 

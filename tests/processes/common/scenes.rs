@@ -59,6 +59,11 @@ pub fn drill(mode: &str, duration_s: f64) -> String {
     format!("{}{BLOCK}{TOOL}{DRR}{DRILL}", run("drill", mode, duration_s))
 }
 
+/// The same without X-ray.
+pub fn drill_unseen(mode: &str, duration_s: f64) -> String {
+    format!("{}{BLOCK}{TOOL}{DRILL}", run("drill", mode, duration_s))
+}
+
 /// The same in a volume file beside the scene.
 pub fn drill_in_file(mode: &str, duration_s: f64, file: &str) -> String {
     let volume = format!("[volume]\npath = {file:?}\n");

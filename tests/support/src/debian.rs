@@ -1,4 +1,4 @@
-//! Programs of Debian packages, unpacked below the target folder: nothing is installed.
+//! Programs and libraries of Debian packages, unpacked below the target folder: nothing is installed.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -13,7 +13,9 @@ pub fn program_or_skip(package: &str, program: &str) -> Option<PathBuf> {
     let on_path = std::env::var_os("PATH").and_then(|folders| {
         std::env::split_paths(&folders).map(|folder| folder.join(program)).find(|file| file.is_file())
     });
-    let found = on_path.map_or_else(|| unpacked(package, program), Ok);
+    let probe = Path::new("usr/bin").join(program);
+    let unpack = || unpacked(package, &[package], &probe).map(|folder| folder.join(&probe));
+    let found = on_path.map_or_else(unpack, Ok);
     found
         .inspect_err(|reason| {
             println!("\n*** SKIPPED: no {program} (Debian package {package}): {reason} ***\n")
@@ -21,21 +23,30 @@ pub fn program_or_skip(package: &str, program: &str) -> Option<PathBuf> {
         .ok()
 }
 
-fn unpacked(package: &str, program: &str) -> Result<PathBuf, String> {
-    let folder = downloads().join(package);
+/// A library's headers and objects: the folder below which the packages lie as they would below `/`. `probe` is a file of theirs. Where
+/// there is none, the reason is said, loudly.
+pub fn library_or_skip(packages: &[&str], probe: &str) -> Option<PathBuf> {
+    unpacked(packages.first()?, packages, Path::new(probe))
+        .inspect_err(|reason| println!("\n*** SKIPPED: no Debian packages {packages:?}: {reason} ***\n"))
+        .ok()
+}
+
+fn unpacked(name: &str, packages: &[&str], probe: &Path) -> Result<PathBuf, String> {
+    let folder = downloads().join(name);
     // One at a time fetches it: tests of several programs may want the same.
-    let lock =
-        File::create(downloads().join(format!("{package}.lock"))).map_err(|error| error.to_string())?;
+    let lock = File::create(downloads().join(format!("{name}.lock"))).map_err(|error| error.to_string())?;
     lock.lock().map_err(|error| error.to_string())?;
-    let file = folder.join("usr/bin").join(program);
-    if file.is_file() {
-        return Ok(file);
+    if folder.join(probe).is_file() {
+        return Ok(folder);
     }
-    let fetched = tempfile::tempdir_in(downloads()).map_err(|error| error.to_string())?;
-    run(Command::new("apt-get").args(["download", package]).current_dir(fetched.path()))?;
-    let archive = archive_in(fetched.path())?;
-    run(Command::new("dpkg").arg("-x").arg(archive).arg(&folder))?;
-    if file.is_file() { Ok(file) } else { Err(format!("the package has no {}", file.display())) }
+    for package in packages {
+        let fetched = tempfile::tempdir_in(downloads()).map_err(|error| error.to_string())?;
+        run(Command::new("apt-get").args(["download", package]).current_dir(fetched.path()))?;
+        let archive = archive_in(fetched.path())?;
+        run(Command::new("dpkg").arg("-x").arg(archive).arg(&folder))?;
+    }
+    let found = folder.join(probe);
+    if found.is_file() { Ok(folder) } else { Err(format!("the packages have no {}", found.display())) }
 }
 
 fn archive_in(folder: &Path) -> Result<PathBuf, String> {
