@@ -26,7 +26,7 @@ mod fcsv;
 mod markup;
 mod mrk_json;
 mod plan;
-mod vector;
+pub mod vector;
 mod write;
 
 pub use error::{MarkupsError, PlanError};

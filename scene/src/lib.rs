@@ -38,6 +38,7 @@ mod error;
 mod model;
 mod place;
 pub mod plan;
+mod planned_path;
 mod ranges;
 pub mod reference;
 mod schema;
@@ -46,6 +47,7 @@ mod tool;
 pub use error::SceneError;
 pub use model::*;
 pub use plan::ReadText;
+pub use planned_path::planned_path_mm;
 pub use schema::json_schema;
 pub use tool::{STANDARD_RADII, ToolRadii};
 

@@ -1,11 +1,10 @@
 //! What is drawn into the CT.
 
-use ipc_types::scene::Scene;
+use ipc_types::scene::{Scene, planned_path_mm};
 use nalgebra::Vector3;
 use simulation::manipulator_parameters;
 
 use crate::failure::Failure;
-use crate::geometry::path::planned_mm;
 
 /// Length of the line that is looked at where no controller drills, mm.
 const AHEAD_MM: f64 = 30.0;
@@ -103,7 +102,7 @@ impl Shapes {
         let along = Vector3::from(scene.tool.direction).normalize();
         let bend = Vector3::from(scene.tool.bend_toward);
         let toward = (bend - along * bend.dot(&along)).normalize();
-        let planned = planned_mm(scene);
+        let planned = planned_path_mm(scene);
         let is_planned = planned.is_some();
         let path_mm: Vec<Vector3<f64>> = match planned {
             Some(path) => path.into_iter().map(Vector3::from).collect(),
