@@ -79,7 +79,7 @@ class Peer {
   std::map<std::string, Pose> poses;
   std::map<std::string, std::string> strings;
   std::vector<std::string> answers;
-  std::string image, points, surface, state_pair;
+  std::string image, points, surface, path, state_pair;
 
  private:
   [[noreturn]] static void fail(const std::string &why) {
@@ -93,6 +93,7 @@ class Peer {
   void see_image(igtl::ImageMessage::Pointer message);
   void see_points(igtl::PointMessage::Pointer message);
   void see_surface(igtl::PolyDataMessage::Pointer message);
+  void see_path(igtl::PolyDataMessage::Pointer message);
   void see_text(const std::string &device, const std::string &text, const std::string &time);
 
   igtl::ClientSocket::Pointer socket;
@@ -189,6 +190,7 @@ void Peer::see_points(igtl::PointMessage::Pointer message) {
 }
 
 void Peer::see_surface(igtl::PolyDataMessage::Pointer message) {
+  if (std::string(message->GetDeviceName()) == "PlannedPath") return see_path(message);
   const int count = message->GetPoints()->GetNumberOfPoints();
   float first[3] = {0, 0, 0};
   if (count > 0) message->GetPoints()->GetPoint(0, first);
@@ -204,6 +206,20 @@ void Peer::see_surface(igtl::PolyDataMessage::Pointer message) {
   out << "{\"points\":" << count << ",\"polygons\":" << cells->GetNumberOfCells() << ",\"valid\":" << (valid ? "true" : "false")
       << ",\"first_mm\":" << numbers(first, 3) << "}";
   surface = out.str();
+}
+
+void Peer::see_path(igtl::PolyDataMessage::Pointer message) {
+  const int count = message->GetPoints()->GetNumberOfPoints();
+  float first[3] = {0, 0, 0}, last[3] = {0, 0, 0};
+  if (count > 0) {
+    message->GetPoints()->GetPoint(0, first);
+    message->GetPoints()->GetPoint(count - 1, last);
+  }
+  std::list<igtlUint32> line;
+  if (message->GetLines()->GetNumberOfCells() == 1) message->GetLines()->GetCell(0, line);
+  std::ostringstream out;
+  out << "{\"points\":" << count << ",\"of_line\":" << line.size() << ",\"first_mm\":" << numbers(first, 3) << ",\"last_mm\":" << numbers(last, 3) << "}";
+  path = out.str();
 }
 
 void Peer::see_text(const std::string &device, const std::string &text, const std::string &time) {
@@ -227,7 +243,7 @@ void Peer::print() const {
     std::cout << comma << answer;
     comma = ",";
   }
-  std::cout << "],\"image\":" << image << ",\"points\":" << points << ",\"surface\":" << surface << ",\"pair\":" << state_pair << "}" << std::endl;
+  std::cout << "],\"image\":" << image << ",\"points\":" << points << ",\"surface\":" << surface << ",\"path\":" << path << ",\"pair\":" << state_pair << "}" << std::endl;
 }
 
 bool holds(const std::string &text, const std::string &part) { return text.find(part) != std::string::npos; }
@@ -245,7 +261,7 @@ int main(int argc, char **argv) {
   const auto phase = [&](const char *wanted) { return holds(peer.strings["State"], std::string("phase=") + wanted + " "); };
 
   peer.until("message of every kind", [&] {
-    return peer.poses.size() > 4 && !peer.image.empty() && !peer.points.empty() && !peer.surface.empty() && !peer.state_pair.empty();
+    return peer.poses.size() > 4 && !peer.image.empty() && !peer.points.empty() && !peer.surface.empty() && !peer.path.empty() && !peer.state_pair.empty();
   });
   peer.say("Command", "pause");
   peer.until("refusal without the token", [&] { return heard("send the control token first"); });

@@ -185,13 +185,18 @@ fn the_projects_own_cpp_library_reads_every_message_and_is_obeyed() {
     let poses: Vec<&str> = seen["poses"].as_array().unwrap().iter().filter_map(Value::as_str).collect();
     assert_eq!(poses.len(), 31, "{poses:?}");
     let points = seen["points"].as_array().unwrap();
-    assert_eq!(points[0], serde_json::json!(["BurrStart", "Tool", [0.0, 0.0, -34.0]]));
+    assert_eq!((&points[0][0], &points[0][1]), (&Value::from("BurrStart"), &Value::from("Tool")));
+    assert_close("the burr's start", &points[0][2], &[0.0, 0.0, -34.0]);
     // 27 links, base, burr and tip, 12 corners each.
     assert_eq!(
         (&seen["surface"]["points"], &seen["surface"]["polygons"]),
         (&Value::from(360), &Value::from(348))
     );
     assert_eq!(seen["surface"]["valid"], true);
+    // 20 mm straight on from the start, a point every 0.25 mm, all in one line.
+    assert_eq!((&seen["path"]["points"], &seen["path"]["of_line"]), (&Value::from(81), &Value::from(81)));
+    assert_close("the planned path's start", &seen["path"]["first_mm"], &[0.0, 0.0, -34.0]);
+    assert_close("the planned path's end", &seen["path"]["last_mm"], &[0.0, 0.0, -14.0]);
 
     let log = read(&ended.folder);
     let text = seen["pair"]["state"].as_str().unwrap();

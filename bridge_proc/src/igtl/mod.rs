@@ -96,7 +96,7 @@ pub fn serve(
     let mut due = Instant::now();
     while !end.is_set() && joined.advance()? {
         for greeted in peers.admit() {
-            greeted.outbox.put(joined.scene_points(now()));
+            joined.introduction(now()).for_each(|message| greeted.outbox.put(message));
         }
         peers.requests().into_iter().for_each(|asked| joined.obey(&asked, &options.permission));
         if Instant::now() >= due {

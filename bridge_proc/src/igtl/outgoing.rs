@@ -1,13 +1,13 @@
 //! What the bridge sends of a session.
 
 use ipc_types::messages::{Frame, Phase, Pose, RunStatus, State};
-use ipc_types::scene::Scene;
+use ipc_types::scene::{Scene, planned_path_mm};
 use openigtlink::{Body, Coordinates, Image, Message, Point, PolyData, Timestamp};
 
 use crate::ras;
 
 /// Device names of messages that a peer receives, and what they hold. A test compares `docs/slicer.md` with it.
-pub const SENT: [(&str, &str, &str); 10] = [
+pub const SENT: [(&str, &str, &str); 11] = [
     ("TRANSFORM", "BurrToRAS", "the burr's centre, axes of the last link"),
     ("TRANSFORM", "TipToRAS", "the front of the burr"),
     ("TRANSFORM", "BaseToRAS", "the tool's base"),
@@ -20,6 +20,11 @@ pub const SENT: [(&str, &str, &str); 10] = [
         "POINT",
         "Scene",
         "the scene's points: `BurrStart`, `Target` where a controller has one, ends of predrilled holes",
+    ),
+    (
+        "POLYDATA",
+        "PlannedPath",
+        "the planned path of the burr's centre as a line, where a built-in controller drills; once a connection",
     ),
     ("STRING", "State", "tick, time, phase, force and removal as `name=value`, five times a second"),
 ];
@@ -126,9 +131,13 @@ fn cross([ax, ay, az]: [f32; 3], [bx, by, bz]: [f32; 3]) -> [f32; 3] {
     [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]
 }
 
+/// A place of the scene's, LPS and mm, in Slicer's frame.
+fn scene_mm(place_mm: [f64; 3]) -> [f32; 3] {
+    ras::position_mm(place_mm.map(|component| component / 1000.0))
+}
+
 /// The scene's points.
 pub(crate) fn scene_points(scene: &Scene, timestamp: Timestamp) -> Message {
-    let mm = |[x, y, z]: [f64; 3]| ras::position_mm([x, y, z].map(|component| component / 1000.0));
     let point = |name: String, group: &str, position_mm: [f32; 3]| Point {
         name,
         group: group.to_owned(),
@@ -137,15 +146,23 @@ pub(crate) fn scene_points(scene: &Scene, timestamp: Timestamp) -> Message {
         diameter_mm: 2.0,
         owner: String::new(),
     };
-    let mut points = vec![point("BurrStart".into(), "Tool", mm(scene.tool.burr_start_mm))];
+    let mut points = vec![point("BurrStart".into(), "Tool", scene_mm(scene.tool.burr_start_mm))];
     for controller in &scene.controller {
         if let Some(target_mm) = controller.curved_drilling.as_ref().and_then(|drilling| drilling.target_mm) {
-            points.push(point("Target".into(), "Plan", mm(target_mm)));
+            points.push(point("Target".into(), "Plan", scene_mm(target_mm)));
         }
     }
     for (index, hole) in scene.predrill.iter().enumerate() {
-        points.push(point(format!("Hole{}From", index + 1), "Predrill", mm(hole.from_mm)));
-        points.push(point(format!("Hole{}To", index + 1), "Predrill", mm(hole.to_mm)));
+        points.push(point(format!("Hole{}From", index + 1), "Predrill", scene_mm(hole.from_mm)));
+        points.push(point(format!("Hole{}To", index + 1), "Predrill", scene_mm(hole.to_mm)));
     }
     message("Scene", timestamp, Body::Points(points))
+}
+
+/// The planned path of the burr's centre; `None` where no built-in controller drills.
+pub(crate) fn planned_path(scene: &Scene, timestamp: Timestamp) -> Option<Message> {
+    let points_mm: Vec<[f32; 3]> = planned_path_mm(scene)?.into_iter().map(scene_mm).collect();
+    let lines = vec![(0..points_mm.len() as u32).collect()];
+    let surface = PolyData { points_mm, lines, ..PolyData::default() };
+    Some(message("PlannedPath", timestamp, Body::PolyData(surface)))
 }

@@ -63,9 +63,10 @@ impl Joined {
         }
     }
 
-    /// The scene's points, for a peer that has just connected.
-    pub(crate) fn scene_points(&self, now: Timestamp) -> Message {
-        outgoing::scene_points(self.client.scene(), now)
+    /// The scene's points and planned path, for a peer that has just connected.
+    pub(crate) fn introduction(&self, now: Timestamp) -> impl Iterator<Item = Message> + use<> {
+        let scene = self.client.scene();
+        [Some(outgoing::scene_points(scene, now)), outgoing::planned_path(scene, now)].into_iter().flatten()
     }
 
     /// What has changed since the last call.
