@@ -1,13 +1,18 @@
 //! What a bridge costs the physics: the same real-time run with and without it, alternating; with it, a peer takes all that it sends.
 
-use std::io::{BufRead, BufReader, Read};
+use std::io::{self, BufRead, BufReader, Read};
 use std::net::TcpStream;
 use std::path::Path;
-use std::process::{Child, ChildStdout, Command, Stdio};
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
+use bridge_proc::ros2::Listener;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
+use ros_interface::topics::Names;
 use serde_json::json;
 
 use super::failed;
@@ -16,6 +21,15 @@ use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::scenes::SceneSource;
 
+/// Longest wait for a bridge to be ready, and to end once its session has.
+const LIMIT: Duration = Duration::from_secs(60);
+/// DDS domain of the measurement: one that people's own programs rarely use.
+const DOMAIN_ID: &str = "231";
+/// States a second of `bridge ros2` unless it is told otherwise.
+const ROS2_RATE_HZ: f64 = 100.0;
+/// How often a peer looks for messages.
+const LOOK_PERIOD: Duration = Duration::from_millis(2);
+
 /// A bridge that can be measured.
 #[derive(Debug)]
 struct Kind {
@@ -23,12 +37,19 @@ struct Kind {
     name: &'static str,
     /// Its arguments besides `--session`.
     arguments: &'static [&'static str],
-    /// Takes what it sends until it has ended, and returns the number of bytes; gets what the bridge prints.
-    peer: fn(ChildStdout) -> std::io::Result<u64>,
+    /// Takes what it sends until the flag is set, and returns the number of bytes; gets the bridge's first line.
+    peer: fn(&str, &AtomicBool) -> io::Result<u64>,
 }
 
 /// One line for each.
-const KINDS: [Kind; 1] = [Kind { name: "igtl", arguments: &["--port", "0"], peer: take_from_port }];
+const KINDS: [Kind; 2] = [
+    Kind { name: "igtl", arguments: &["--port", "0"], peer: take_from_port },
+    Kind {
+        name: "ros2",
+        arguments: &["--domain-id", DOMAIN_ID, "--discovery-range", "LOCALHOST"],
+        peer: take_from_domain,
+    },
+];
 
 /// The names of [`KINDS`].
 pub fn names() -> [&'static str; KINDS.len()] {
@@ -69,7 +90,9 @@ pub fn run(
 #[derive(Debug)]
 struct Bridge {
     process: Child,
-    peer: JoinHandle<std::io::Result<u64>>,
+    /// Set when the bridge has ended.
+    over: Arc<AtomicBool>,
+    peer: JoinHandle<io::Result<u64>>,
 }
 
 impl Bridge {
@@ -78,14 +101,33 @@ impl Bridge {
         command.args(["bridge", kind.name]).args(kind.arguments).arg("--session").arg(session);
         let mut process = command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().map_err(failed)?;
         let said = process.stdout.take().ok_or_else(|| Failure::failed("the bridge has no output"))?;
-        let peer = kind.peer;
-        let peer = std::thread::spawn(move || peer(said));
-        Ok(Bridge { process, peer })
+        let over = Arc::new(AtomicBool::new(false));
+        let (take, is_over) = (kind.peer, Arc::clone(&over));
+        let peer = std::thread::spawn(move || {
+            let mut said = BufReader::new(said);
+            let mut line = String::new();
+            said.read_line(&mut line)?;
+            let taken = take(&line, &is_over);
+            // So that its last line does not block it.
+            said.read_to_string(&mut line)?;
+            taken
+        });
+        Ok(Bridge { process, over, peer })
     }
 
-    /// Waits for both. The bridge ends with its session, and its peer with the bridge.
+    /// Waits for both. The bridge ends with its session, and its peer with the bridge; one that does not is killed.
     fn end(mut self) -> Result<u64, Failure> {
-        let status = self.process.wait().map_err(failed)?;
+        let begin = Instant::now();
+        let status = loop {
+            if let Some(status) = self.process.try_wait().map_err(failed)? {
+                break status;
+            }
+            if begin.elapsed() > LIMIT {
+                self.process.kill().map_err(failed)?;
+            }
+            std::thread::sleep(LOOK_PERIOD);
+        };
+        self.over.store(true, Ordering::Relaxed);
         let taken = self.peer.join().map_err(|_| Failure::failed("the bridge's peer has panicked"))?;
         if !status.success() {
             return Err(Failure::failed(format!("the bridge failed: {status}")));
@@ -95,20 +137,29 @@ impl Bridge {
 }
 
 /// A peer of a bridge that listens: its first line ends with its address.
-fn take_from_port(said: ChildStdout) -> std::io::Result<u64> {
-    let mut said = BufReader::new(said);
-    let mut line = String::new();
-    said.read_line(&mut line)?;
+fn take_from_port(line: &str, over: &AtomicBool) -> io::Result<u64> {
     let address = line.split_whitespace().last().unwrap_or_default();
     let mut stream = TcpStream::connect(address)?;
+    stream.set_read_timeout(Some(LIMIT))?;
     let (mut taken, mut buffer) = (0, vec![0; 1 << 16]);
-    loop {
+    while !over.load(Ordering::Relaxed) {
         match stream.read(&mut buffer)? {
             0 => break,
             count => taken += count as u64,
         }
     }
-    // So that its last line does not block it.
-    said.read_to_string(&mut line)?;
+    Ok(taken)
+}
+
+/// A peer that subscribes to every topic.
+fn take_from_domain(_: &str, over: &AtomicBool) -> io::Result<u64> {
+    let domain_id = DOMAIN_ID.parse().map_err(io::Error::other)?;
+    let mut listener =
+        Listener::open(domain_id, &Names::default(), ROS2_RATE_HZ).map_err(io::Error::other)?;
+    let mut taken = 0;
+    while !over.load(Ordering::Relaxed) {
+        taken += listener.take();
+        std::thread::sleep(LOOK_PERIOD);
+    }
     Ok(taken)
 }

@@ -6,11 +6,12 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use ipc_types::messages::State;
+use ipc_types::messages::{ControlAction, State};
 use serde_json::Value;
 use test_support::limited::{COMMAND_LIMIT, Watchdog};
 use test_support::python::or_skip;
 
+use crate::common::client::Client;
 use crate::common::logs::{assert_replays, counts, read};
 use crate::common::program::{Guarded, Place, assert_nothing_left, trabecula, wait_for};
 use crate::common::scenes;
@@ -146,6 +147,42 @@ fn a_cyclone_dds_program_pulls_the_tendon_pauses_and_resumes_and_what_is_wrong_i
     }
     assert!(log.ticks.iter().any(|tick| (tick.state.tendon_tension_n[0] - 4.0).abs() < 0.05));
     assert_replays(&ended.folder);
+}
+
+/// What the bridge promises when the other side dies without a word: velocities run out, the participant's lease too, the tension stays.
+#[test]
+fn a_killed_commanding_program_leaves_arm_and_burr_standing_and_the_tension_as_it_was() {
+    let Some(python) = python() else { return };
+    let place = Place::new();
+    let run = place.start(&scenes::piloted("realtime", 90.0, "hold_ticks = 100"));
+    let bridge = Bridge::start(&run.session(), "95", &["--controller", "pilot"]);
+    let mut peer = peer(&python, "drive_on.py", "95");
+    let mut driving = Guarded(peer.arg("4").stdout(Stdio::piped()).spawn().unwrap());
+    let watchdog = Watchdog::over(&driving.0, COMMAND_LIMIT);
+    let mut said = String::new();
+    BufReader::new(driving.0.stdout.as_mut().unwrap()).read_line(&mut said).unwrap();
+    drop(watchdog);
+    assert_eq!(said, "moving\n");
+    let client = Client::join(&run.session());
+    let moving = client.wait_for_state(|state| state.burr_speed_rad_per_s > 100.0);
+    driving.0.kill().unwrap();
+    // Velocities run out within half a second, long before Cyclone DDS's lease of 10 s.
+    let stopped = client.wait_for_state(|state| state.burr_speed_rad_per_s == 0.0);
+    let ticks = stopped.tick - moving.tick;
+    assert!(ticks > 300, "stopped after {ticks} ticks, before the velocity ran out");
+    wait_for("the lease's end", || {
+        let is_it = |(_, text): &(u32, String)| text.contains("the last publisher of commands has gone");
+        client.events().iter().any(is_it).then_some(())
+    });
+    let held = client.next_state();
+    assert!((held.tendon_tension_n[0] - 4.0).abs() < 0.05, "{} N", held.tendon_tension_n[0]);
+    assert_eq!(held.burr_speed_rad_per_s, 0.0);
+    assert!(held.arm_joint_velocity_rad_per_s.iter().all(|rate| rate.abs() < 1e-6), "the arm goes on");
+    client.ask(ControlAction::Stop.code(), 0);
+    let ended = run.end();
+    assert_eq!(bridge.end(), Some(0));
+    assert_replays(&ended.folder);
+    assert_nothing_left(ended.pid);
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! ROS 2 over DDS: states, images and transforms out; CRTK commands in. No ROS installation is needed.
 
 mod error;
+mod listener;
 mod loopback;
 mod node;
 mod notices;
@@ -14,6 +15,7 @@ use ros_interface::image::ImageForm;
 use ros_interface::topics::Names;
 
 pub use error::Ros2Error;
+pub use listener::Listener;
 
 use node::Node;
 use notices::Notices;

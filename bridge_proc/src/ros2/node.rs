@@ -55,7 +55,7 @@ pub(crate) struct Node {
 
 impl Node {
     pub(crate) fn open(options: &Ros2Options, inputs: &[Input]) -> Result<Node, Ros2Error> {
-        let place = Place::open(options)?;
+        let place = Place::open(options.domain_id, options.reach)?;
         let mut writers = BTreeMap::new();
         for row in &OUTPUTS {
             let (name, kind) = (row.dds_name(&options.names), row.dds_type());
@@ -141,7 +141,7 @@ impl Node {
     }
 }
 
-fn qos(kind: Qos, rate_hz: f64) -> QosPolicies {
+pub(super) fn qos(kind: Qos, rate_hz: f64) -> QosPolicies {
     let (durability, depth, window) = match kind {
         Qos::State => (Durability::Volatile, 1, (STATE_WINDOW_S * rate_hz).clamp(64.0, 30_000.0) as i32),
         Qos::Latched => (Durability::TransientLocal, 1, 256),
@@ -162,18 +162,17 @@ fn qos(kind: Qos, rate_hz: f64) -> QosPolicies {
 }
 
 /// The domain, and the bridge's place in it.
-struct Place {
+pub(super) struct Place {
     domain: u16,
-    participant: DomainParticipant,
+    pub(super) participant: DomainParticipant,
     publisher: Publisher,
     subscriber: Subscriber,
 }
 
 impl Place {
-    fn open(options: &Ros2Options) -> Result<Place, Ros2Error> {
-        let domain = options.domain_id;
+    pub(super) fn open(domain: u16, reach: Reach) -> Result<Place, Ros2Error> {
         let mut builder = DomainParticipantBuilder::new(domain).same_host_loopback(true);
-        if options.reach == Reach::Localhost {
+        if reach == Reach::Localhost {
             builder = builder.with_only_networks([std::net::Ipv4Addr::LOCALHOST]);
         }
         let failed = |what: &str, cause: rustdds::dds::CreateError| Ros2Error::Dds {
@@ -203,7 +202,7 @@ impl Place {
         made.map_err(|cause| self.failed(name, &cause.to_string()))
     }
 
-    fn reader(
+    pub(super) fn reader(
         &self,
         name: &str,
         kind: &str,

@@ -1,0 +1,49 @@
+//! The other side of a bridge, for measurements: it takes all that a bridge on this machine publishes.
+
+use ros_interface::topics::{Names, OUTPUTS};
+use rustdds::DomainParticipant;
+use rustdds::no_key::SimpleDataReader;
+
+use super::node::{Place, qos};
+use super::payload::{Came, Raw};
+use super::{Reach, Ros2Error};
+
+/// Subscriptions to every topic that a bridge publishes.
+pub struct Listener {
+    readers: Vec<SimpleDataReader<Came, Raw>>,
+    // Behind all that belong to it.
+    _participant: DomainParticipant,
+}
+
+impl Listener {
+    /// Subscribes to the topics with these names in a domain, on this machine. `rate_hz`: of the bridge's states.
+    ///
+    /// # Errors
+    /// No place on the domain.
+    pub fn open(domain_id: u16, names: &Names, rate_hz: f64) -> Result<Listener, Ros2Error> {
+        let place = Place::open(domain_id, Reach::Localhost)?;
+        let reader = |row: &ros_interface::topics::Row<_>| {
+            place.reader(&row.dds_name(names), &row.dds_type(), &qos(row.qos, rate_hz))
+        };
+        let readers = OUTPUTS.iter().map(reader).collect::<Result<_, _>>()?;
+        Ok(Listener { readers, _participant: place.participant })
+    }
+
+    /// Bytes of the messages that have come since the last call.
+    pub fn take(&mut self) -> u64 {
+        let mut bytes = 0;
+        for reader in &self.readers {
+            reader.drain_read_notifications();
+            while let Ok(Some(came)) = reader.try_take_one() {
+                bytes += came.sample.cdr.len() as u64;
+            }
+        }
+        bytes
+    }
+}
+
+impl core::fmt::Debug for Listener {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.debug_struct("Listener").field("topics", &self.readers.len()).finish_non_exhaustive()
+    }
+}
