@@ -1,6 +1,7 @@
 //! What a seed decides: the scene, how quick everybody is, and what goes wrong when.
 
 use fastrand::Rng;
+use messages::ControlAction;
 use scene::Mode;
 
 use crate::viewer_plan::ViewerPlan;
@@ -212,6 +213,10 @@ impl Plan {
         // Writing and reading a log takes longer than playing the schedule.
         plan.log_cut =
             (seed.is_multiple_of(SCHEDULES_PER_CUT) && plan.recorder_ns.is_some()).then(|| random.u64(..));
+        if random.u8(..16) == 0 {
+            let faults = stepping(&plan, &mut random);
+            plan.faults.extend(faults);
+        }
         plan
     }
 
@@ -237,6 +242,22 @@ fn controller(random: &mut Rng) -> ControllerPlan {
         answer_ns: [50 * US, 300 * US, 900 * US, 4 * MS][random.usize(..4)],
         newest_only: random.bool(),
     }
+}
+
+/// Somebody pauses, asks for steps, pauses again in the middle of them, and goes on a while later. Four requests that are drawn one by one
+/// hardly ever come in this order.
+fn stepping(plan: &Plan, random: &mut Rng) -> [Fault; 4] {
+    let mut at_ns = random.u64(..plan.nominal_ns());
+    let asked = [
+        (ControlAction::Pause, 0, 0),
+        (ControlAction::Step, random.u64(2..10), random.u64(..MS)),
+        (ControlAction::Pause, 0, random.u64(..5 * MS)),
+        (ControlAction::Resume, 0, random.u64(5 * MS..50 * MS)),
+    ];
+    asked.map(|(action, ticks, later_ns)| {
+        at_ns += later_ns;
+        Fault { at_ns, kind: FaultKind::Control { action: action.code(), ticks, count: 1 } }
+    })
 }
 
 fn fault(plan: &Plan, random: &mut Rng) -> Fault {
