@@ -1,10 +1,10 @@
 """Loss and latency of the ROS 2 bridge beside rclpy's own, in one run, and the bridge's memory over time.
 
-    python charts/peers/ros2.py TRABECULA_PROGRAM [SECONDS]
+    python charts/peers/ros2.py TRABECULA_PROGRAM [SECONDS] [RATE_HZ]
 
 Needs the packages that tests/processes/ros2.rs installs. A session without bone runs in real time; the bridge and a plain rclpy
-publisher of the same JointState send 100 messages a second each to one rclpy subscriber (reliable, depth 10; DDS's source and reception
-stamps, one clock).
+publisher of the same JointState send RATE_HZ (100) messages a second each to one rclpy subscriber (reliable, depth 10; DDS's source and
+reception stamps, one clock).
 """
 
 import os
@@ -15,13 +15,13 @@ import tempfile
 import time
 
 PUBLISHER = """
-import time, rclpy
+import sys, time, rclpy
 from sensor_msgs.msg import JointState
 rclpy.init(); node = rclpy.create_node("publisher"); out = node.create_publisher(JointState, "/peer/measured_js", 1)
-due = time.monotonic()
+due, period_s = time.monotonic(), 1.0 / float(sys.argv[1])
 while True:
     out.publish(JointState(name=["joint"] * 6, position=[0.1] * 6, velocity=[0.0] * 6))
-    due += 0.01
+    due += period_s
     time.sleep(max(0.0, due - time.monotonic()))
 """
 SCENE = """name = "quiet"
@@ -91,7 +91,8 @@ def measure(bridge, seconds):
 
 
 def main():
-    program, seconds = sys.argv[1], float(sys.argv[2]) if len(sys.argv) > 2 else 60.0
+    program = sys.argv[1]
+    seconds, rate_hz = [*map(float, sys.argv[2:]), *(60.0, 100.0)[len(sys.argv) - 2 :]]
     os.environ.update(ROS_DOMAIN_ID="97", ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
     with tempfile.TemporaryDirectory() as folder:
         scene = pathlib.Path(folder, "scene.toml")
@@ -100,8 +101,8 @@ def main():
             [program, "run", scene, "--output", folder], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )
         session = next(line.split()[1] for line in run.stdout if line.startswith("session "))
-        bridge = subprocess.Popen([program, "bridge", "ros2", "--session", session], stdout=subprocess.PIPE, text=True)
-        publisher = subprocess.Popen([sys.executable, "-c", PUBLISHER])
+        bridge = subprocess.Popen([program, "bridge", "ros2", "--rate", str(rate_hz), "--session", session], stdout=subprocess.PIPE, text=True)
+        publisher = subprocess.Popen([sys.executable, "-c", PUBLISHER, str(rate_hz)])
         try:
             print(bridge.stdout.readline().strip())
             measure(bridge, seconds)

@@ -13,7 +13,7 @@ use test_support::python::or_skip;
 
 use crate::common::client::Client;
 use crate::common::logs::{assert_replays, counts, read};
-use crate::common::program::{Guarded, Place, assert_nothing_left, trabecula, wait_for};
+use crate::common::program::{Guarded, LIMIT, Place, assert_nothing_left, trabecula, wait_for};
 use crate::common::scenes;
 use crate::languages::output_within_limit;
 
@@ -174,7 +174,7 @@ fn a_killed_commanding_program_leaves_arm_and_burr_standing_and_the_tension_as_i
         let is_it = |(_, text): &(u32, String)| text.contains("the last publisher of commands has gone");
         client.events().iter().any(is_it).then_some(())
     });
-    let held = client.next_state();
+    let held = client.next_state_within(LIMIT).expect("a state");
     assert!((held.tendon_tension_n[0] - 4.0).abs() < 0.05, "{} N", held.tendon_tension_n[0]);
     assert_eq!(held.burr_speed_rad_per_s, 0.0);
     assert!(held.arm_joint_velocity_rad_per_s.iter().all(|rate| rate.abs() < 1e-6), "the arm goes on");
