@@ -125,6 +125,9 @@ pub const EXAMPLES: &[Examples] = &[
     ("session env", &["trabecula session env"]),
     ("cache info", &["trabecula cache info", "trabecula cache info --json"]),
     ("cache clear", &["trabecula cache clear"]),
-    ("tool show", &["trabecula tool show", "trabecula tool show scene.toml --json"]),
+    (
+        "tool show",
+        &["trabecula tool show configs/tools/two_segments.toml", "trabecula tool show scene.toml --json"],
+    ),
     ("doctor", &["trabecula doctor", "trabecula doctor --json --seconds 5"]),
 ];

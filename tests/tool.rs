@@ -52,6 +52,53 @@ fn physics_and_x_ray_take_the_tools_radii_from_one_place() {
     }
 }
 
+/// A scene with the tool of a file, one line of it changed.
+fn with_tool(from: &str, to: &str) -> Scene {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/tools");
+    let read = |file: &Path| {
+        let text = std::fs::read_to_string(file)?;
+        assert!(text.contains(from), "{from}");
+        Ok(text.replacen(from, to, 1))
+    };
+    let text = format!(
+        "name = \"tool\"\nrun = {{ mode = \"lockstep\", duration_s = 0.1 }}\nmanipulator = {{ file = \"two_segments.toml\" }}\n\
+         tool = {{ burr_start_mm = [0.0, 0.0, 0.0], direction = [0.0, 0.0, 1.0], bend_toward = [1.0, 0.0, 0.0] }}\n"
+    );
+    Scene::parse_with(&text, &folder.join("scene.toml"), &read).unwrap()
+}
+
+/// What each of them takes from one line of a tool file: physics, X-ray, viewer, exported surface, robot description.
+#[test]
+fn a_changed_radius_in_a_tool_file_changes_physics_x_ray_and_viewer() {
+    let seen = |scene: &Scene| {
+        let [physics, x_ray] = radii_m(scene);
+        let shape = trabecula::commands::view::tool_shape(scene);
+        let simulation = Simulation::new(scene, None).unwrap();
+        let surface = trabecula::geometry::tool::surface(simulation.state(), &scene.manipulator.radii());
+        let stiffness = manipulator_parameters(scene).unwrap().joint_stiffness_nm_per_rad[5];
+        (physics, x_ray, [shape.outer_radius_m, shape.burr_radius_m], surface.volume_mm3(), stiffness)
+    };
+    let (line, burr) = ("outer_diameter_mm = 6.0", "diameter_mm = 6.5");
+    let before = seen(&with_tool(line, line));
+    assert_eq!(before.0, [3.25e-3, 3e-3, 2e-3, 3e-3, 3e-3]);
+    let thin = seen(&with_tool(line, "outer_diameter_mm = 5.6"));
+    assert_eq!(thin.0, [3.25e-3, 2.8e-3, 2e-3, 2.8e-3, 2.8e-3]);
+    assert_eq!((thin.1.clone(), thin.2), (vec![3.25e-3, 2.8e-3, 2e-3], [2.8e-3, 3.25e-3]));
+    assert!(thin.3 < before.3 - 100.0 && thin.4 < 0.9 * before.4, "{thin:?} {before:?}");
+    let small = seen(&with_tool(burr, "diameter_mm = 6.0"));
+    assert_eq!((small.0[0], small.1[0], small.2[1]), (3e-3, 3e-3, 3e-3));
+    assert!(small.3 < before.3 - 10.0);
+}
+
+/// A log keeps the tool itself: what it holds reads as the same without the file.
+#[test]
+fn what_a_log_keeps_of_a_described_tool_is_the_tool() {
+    let scene = with_tool("pitch_mm", "pitch_mm");
+    let kept = Scene::parse(&toml::to_string(&scene).unwrap(), Path::new("log")).unwrap();
+    assert_eq!(kept, scene);
+    assert_eq!(manipulator_parameters(&kept).unwrap(), manipulator_parameters(&scene).unwrap());
+}
+
 fn dimension_mm(scene: &Scene, name: &str) -> f64 {
     dimensions(scene).unwrap().into_iter().find(|dimension| dimension.name == name).unwrap().value
 }

@@ -2,10 +2,11 @@
 
 use std::sync::LazyLock;
 
+use schemars::JsonSchema;
 use serde_json::Value;
 
-use crate::Scene;
 use crate::schema::{as_read, as_written};
+use crate::{Scene, ToolDescription};
 
 /// A table of a scene file.
 #[derive(Debug)]
@@ -70,10 +71,15 @@ pub(crate) enum Absent {
 }
 
 /// The top level of a scene file.
-pub(crate) static SCENE: LazyLock<Table> = LazyLock::new(|| {
-    let (read, written) = (as_read::<Scene>(), as_written::<Scene>());
+pub(crate) static SCENE: LazyLock<Table> = LazyLock::new(table_of::<Scene>);
+
+/// The top level of a tool file.
+pub(crate) static TOOL: LazyLock<Table> = LazyLock::new(table_of::<ToolDescription>);
+
+fn table_of<T: JsonSchema>() -> Table {
+    let (read, written) = (as_read::<T>(), as_written::<T>());
     Reader { read: &read, written: &written }.table(&read, &written)
-});
+}
 
 impl Table {
     /// The kind of a key by its path, such as `run.dt_ms`; tables of an array have no number in it.

@@ -76,11 +76,14 @@ fn stands_twice(checker: &Checker, key: &str) -> SceneError {
     checker.invalid(key, "stands beside `tool.plan`, from which it follows; expected one of the two")
 }
 
-/// The scene's burr; the standard one where the key is absent or is refused later.
+/// The scene's burr, or its tool's; the standard one where neither key is there or is refused later.
 fn burr_diameter_mm(scene: &Table) -> f64 {
-    let given = scene.get("manipulator").and_then(|table| table.get("burr_diameter_mm"));
-    let given = given.and_then(|value| value.as_float().or(value.as_integer().map(|whole| whole as f64)));
-    given.unwrap_or(2e3 * STANDARD_RADII.burr_m)
+    let manipulator = scene.get("manipulator");
+    let number = |value: &Value| value.as_float().or(value.as_integer().map(|whole| whole as f64));
+    let own = manipulator.and_then(|table| number(table.get("burr_diameter_mm")?));
+    let of_tool =
+        || manipulator.and_then(|table| number(table.get("tool")?.get("burr")?.get("diameter_mm")?));
+    own.or_else(of_tool).unwrap_or(2e3 * STANDARD_RADII.burr_m)
 }
 
 /// Adds the pilot hole behind the scene's own holes, whose numbers in messages stay.

@@ -108,7 +108,7 @@ fn unit_of(name: &str) -> Option<String> {
 }
 
 fn symbol(word: &str) -> Option<&'static str> {
-    const SYMBOLS: [(&str, &str); 23] = [
+    const SYMBOLS: [(&str, &str); 25] = [
         ("mm", "mm"),
         ("mm3", "mm³"),
         ("m", "m"),
@@ -127,6 +127,8 @@ fn symbol(word: &str) -> Option<&'static str> {
         ("nms", "N m s"),
         ("j", "J"),
         ("kg", "kg"),
+        ("g", "g"),
+        ("gpa", "GPa"),
         ("hu", "HU"),
         ("kv", "kV"),
         ("kev", "keV"),

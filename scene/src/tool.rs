@@ -1,6 +1,6 @@
 //! The tool's dimensions, from which physics, contact spheres, X-ray, viewer and controllers take theirs.
 
-use crate::Manipulator;
+use crate::{Manipulator, ToolDescription, ToolFlexure};
 
 /// Radii of the tool.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -9,7 +9,7 @@ pub struct ToolRadii {
     pub tube_outer_m: f64,
     /// Lumen of the tube.
     pub tube_inner_m: f64,
-    /// Flexible drive cable in the lumen.
+    /// Flexible drive cable in the lumen; 0 without.
     pub drive_cable_m: f64,
     /// The burr, a ball.
     pub burr_m: f64,
@@ -25,7 +25,59 @@ pub const STANDARD_RADII: ToolRadii =
 impl Manipulator {
     /// The radii of the scene's tool.
     pub fn radii(&self) -> ToolRadii {
-        let burr_m = self.burr_diameter_mm.map_or(STANDARD_RADII.burr_m, |diameter_mm| diameter_mm * 0.5e-3);
-        ToolRadii { burr_m, ..STANDARD_RADII }
+        let own = self.tool.as_ref().map_or(STANDARD_RADII, ToolDescription::radii);
+        let burr_m = self.burr_diameter_mm.map_or(own.burr_m, |diameter_mm| diameter_mm * 0.5e-3);
+        ToolRadii { burr_m, ..own }
+    }
+}
+
+/// A flexure of a tool, counted out of its group.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FlexurePlace<'a> {
+    /// Its entry in the list of flexures, from 0.
+    pub entry: usize,
+    /// Its centre on the straight tool, from the flange.
+    pub at_mm: f64,
+    /// What it is.
+    pub flexure: &'a ToolFlexure,
+}
+
+impl ToolDescription {
+    /// The radii of this tool.
+    pub fn radii(&self) -> ToolRadii {
+        let radius_m = |diameter_mm: f64| diameter_mm / 2e3;
+        ToolRadii {
+            tube_outer_m: radius_m(self.tube.outer_diameter_mm),
+            tube_inner_m: radius_m(self.tube.inner_diameter_mm),
+            drive_cable_m: self.tube.drive_cable_diameter_mm.map_or(0.0, radius_m),
+            burr_m: radius_m(self.burr.diameter_mm),
+        }
+    }
+
+    /// Its flexures, counted out of their groups, in the order of the file.
+    pub fn flexures(&self) -> Vec<FlexurePlace<'_>> {
+        let mut places = Vec::new();
+        for (entry, flexure) in self.flexure.iter().enumerate() {
+            let pitch_mm = flexure.pitch_mm.unwrap_or(0.0);
+            let at_mm = |number: usize| flexure.at_mm + number as f64 * pitch_mm;
+            places.extend((0..flexure.count).map(|number| FlexurePlace {
+                entry,
+                at_mm: at_mm(number),
+                flexure,
+            }));
+        }
+        places
+    }
+
+    /// Mean distance of a flexure from its neighbours, mm; `None` for the only one.
+    pub fn pitch_mm(places: &[FlexurePlace], index: usize) -> Option<f64> {
+        let (from, to) = (index.saturating_sub(1), (index + 1).min(places.len().saturating_sub(1)));
+        let length_mm = places.get(to)?.at_mm - places.get(from)?.at_mm;
+        (to > from).then(|| length_mm / (to - from) as f64)
+    }
+
+    /// Length of tube that a flexure bends, mm: its own, or half way to either neighbour. `None` for an only one without length.
+    pub fn length_mm(places: &[FlexurePlace], index: usize) -> Option<f64> {
+        places.get(index)?.flexure.length_mm.or_else(|| ToolDescription::pitch_mm(places, index))
     }
 }

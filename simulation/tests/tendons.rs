@@ -9,7 +9,7 @@ use simulation::Simulation;
 use simulation::contact_plane::ContactPlane;
 use simulation::manipulator::{
     AnyManipulator, BaseMotion, Integrator, ManipulatorModel, ManipulatorParameters, ProxySphere, Rung,
-    StepInput, TendonCommand, Wrench,
+    StepInput, TendonCommand, TendonRoute, Wrench,
 };
 
 use common::{scene, try_scene};
@@ -26,7 +26,8 @@ fn beam(links: usize, channels_m: &[[f64; 2]]) -> ManipulatorParameters {
     p.tube_radii_m = [1e-5, 0.0];
     p.tendon.offset_m = OFFSET_M;
     p.lateral_stiffness_ratio = Some(1.0);
-    p.tendon_channels_m = channels_m.to_vec();
+    let routes = || channels_m.iter().map(|channel_m| TendonRoute::from(*channel_m)).collect();
+    p.tendon_routes = (!channels_m.is_empty()).then(routes);
     p
 }
 
@@ -317,7 +318,8 @@ fn the_pair_as_channels_is_the_pair() {
     let mut p = ManipulatorParameters::jhu_27();
     p.tendon.friction_coefficient = 0.2;
     let d = p.tendon.offset_m;
-    let named = ManipulatorParameters { tendon_channels_m: vec![[d, 0.0], [-d, 0.0]], ..p.clone() };
+    let named =
+        ManipulatorParameters { tendon_routes: Some(vec![[d, 0.0].into(), [-d, 0.0].into()]), ..p.clone() };
     let base = BaseMotion::at_rest(Isometry3::identity());
     for rung in Rung::ALL {
         let [mut a, mut b] = [&p, &named].map(|p| AnyManipulator::new(rung, p.clone(), &base).unwrap());

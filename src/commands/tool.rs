@@ -1,21 +1,23 @@
-//! `trabecula tool show [SCENE]`: the dimensions of a scene's tool.
+//! `trabecula tool show [FILE]`: the dimensions of a tool, and what it does.
 
+use std::fmt::Write;
 use std::path::PathBuf;
 
 use clap::Subcommand;
 
 use crate::failure::Failure;
 use crate::say::Figures;
-use crate::scenes::{BuiltIn, SceneSource};
+use crate::tool::response::{Cost, Response, Shape, response};
+use crate::tool::source::ToolSource;
 use crate::tool::{Dimension, dimensions, rounded};
 
 /// What to do with the tool.
 #[derive(Debug, Subcommand)]
 pub enum ToolCommand {
-    /// Print its dimensions.
+    /// Print its dimensions, its shape under each tendon, its first mode, and what each model of it costs.
     Show {
-        /// Scene file; default: the built-in femur, whose tool is the standard one.
-        scene: Option<PathBuf>,
+        /// Scene or tool file; default: the built-in femur, whose tool is the standard one.
+        file: Option<PathBuf>,
         /// How they are printed.
         #[command(flatten)]
         figures: Figures,
@@ -25,21 +27,54 @@ pub enum ToolCommand {
 /// Runs the command.
 ///
 /// # Errors
-/// An invalid scene (2).
+/// An invalid scene or tool (2).
 pub fn run(command: &ToolCommand) -> Result<(), Failure> {
-    let ToolCommand::Show { scene, figures } = command;
-    let source = SceneSource::new(scene.as_deref(), BuiltIn::Femur);
-    let dimensions = dimensions(&source.load()?)?;
-    let line = |it: &Dimension| format!("\n{:<17} {:>7}  {}", it.name, rounded(it.value), it.text);
+    let ToolCommand::Show { file, figures } = command;
+    let source = ToolSource::load(file.as_deref())?;
+    let dimensions = dimensions(&source.scene)?;
+    let response = response(&source.scene)?;
     figures.say(
-        || format!("the tool of {source}{}", dimensions.iter().map(line).collect::<String>()),
+        || format!("the tool of {source}{}", text(&dimensions, &response)),
         || {
-            dimensions
-                .iter()
-                .map(|it| (it.name.to_owned(), it.value.into()))
-                .collect::<serde_json::Map<_, _>>()
-                .into()
+            let mut all: serde_json::Map<_, _> =
+                dimensions.iter().map(|it| (it.name.to_owned(), it.value.into())).collect();
+            if let Ok(serde_json::Value::Object(more)) = serde_json::to_value(&response) {
+                all.extend(more);
+            }
+            all.into()
         },
     );
     Ok(())
+}
+
+fn text(dimensions: &[Dimension], response: &Response) -> String {
+    let mut text = String::new();
+    // Writing to a text cannot fail.
+    for it in dimensions {
+        let _ = write!(text, "\n{:<18} {:>7}  {}", it.name, rounded(it.value), it.text);
+    }
+    let first_hz = rounded(response.first_frequency_hz);
+    let _ =
+        write!(text, "\n{:<18} {first_hz:>7}  first bending mode while it is straight", "first_frequency_hz");
+    let _ = write!(
+        text,
+        "\n\nat rest in free space; mm from the flange\ntendon   tension_n  bend_deg  toward_mm  across_mm  along_mm"
+    );
+    for Shape { tendon, tension_n, bend_deg, toward_mm, across_mm, along_mm, stopped } in &response.shapes {
+        let tendon = tendon.map_or("none".to_owned(), |tendon| tendon.to_string());
+        let [bend, toward, across, along] =
+            [bend_deg, toward_mm, across_mm, along_mm].map(|value| rounded(*value));
+        let _ = write!(text, "\n{tendon:<8} {tension_n:>9}  {bend:>8}  {toward:>9}  {across:>9}  {along:>8}");
+        if *stopped > 0 {
+            let _ = write!(text, "  {stopped} on their stops");
+        }
+    }
+    let _ = write!(text, "\n\na step in free space on this machine\nmodel               step_us");
+    for Cost { rung, step_us, refused } in &response.costs {
+        let _ = match (step_us, refused) {
+            (Some(us), _) => write!(text, "\n{rung:<18}  {:>7}", rounded(*us)),
+            (None, why) => write!(text, "\n{rung:<18}  refused: {}", why.as_deref().unwrap_or_default()),
+        };
+    }
+    text
 }

@@ -136,7 +136,7 @@ fn failure(error: &ViewerError) -> Failure {
 }
 
 /// The scene's tool as the page draws it; a bare burr if the scene's tool is invalid.
-pub(crate) fn tool_shape(scene: &Scene) -> ToolShape {
+pub fn tool_shape(scene: &Scene) -> ToolShape {
     match manipulator_parameters(scene) {
         Ok(parameters) => ToolShape {
             joint_positions_m: parameters.joint_positions_m,

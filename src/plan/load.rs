@@ -53,7 +53,7 @@ fn share_of_gentle(entry: &Controller) -> f64 {
 /// Refuses a tool other than the one whose errors were measured.
 ///
 /// # Errors
-/// Bad input: the scene changes the tool's stiffness, mass, damping or mount, or has more tendon friction.
+/// Bad input: the scene has another tool, or changes the tool's stiffness, mass, damping or mount, or has more tendon friction.
 pub fn check_tool(scene: &Scene) -> Result<(), Failure> {
     let tool = &scene.manipulator;
     let changed = [
@@ -70,6 +70,12 @@ pub fn check_tool(scene: &Scene) -> Result<(), Failure> {
             scene.name
         ))
     };
+    if let Some(other) = &tool.tool {
+        return Err(Failure::bad_input(format!(
+            "scene `{}`: `manipulator.tool` is `{}`; with a `tolerance` of tip or path, expected the standard tool, for which the errors were measured (leave `tip_mm` and `path_mm` out and name `model`, `links`, `integrator` and `dt_ms` instead)",
+            scene.name, other.name
+        )));
+    }
     for (key, given, standard) in changed {
         if let Some(given) = given.filter(|given| *given != standard) {
             return Err(refuse(key, given, format!("{standard}")));

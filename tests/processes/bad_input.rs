@@ -55,6 +55,44 @@ fn a_value_out_of_range_is_named_with_the_range() {
     );
 }
 
+/// A tool that cannot stand: one error with file, key, value and range, and nothing starts. Every rule: `scene/tests/tools.rs`.
+#[test]
+fn a_tool_that_cannot_stand_is_named_with_its_file() {
+    let shipped =
+        fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/configs/tools/two_segments.toml")).unwrap();
+    for (from, to, words) in [
+        (
+            "pitch_mm = 1.3",
+            "pitch_mm = 1.3\nstiffness_nm_per_deg = -1.0",
+            ["`flexure.stiffness_nm_per_deg` is -1", "allowed is"],
+        ),
+        (
+            "pitch_mm = 1.3",
+            "pitch_mm = 1.3\nlength_mm = 2.0",
+            ["`flexure[0].at_mm` puts a flexure at 37.3", "overlap"],
+        ),
+        ("to_flexure = 12", "to_flexure = 25", ["`tendon[2].to_flexure` is 25", "allowed is 1 to 24"]),
+        ("offset_mm = 4.0", "offset_mm = 0.3", ["`burr.offset_mm` is 0.3", "inside the tube"]),
+        (
+            "density_kg_per_m = 0.101",
+            "density_kg_per_m = nan",
+            ["`tube.linear_density_kg_per_m` is NaN", "allowed is"],
+        ),
+    ] {
+        let place = Place::new();
+        assert!(shipped.contains(from), "{from}");
+        fs::write(place.path("tool.toml"), shipped.replacen(from, to, 1)).unwrap();
+        place.scene(&format!("{}[manipulator]\nfile = \"tool.toml\"\n", scenes::drill("lockstep", 1.0)));
+        assert_refused_in(&place, &["tool.toml", words[0], words[1]]);
+        let shown = trabecula(&[&"tool", &"show", &place.path("tool.toml")]);
+        assert_eq!(shown.code, Some(2), "{}", shown.out);
+        assert!(words.iter().all(|word| shown.err.contains(word)), "{words:?} in: {}", shown.err);
+    }
+    let place = Place::new();
+    place.scene(&format!("{}[manipulator]\nfile = \"none.toml\"\n", scenes::drill("lockstep", 1.0)));
+    assert_refused_in(&place, &["scene.toml: `manipulator.file` names ", "none.toml, which cannot be read"]);
+}
+
 #[test]
 fn a_value_of_a_wrong_type_is_named_with_its_line() {
     assert_refused(

@@ -7,7 +7,7 @@ use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Place, Run, assert_nothing_left, trabecula};
 
 /// Each scene, and the line by which it shows its feature.
-const GALLERY: [(&str, &str); 11] = [
+const GALLERY: [(&str, &str); 14] = [
     ("arm_compliance.toml", "[arm.compliance]"),
     ("contact_voxels.toml", "voxels = \"balls\""),
     ("drilling_removal.toml", "removal = \"capped\""),
@@ -19,6 +19,9 @@ const GALLERY: [(&str, &str); 11] = [
     ("manipulator_model.toml", "model = \"spatial\""),
     ("tendons.toml", "[[tendon]]"),
     ("tolerance.toml", "[tolerance]"),
+    ("tool_pre_curved.toml", "start_shape = \"straight\""),
+    ("tool_rigid.toml", "file = \"../tools/rigid_drill.toml\""),
+    ("tool_two_segments.toml", "file = \"../tools/two_segments.toml\""),
 ];
 
 #[test]

@@ -22,17 +22,21 @@ pub fn tool_of(state: &State, radii: &ToolRadii, notch: Option<&SceneNotch>) -> 
         let (outer_radius_m, inner_radius_m) = (radii.tube_outer_m, radii.tube_inner_m);
         let material = Material::Nitinol;
         parts.push(match cut {
+            // A solid rod.
+            _ if inner_radius_m == 0.0 => ToolPart::Cylinder { start_m, end_m, radius_m: outer_radius_m, material },
             None => ToolPart::HollowCylinder { start_m, end_m, outer_radius_m, inner_radius_m, material },
             Some(notch) => {
                 ToolPart::NotchedTube { start_m, end_m, outer_radius_m, inner_radius_m, notch, material }
             }
         });
-        parts.push(ToolPart::Cylinder {
-            start_m,
-            end_m,
-            radius_m: radii.drive_cable_m,
-            material: Material::Steel316L,
-        });
+        if radii.drive_cable_m > 0.0 {
+            parts.push(ToolPart::Cylinder {
+                start_m,
+                end_m,
+                radius_m: radii.drive_cable_m,
+                material: Material::Steel316L,
+            });
+        }
     }
     let centre_m = state.t_world_burr.position_m;
     parts.push(ToolPart::Sphere { centre_m, radius_m: radii.burr_m, material: Material::Steel316L });

@@ -1,6 +1,7 @@
 //! Checks what relates a scene's keys to each other. Ranges of single keys: [`ranges`].
 
 mod controllers;
+mod tool;
 
 use std::path::Path;
 
@@ -8,6 +9,8 @@ use crate::declaration::{Range, SCENE};
 use crate::error::SceneError;
 use crate::model::{Arm, Body, CArm, Drr, ManipulatorRung, Scene, Tool, Volume};
 use crate::ranges;
+
+pub(crate) use tool::tool;
 
 /// Makes the errors of one scene file.
 pub(crate) struct Checker<'a> {
@@ -63,6 +66,7 @@ pub(crate) fn check(scene: &Scene, given: &toml::Table, file: &Path) -> Result<(
     }
     check_bodies(scene, &checker)?;
     check_tool(&scene.tool, &checker)?;
+    tool::beside(scene, &checker)?;
     check_tendons(scene, &checker)?;
     if scene.drilling.edge_force_n_per_mm.is_some() && scene.drilling.edge_pressure_mpa.is_some() {
         let problem = "stands beside `drilling.edge_pressure_mpa`; expected one of the two";
@@ -154,11 +158,12 @@ fn check_tendons(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
         None => !scene.tolerance.as_ref().is_some_and(|t| t.tip_mm.is_some() || t.path_mm.is_some()),
         Some(model) => matches!(model, ManipulatorRung::Planar | ManipulatorRung::ConstantCurvature),
     };
-    for tendon in &scene.tendon {
-        if flat && tendon.across_mm != 0.0 {
-            let problem = "bends out of the plane; expected `manipulator.model` to be spatial or full";
-            return Err(checker.invalid("tendon.across_mm", problem));
-        }
+    let own = scene.tendon.iter().map(|tendon| ("tendon.across_mm", tendon.across_mm));
+    let tool = scene.manipulator.tool.iter().flat_map(|tool| &tool.tendon);
+    let described = tool.map(|tendon| ("manipulator.tool.tendon.across_mm", tendon.across_mm));
+    if let Some((key, _)) = own.chain(described).find(|(_, across_mm)| flat && *across_mm != 0.0) {
+        let problem = "bends out of the plane; expected `manipulator.model` to be spatial or full";
+        return Err(checker.invalid(key, problem));
     }
     Ok(())
 }

@@ -6,7 +6,7 @@ use messages::MAX_JOINTS;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::FARTHEST_MM;
+use super::{FARTHEST_MM, ToolDescription};
 
 /// Where the tool starts and which way it looks, in the patient frame (LPS).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -24,6 +24,21 @@ pub struct Tool {
     pub direction: [f64; 3],
     /// Side to which tendon 0 bends the tool; its part across the direction counts. From `plan`, if that bends.
     pub bend_toward: [f64; 3],
+    /// Shape of a pre-curved tool at the start: `rest`, the standard, is its own, `straight` is held straight by a hole or a guide, as at
+    /// the start of a curved tunnel. A tool that is straight without load is straight either way.
+    #[schemars(extend("x-absent" = "rest"))]
+    pub start_shape: Option<StartShape>,
+}
+
+/// Shapes of the tool at the start.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum StartShape {
+    /// Its shape without load.
+    #[default]
+    Rest,
+    /// Straight.
+    Straight,
 }
 
 /// The manipulator, where it differs from the notched nitinol tube of 27 flexures.
@@ -31,6 +46,12 @@ pub struct Tool {
 #[serde(deny_unknown_fields, default)]
 #[schemars(extend("x-absent" = "standard"))]
 pub struct Manipulator {
+    /// A tool file, from the scene file's folder: another tool in place of the standard one (docs/tools.md). From it follows
+    /// `[manipulator.tool]`. The keys below then change that tool.
+    #[schemars(extend("x-kind" = "path"))]
+    pub file: Option<PathBuf>,
+    /// The same in the scene itself.
+    pub tool: Option<ToolDescription>,
     /// Rung of the ladder of models: `planar` is the standard.
     pub model: Option<ManipulatorRung>,
     /// The flexible length as this many equal links in place of the flexures of the tables.

@@ -10,6 +10,7 @@ mod manipulator;
 mod recording;
 mod run;
 mod tolerance;
+mod tool;
 mod volume;
 
 pub use arm::*;
@@ -22,6 +23,7 @@ pub use manipulator::*;
 pub use recording::*;
 pub use run::*;
 pub use tolerance::Tolerance;
+pub use tool::*;
 pub use volume::*;
 
 use messages::{MAX_BODIES, MAX_CONTROLLERS, MAX_TENDONS};

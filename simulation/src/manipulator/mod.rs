@@ -55,7 +55,9 @@ pub use error::ManipulatorError;
 pub use flexure::{Notch, StiffnessRatios, UnitStiffness};
 pub use geometry::SphereKind;
 pub use model::{AnyManipulator, AnyManipulatorState, ManipulatorModel, Rung};
-pub use parameters::{ContactParameters, Integrator, ManipulatorParameters, Section, TendonParameters};
+pub use parameters::{
+    ContactParameters, Integrator, ManipulatorParameters, Section, TendonParameters, TendonReach, TendonRoute,
+};
 use pressed::PressedStops;
 pub use spatial::{SpatialChain, SpatialState};
 pub use state::{
@@ -83,6 +85,8 @@ pub struct Manipulator {
     parameters: ManipulatorParameters,
     layout: Layout,
     stiffness: [f64; MAX_JOINTS],
+    /// Joint angles without load, rad.
+    rest: [f64; MAX_JOINTS],
     damping: [f64; MAX_JOINTS],
     mount_damping: [f64; 3],
     first_frequency_rad_per_s: f64,
@@ -102,7 +106,7 @@ pub struct Manipulator {
 }
 
 impl Manipulator {
-    /// A straight tool at rest on `base`, with slack tendons.
+    /// A tool in its rest shape, at rest on `base`, with slack tendons.
     pub fn new(parameters: ManipulatorParameters, base: &BaseMotion) -> Result<Self, ManipulatorError> {
         parameters.validate()?;
         let given = parameters.joint_positions_m.len();
@@ -117,6 +121,8 @@ impl Manipulator {
         stiffness[..n].copy_from_slice(&parameters.joint_stiffness_nm_per_rad);
         let (lengths, bodies) = (&layout.length_m[..n], &layout.body[..=n]);
         let first = modal::first_frequency_rad_per_s(layout.first_joint_m, lengths, bodies, &stiffness[..n]);
+        let mut rest = [0.0; MAX_JOINTS];
+        rest[..parameters.joint_rest_rad.len()].copy_from_slice(&parameters.joint_rest_rad);
         let damping = stiffness.map(|k| 2.0 * parameters.damping_ratio / first * k);
         let mount_damping = parameters
             .mount_stiffness_n_per_m
@@ -130,10 +136,11 @@ impl Manipulator {
         let mut manipulator = Self {
             spheres: layout.spheres.iter().map(blank).collect(),
             stiffness,
+            rest,
             damping,
             mount_damping,
             first_frequency_rad_per_s: first,
-            state: ManipulatorState::new(base),
+            state: ManipulatorState { joint_position_rad: rest, ..ManipulatorState::new(base) },
             configuration: Configuration::new(),
             trial: Configuration::new(),
             articulated: Articulated::new(n),
@@ -147,6 +154,17 @@ impl Manipulator {
         };
         manipulator.update_configuration();
         Ok(manipulator)
+    }
+
+    /// Makes the tool straight, and at rest: a pre-curved tool that a hole or a guide holds.
+    pub fn straighten(&mut self) {
+        self.state.joint_position_rad = [0.0; MAX_JOINTS];
+        self.state.joint_velocity_rad_per_s = [0.0; MAX_JOINTS];
+        self.update_configuration();
+        for t in 0..self.tendon.channels.count {
+            self.state.tendon[t].take_up_m =
+                self.tendon.take_up(&self.parameters.tendon, &self.configuration, t);
+        }
     }
 
     /// Disables SIMD: slower, same bits.
@@ -199,7 +217,7 @@ impl Manipulator {
         &self.parameters
     }
 
-    /// First bending mode of the straight tool on a rigid mount, Hz.
+    /// First bending mode of the tool on a rigid mount while it is straight, Hz.
     pub fn first_natural_frequency_hz(&self) -> f64 {
         self.first_frequency_rad_per_s / (2.0 * core::f64::consts::PI)
     }
@@ -292,7 +310,7 @@ impl Manipulator {
     pub fn energy_j(&self) -> f64 {
         let mut energy = 0.0;
         for i in 0..self.layout.joints {
-            let q = self.state.joint_position_rad[i];
+            let q = self.state.joint_position_rad[i] - self.rest[i];
             energy += 0.5 * self.stiffness[i] * q * q;
         }
         for k in 0..3 {

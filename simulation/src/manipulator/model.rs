@@ -79,7 +79,7 @@ pub trait ManipulatorModel {
     fn t_world_tip(&self) -> Isometry3<f64>;
     /// Kinetic energy relative to the base plus elastic energy, J.
     fn energy_j(&self) -> f64;
-    /// First bending mode of the straight tool on a rigid mount, Hz.
+    /// First bending mode of the tool on a rigid mount while it is straight, Hz.
     fn first_natural_frequency_hz(&self) -> f64;
 
     /// Sum of the bending angles, rad.
@@ -193,10 +193,10 @@ pub(crate) enum AnyManipulatorStateRef<'a> {
 }
 
 impl AnyManipulator {
-    /// A straight tool at rest on `base`, with slack tendons.
+    /// A tool in its rest shape, at rest on `base`, with slack tendons.
     ///
     /// # Errors
-    /// A parameter is out of range; the error names it.
+    /// A parameter is out of range, or the rung cannot represent the tool; the error names it.
     pub fn new(
         rung: Rung,
         parameters: ManipulatorParameters,
@@ -211,6 +211,17 @@ impl AnyManipulator {
             Rung::Spatial => Self::Spatial(SpatialChain::new(parameters, base)?),
             Rung::Full => Self::Full(SpatialChain::new(parameters, base)?),
         })
+    }
+
+    /// Makes the tool straight, and at rest: a pre-curved tool that a hole or a guide holds.
+    pub fn straighten(&mut self) {
+        match self {
+            Self::ConstantCurvature(tool) => tool.straighten(),
+            Self::Planar(tool) => tool.straighten(),
+            Self::LongPlanar(tool) => tool.straighten(),
+            Self::Spatial(tool) => tool.straighten(),
+            Self::Full(tool) => tool.straighten(),
+        }
     }
 
     /// Says whether the burr turns in the next steps; one that stands still rubs like the tube. It turns at first.

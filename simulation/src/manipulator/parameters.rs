@@ -37,6 +37,31 @@ pub struct TendonParameters {
     pub presliding_m: f64,
 }
 
+/// Where a tendon runs.
+#[derive(Debug, Clone, PartialEq, Eq, Default, PartialOrd)]
+pub struct TendonReach {
+    /// The first flexure that it bends, from 0.
+    pub from: usize,
+    /// The flexure behind the last that it bends; `None` if it ends at the tip.
+    pub to: Option<usize>,
+}
+
+/// A tendon in a channel parallel to the tool's axis.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct TendonRoute {
+    /// Channel, (x, y) from the tool axis in the base frame, m. Only the spatial rungs bend along y.
+    pub channel_m: [f64; 2],
+    /// The flexures that it bends. In front of them a sheath holds it, behind them it ends.
+    pub reach: TendonReach,
+}
+
+impl From<[f64; 2]> for TendonRoute {
+    /// Along the whole tool.
+    fn from(channel_m: [f64; 2]) -> Self {
+        Self { channel_m, reach: TendonReach::default() }
+    }
+}
+
 /// Contact model and its solver.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ContactParameters {
@@ -73,6 +98,8 @@ pub struct ManipulatorParameters {
     pub joint_positions_m: Vec<f64>,
     /// Bending stiffness of each flexure, N m/rad.
     pub joint_stiffness_nm_per_rad: Vec<f64>,
+    /// Bend of each flexure without load, rad: that of a pre-curved tube, in the bending plane. Empty for a straight tool.
+    pub joint_rest_rad: Vec<f64>,
     /// Where the stiffness of a flexure in its other freedoms comes from. Used by the spatial rungs only.
     pub section: Section,
     /// Lateral stiffness of each flexure divided by its bending stiffness, in place of that of `section`.
@@ -81,7 +108,7 @@ pub struct ManipulatorParameters {
     pub torsion_stiffness_ratio: Option<f64>,
     /// Poisson's ratio nu.
     pub poisson_ratio: f64,
-    /// Joint stop of each flexure, symmetric, rad.
+    /// Joint stop of each flexure, to either side of its rest angle, rad.
     pub joint_limit_rad: f64,
     /// Stiffness of the stop, N m/rad.
     pub joint_stop_stiffness_nm_per_rad: f64,
@@ -118,9 +145,8 @@ pub struct ManipulatorParameters {
     pub burr_radius_m: f64,
     /// The tendons.
     pub tendon: TendonParameters,
-    /// Channel of each tendon, (x, y) from the tool axis in the base frame, m; empty for the antagonist pair. Only the spatial rungs bend
-    /// along y.
-    pub tendon_channels_m: Vec<[f64; 2]>,
+    /// The tendons' routes, none for a tool without tendons; `None` for the antagonist pair.
+    pub tendon_routes: Option<Vec<TendonRoute>>,
     /// The contact model.
     pub contact: ContactParameters,
     /// How a step is integrated.
@@ -204,6 +230,7 @@ impl ManipulatorParameters {
         Self {
             joint_positions_m: joints,
             joint_stiffness_nm_per_rad: stiffness,
+            joint_rest_rad: Vec::new(),
             section,
             lateral_stiffness_ratio: None,
             torsion_stiffness_ratio: None,
@@ -232,7 +259,7 @@ impl ManipulatorParameters {
                 friction_coefficient: 0.0,
                 presliding_m: 20.0e-6,
             },
-            tendon_channels_m: Vec::new(),
+            tendon_routes: None,
             contact: ContactParameters {
                 friction_coefficient: 0.2,
                 burr_friction_coefficient: 0.0,
@@ -254,6 +281,7 @@ impl ManipulatorParameters {
         Self {
             joint_positions_m: (0..joints).map(|i| (i as f64 + 0.5) * pitch).collect(),
             joint_stiffness_nm_per_rad: vec![rigidity_nm2 / pitch; joints],
+            joint_rest_rad: Vec::new(),
             section: Section::Tube,
             joint_limit_rad: 3.0,
             tip_offset_m: 0.5 * pitch,
@@ -269,10 +297,11 @@ impl ManipulatorParameters {
     ///
     /// The flexible length extends half a pitch beyond the first and the last flexure. Each original flexure's compliance is spread
     /// evenly over its cell, which reaches halfway to both neighbours. A new flexure gets the compliance of its link and sits at that
-    /// compliance's centroid, so a small tip load moves the tip as before. The other freedoms' compliances are spread and summed alike.
+    /// compliance's centroid, so a small tip load moves the tip as before. The other freedoms' compliances and the rest angles are spread
+    /// and summed alike.
     ///
     /// # Errors
-    /// The number of links or a parameter is out of range.
+    /// The number of links or a parameter is out of range; a tendon begins or ends within a link.
     pub fn with_links(&self, links: usize) -> Result<Self, ManipulatorError> {
         self.validate()?;
         if !(1..=MAX_LINKS).contains(&links) {
@@ -283,11 +312,12 @@ impl ManipulatorParameters {
         let burr = self.burr_centre_m();
         let edges = self.cell_edges_m();
         let (start, end) = (edges[0], edges[n]);
-        let (mut positions, mut stiffness, mut ratios) = (Vec::new(), Vec::new(), Vec::new());
+        let share = |k: usize| start + (end - start) * k as f64 / links as f64;
+        let (mut positions, mut stiffness, mut ratios, mut rest) =
+            (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for i in 0..links {
-            let share = |k: usize| start + (end - start) * k as f64 / links as f64;
             let (from, to) = (share(i), share(i + 1));
-            let (mut compliance, mut moment, mut parts) = (0.0, 0.0, Vec::new());
+            let (mut compliance, mut moment, mut parts, mut bend) = (0.0, 0.0, Vec::new(), 0.0);
             for j in 0..n {
                 let (a, b) = (from.max(edges[j]), to.min(edges[j + 1]));
                 if b > a {
@@ -295,10 +325,12 @@ impl ManipulatorParameters {
                     compliance += c;
                     moment += c * 0.5 * (a + b);
                     parts.push((c, self.stiffness_ratios(j)));
+                    bend += (b - a) / (edges[j + 1] - edges[j]) * self.rest_rad(j);
                 }
             }
             positions.push(moment / compliance);
             stiffness.push(1.0 / compliance);
+            rest.push(bend);
             ratios.push(StiffnessRatios::in_series(&parts));
         }
         let tip_offset_m = burr - positions[links - 1];
@@ -310,9 +342,13 @@ impl ManipulatorParameters {
             Section::Tube => Section::Tube,
             Section::Ratios(_) => Section::Ratios(ratios),
         };
+        let shares: Vec<f64> = (0..=links).map(share).collect();
+        let tendon_routes = self.routes_over(&edges, &shares)?;
         Ok(Self {
             joint_positions_m: positions,
             joint_stiffness_nm_per_rad: stiffness,
+            joint_rest_rad: if self.joint_rest_rad.is_empty() { Vec::new() } else { rest },
+            tendon_routes,
             section,
             joint_limit_rad: (self.joint_limit_rad * pitch_ratio).min(3.1),
             joint_stop_stiffness_nm_per_rad: self.joint_stop_stiffness_nm_per_rad / pitch_ratio,
@@ -320,6 +356,35 @@ impl ManipulatorParameters {
             tendon,
             ..self.clone()
         })
+    }
+
+    /// The tendons' routes over links between `after` in place of flexures between `before`, m.
+    fn routes_over(
+        &self,
+        before: &[f64],
+        after: &[f64],
+    ) -> Result<Option<Vec<TendonRoute>>, ManipulatorError> {
+        let Some(routes) = &self.tendon_routes else { return Ok(None) };
+        let same_m = 1e-9;
+        let edge = |flexure: usize| {
+            let z_m = before.get(flexure).copied().unwrap_or(f64::NAN);
+            after.iter().position(|edge_m| (edge_m - z_m).abs() < same_m).ok_or(ManipulatorError::OutOfRange {
+                field: "links",
+                value: (after.len() - 1) as f64,
+                allowed: "a number of links of which none is bent in part only by a tendon that begins or ends in it",
+            })
+        };
+        let moved = |route: &TendonRoute| {
+            let to = route.reach.to.map(edge).transpose()?;
+            let from = if route.reach.from == 0 { 0 } else { edge(route.reach.from)? };
+            Ok(TendonRoute { reach: TendonReach { from, to }, ..*route })
+        };
+        routes.iter().map(moved).collect::<Result<Vec<_>, _>>().map(Some)
+    }
+
+    /// Bend of flexure `joint` without load, rad; 0 past the end.
+    pub fn rest_rad(&self, joint: usize) -> f64 {
+        self.joint_rest_rad.get(joint).copied().unwrap_or(0.0)
     }
 
     /// Takes the stiffness of every flexure but for bending from notches of this shape in a tube of `tube_radii_m`. A web's height follows
@@ -356,7 +421,7 @@ impl ManipulatorParameters {
 
     /// Number of tendons.
     pub fn tendon_count(&self) -> usize {
-        if self.tendon_channels_m.is_empty() { 2 } else { self.tendon_channels_m.len() }
+        self.tendon_routes.as_ref().map_or(2, Vec::len)
     }
 
     /// Boundaries of the cells of tube that the flexures represent, one more than there are flexures, m.

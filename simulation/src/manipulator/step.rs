@@ -109,7 +109,7 @@ impl Manipulator {
         let mut f = Generalised::ZERO;
         for (i, stop) in self.pressed.drive().iter().enumerate() {
             f.joint[i] = self.tendon.torque[i] + stop
-                - self.stiffness[i] * q.joint[i]
+                - self.stiffness[i] * (q.joint[i] - self.rest[i])
                 - self.damping[i] * v.joint[i]
                 - d.stiffness.joint[i] * y.joint[i];
         }
@@ -144,7 +144,7 @@ impl Manipulator {
         report: &mut StepReport,
     ) -> Generalised {
         let (q, v) = (self.positions(), self.velocities());
-        self.pressed.collect(&self.parameters, dt, &q.joint, &self.state.stop_torque_nm);
+        self.pressed.collect(&self.parameters, dt, &self.from_rest(&q), &self.state.stop_torque_nm);
         let mut d = self.stage((&q, &v), dt, input, frame, Stage::Start);
         let (mut round, mut expected) = (1, v);
         let after = loop {
@@ -202,7 +202,7 @@ impl Manipulator {
         });
         let law = self.parameters.stop_law();
         for i in (0..layout.joints).filter(|i| !self.pressed.has(*i)) {
-            let moving = (state.joint_position_rad[i], free.joint[i]);
+            let moving = (state.joint_position_rad[i] - self.rest[i], free.joint[i]);
             solver.collect_stop((dt, &law), pressing::MOUNT + i, moving, state.stop_torque_nm[i]);
         }
         report.refused_contact_count = solver.refused;
@@ -343,7 +343,12 @@ impl Manipulator {
 
     fn near_stop(&self, q: &Generalised) -> bool {
         let reach = FREE_SHARE * self.parameters.joint_limit_rad;
-        q.joint.iter().any(|q| q.abs() > reach)
+        self.from_rest(q).iter().any(|q| q.abs() > reach)
+    }
+
+    /// Joint angles from those without load, rad.
+    fn from_rest(&self, q: &Generalised) -> [f64; MAX_JOINTS] {
+        core::array::from_fn(|i| q.joint[i] - self.rest[i])
     }
 
     /// True if every sphere still clears its plane in configuration `next`. Leaves `next` in the trial configuration.
@@ -390,7 +395,6 @@ impl Manipulator {
         self.update_configuration();
         (report.tendon_tension_n, report.tendon_displacement_m) = self.tendon.advance(
             &self.parameters.tendon,
-            &self.layout,
             &self.configuration,
             &input.tendon,
             &mut self.state.tendon,

@@ -1,8 +1,9 @@
 //! Tendons, routed hole to hole, as joint torques.
 //!
 //! A tendon in a channel at (d, e) from the axis, with free gap g, spans a flexure bent by q with the chord `g cos(q/2) - 2 d sin(q/2)`;
-//! in the planar rung e has no effect. The antagonist pair lies at d and -d. The tool takes up `l = sum (g - chord)` of tendon, so a
-//! tension T exerts the joint torque `T dl/dq = T (d cos(q/2) + g/2 sin(q/2))`.
+//! in the planar rung e has no effect. The antagonist pair lies at d and -d. The tool takes up `l = sum (g - chord)` of tendon, less that
+//! in its rest shape, so a tension T exerts the joint torque `T dl/dq = T (d cos(q/2) + g/2 sin(q/2))`. The sum is over the flexures that
+//! the tendon bends.
 //!
 //! Capstan friction reduces the tension along the channel, `T_i = T_0 exp(-mu s phi_i)`, with the wrap angle `phi_i = sum_{j<i} |q_j| +
 //! |q_i| / 2`. The tendon turns by half the joint angle at each of the two holes of a flexure, which makes the discrete law second-order
@@ -30,6 +31,10 @@ pub(super) struct Channels {
     pub count: usize,
     /// From the tool axis along base x and y, m.
     pub offset_m: [[f64; 2]; MAX_TENDONS],
+    /// The first flexure that each bends, and the one behind the last.
+    pub reach: [[usize; 2]; MAX_TENDONS],
+    /// Take-up in the rest shape, m.
+    pub rest_m: [f64; MAX_TENDONS],
     /// Total bend of the tool per end moment, rad/(N m).
     compliance_rad_per_nm: f64,
 }
@@ -38,16 +43,29 @@ impl Channels {
     /// The channels from the parameters, or the antagonist pair.
     pub fn of(parameters: &ManipulatorParameters) -> Self {
         let mut offset_m = [[0.0; 2]; MAX_TENDONS];
-        let given = &parameters.tendon_channels_m;
-        if given.is_empty() {
+        let joints = parameters.joint_positions_m.len();
+        let mut reach = [[0, joints]; MAX_TENDONS];
+        if parameters.tendon_routes.is_none() {
             offset_m[0][0] = parameters.tendon.offset_m;
             offset_m[1][0] = -parameters.tendon.offset_m;
         }
-        for (place, channel) in offset_m.iter_mut().zip(given) {
-            *place = *channel;
+        for (t, route) in parameters.tendon_routes.iter().flatten().enumerate().take(MAX_TENDONS) {
+            offset_m[t] = route.channel_m;
+            reach[t] = [route.reach.from, route.reach.to.unwrap_or(joints)];
         }
+        let gap_m = parameters.tendon.gap_m;
+        let rest = |t: usize, joint: usize| {
+            let (sin, cos) = libm::sincos(0.5 * parameters.rest_rad(joint));
+            gap_m * (1.0 - cos) + 2.0 * offset_m[t][0] * sin
+        };
+        let rest_m = core::array::from_fn(|t: usize| (reach[t][0]..reach[t][1]).map(|i| rest(t, i)).sum());
         let compliance_rad_per_nm = parameters.joint_stiffness_nm_per_rad.iter().map(|k| 1.0 / k).sum();
-        Self { count: parameters.tendon_count(), offset_m, compliance_rad_per_nm }
+        Self { count: parameters.tendon_count(), offset_m, reach, rest_m, compliance_rad_per_nm }
+    }
+
+    /// The flexures that tendon `t` bends.
+    pub fn flexures(&self, t: usize) -> core::ops::Range<usize> {
+        self.reach[t][0]..self.reach[t][1]
     }
 
     /// True if friction is too strong for a Rosenbrock step. The measure is the capstan exponent mu phi, with phi the sum of the bends,
@@ -140,8 +158,8 @@ impl TendonLoad {
         self.torque[..n].fill(0.0);
         self.stiffness[..n].fill(0.0);
         for t in 0..self.channels.count {
-            let slope_rate = self.update_slope(t, parameters, n, configuration, rate);
-            let take_up = self.take_up(parameters, n, configuration, t);
+            let slope_rate = self.update_slope(t, parameters, configuration, rate);
+            let take_up = self.take_up(parameters, configuration, t);
             let tension = base_tension(parameters, command, t, take_up);
             self.tension_n[t] = tension;
             let sliding = memory[t].sliding_at(take_up, parameters);
@@ -152,7 +170,7 @@ impl TendonLoad {
             self.coupled[t] = elastic > 0.0 || (frictional && !saturated);
             self.slides_on[t] = frictional && saturated;
             let mut wrap = 0.0;
-            for i in 0..n {
+            for i in self.channels.flexures(t) {
                 wrap += 0.5 * q[i].abs();
                 let share = if frictional {
                     libm::exp(-parameters.friction_coefficient * sliding * wrap)
@@ -183,12 +201,11 @@ impl TendonLoad {
         &mut self,
         t: usize,
         parameters: &TendonParameters,
-        n: usize,
         configuration: &Configuration,
         rate: &[f64; MAX_JOINTS],
     ) -> f64 {
         let mut slope_rate = 0.0;
-        for i in 0..n {
+        for i in self.channels.flexures(t) {
             let slope = self.channels.offset_m[t][0] * configuration.half_cos[i]
                 + 0.5 * parameters.gap_m * configuration.half_sin[i];
             self.slope[t][i] = slope;
@@ -197,34 +214,27 @@ impl TendonLoad {
         slope_rate
     }
 
-    /// Length of tendon `t` taken up by the bent tool, m.
-    fn take_up(
-        &self,
-        parameters: &TendonParameters,
-        n: usize,
-        configuration: &Configuration,
-        t: usize,
-    ) -> f64 {
+    /// Length of tendon `t` taken up by the bent tool, from its rest shape, m.
+    pub fn take_up(&self, parameters: &TendonParameters, configuration: &Configuration, t: usize) -> f64 {
         let mut sum = 0.0;
-        for i in 0..n {
+        for i in self.channels.flexures(t) {
             sum += parameters.gap_m * (1.0 - configuration.half_cos[i])
                 + 2.0 * self.channels.offset_m[t][0] * configuration.half_sin[i];
         }
-        sum
+        sum - self.channels.rest_m[t]
     }
 
     /// Advances the sliding states to a new configuration; returns tension (N) and displacement (m) of each tendon there.
     pub fn advance(
         &self,
         parameters: &TendonParameters,
-        layout: &Layout,
         configuration: &Configuration,
         command: &TendonCommand,
         memory: &mut [TendonMemory; MAX_TENDONS],
     ) -> ([f64; MAX_TENDONS], [f64; MAX_TENDONS]) {
         let (mut tension_n, mut displacement_m) = ([0.0; MAX_TENDONS], [0.0; MAX_TENDONS]);
         for t in 0..self.channels.count {
-            let take_up_m = self.take_up(parameters, layout.joints, configuration, t);
+            let take_up_m = self.take_up(parameters, configuration, t);
             (tension_n[t], displacement_m[t]) = memory[t].advance(take_up_m, parameters, command, t);
         }
         (tension_n, displacement_m)

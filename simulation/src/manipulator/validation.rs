@@ -2,7 +2,7 @@
 
 use super::error::{ManipulatorError, check, check_all};
 use super::flexure::StiffnessRatios;
-use super::parameters::{ManipulatorParameters, Section};
+use super::parameters::{ManipulatorParameters, Section, TendonRoute};
 use super::state::{BaseMotion, StepInput};
 use super::{MAX_LINKS, MAX_SHAFT_SPHERES, MAX_TENDONS};
 
@@ -47,6 +47,14 @@ impl ManipulatorParameters {
         check_all("joint_stiffness_nm_per_rad", stiffness, "1e-6 to 1e6 N m/rad", |k| {
             (1e-6..=1e6).contains(&k)
         })?;
+        if !self.joint_rest_rad.is_empty() && self.joint_rest_rad.len() != n {
+            return Err(ManipulatorError::Length {
+                field: "joint_rest_rad",
+                given: self.joint_rest_rad.len(),
+                expected: "none, or as many entries as joint_positions_m",
+            });
+        }
+        check_all("joint_rest_rad", &self.joint_rest_rad, "-1.6 to 1.6 rad", |x| x.abs() <= 1.6)?;
         check("joint_limit_rad", self.joint_limit_rad, "above 0 and at most 3.1 rad", |x| {
             x > 0.0 && x <= 3.1
         })?;
@@ -118,20 +126,28 @@ impl ManipulatorParameters {
         check("tendon.stiffness_n_per_m", tendon.stiffness_n_per_m, "1 to 1e12 N/m", |x| {
             (1.0..=1e12).contains(&x)
         })?;
-        let given = self.tendon_channels_m.len();
-        if given > MAX_TENDONS {
-            return Err(ManipulatorError::Length {
-                field: "tendon_channels_m",
-                given,
-                expected: "at most 4 entries",
-            });
-        }
-        for channel in &self.tendon_channels_m {
-            check_all("tendon_channels_m", channel, "-1 to 1 m", |x| x.abs() <= 1.0)?;
-        }
+        self.validate_routes(self.tendon_routes.as_deref().unwrap_or_default())?;
         let friction = tendon.friction_coefficient;
         check("tendon.friction_coefficient", friction, "0 to 5", |x| (0.0..=5.0).contains(&x))?;
         check("tendon.presliding_m", tendon.presliding_m, "1e-9 to 1 m", |x| (1e-9..=1.0).contains(&x))
+    }
+
+    fn validate_routes(&self, routes: &[TendonRoute]) -> Result<(), ManipulatorError> {
+        let given = routes.len();
+        if given > MAX_TENDONS {
+            let expected = "at most 4 entries";
+            return Err(ManipulatorError::Length { field: "tendon_routes", given, expected });
+        }
+        let joints = self.joint_positions_m.len();
+        for TendonRoute { channel_m, reach } in routes {
+            check_all("tendon_routes.channel_m", channel_m, "-1 to 1 m", |x| x.abs() <= 1.0)?;
+            let to = reach.to.unwrap_or(joints);
+            check("tendon_routes.reach.to", to as f64, "1 to the number of flexures", |_| {
+                (1..=joints).contains(&to)
+            })?;
+            check("tendon_routes.reach.from", reach.from as f64, "0 to below `to`", |_| reach.from < to)?;
+        }
+        Ok(())
     }
 
     fn validate_contact(&self) -> Result<(), ManipulatorError> {

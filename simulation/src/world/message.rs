@@ -60,8 +60,9 @@ impl Simulation<'_> {
         state.burr_force_n = report.burr_normal_force_n.norm();
         state.contact_iterations = report.contact_iterations as u32;
         state.contact_residual_m_per_s = report.contact_residual_m_per_s;
-        let limit_rad = tool.parameters().joint_limit_rad;
-        let past = tool.joint_positions_rad().iter().map(|q| q.abs() - limit_rad);
+        let parameters = tool.parameters();
+        let bends = tool.joint_positions_rad().iter().enumerate();
+        let past = bends.map(|(i, q)| (q - parameters.rest_rad(i)).abs() - parameters.joint_limit_rad);
         state.stop_excess_rad = past.fold(0.0, f64::max);
     }
 

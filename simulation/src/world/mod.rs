@@ -20,6 +20,7 @@ mod message;
 mod move_tool;
 mod setup;
 mod tendon_drive;
+mod tool;
 
 use std::sync::Arc;
 

@@ -4,12 +4,13 @@ use messages::State;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use scene::{
     Body, BodyMotion as SceneMotion, ContactVoxels as SceneContactVoxels, Integrator as SceneIntegrator,
-    ManipulatorRung, Removal as SceneRemoval, Scene, Tool,
+    ManipulatorRung, Removal as SceneRemoval, Scene, StartShape, Tool,
 };
 
 use super::burr_drive::{BurrDrive, BurrDriveState};
 use super::move_tool::PLANES_PER_SPHERE;
 use super::tendon_drive::TendonDrive;
+use super::tool::described;
 use super::{Bone, Driver, Hounsfield, Simulation, SimulationError};
 use crate::arm::{Arm, ArmParameters, COMFORTABLE_Q_RAD, Compliance, ComplianceParameters, place_base_for};
 use crate::bone::{
@@ -34,8 +35,11 @@ pub(super) fn build<'v>(
     let base = BaseMotion::at_rest(arm.state().t_world_tool);
     let max_burr_radius_m = parameters.burr_radius_m;
     let compliance = compliance(scene, &parameters)?;
-    let manipulator =
+    let mut manipulator =
         AnyManipulator::new(rung(scene.manipulator.model.unwrap_or_default()), parameters, &base)?;
+    if scene.tool.start_shape == Some(StartShape::Straight) {
+        manipulator.straighten();
+    }
     let sphere_count = manipulator.proxy_spheres().len();
     let (bone, predrilled) = match (&scene.volume, ct) {
         (None, _) => (None, Vec::new()),
@@ -102,18 +106,13 @@ pub fn rung(name: ManipulatorRung) -> Rung {
     }
 }
 
-/// The standard manipulator with the scene's overrides.
+/// The scene's tool, or the standard one, with the scene's overrides.
 ///
 /// # Errors
-/// The manipulator refuses the number of links.
+/// The manipulator refuses the number of links, or a number that follows from the tool's description.
 pub fn manipulator_parameters(scene: &Scene) -> Result<ManipulatorParameters, ManipulatorError> {
-    let mut parameters = ManipulatorParameters::jhu_27();
     let overrides = &scene.manipulator;
-    let notch = Notch {
-        width_m: overrides.notch_width_mm.map_or(Notch::JHU.width_m, |mm| mm * 1e-3),
-        past_axis_m: overrides.notch_past_axis_mm.map_or(Notch::JHU.past_axis_m, |mm| mm * 1e-3),
-    };
-    parameters.set_notch(&notch);
+    let mut parameters = overrides.tool.as_ref().map_or_else(|| standard(overrides), described);
     if let Some(links) = overrides.links {
         parameters = parameters.with_links(links)?;
     }
@@ -122,8 +121,10 @@ pub fn manipulator_parameters(scene: &Scene) -> Result<ManipulatorParameters, Ma
     if let Some(friction) = overrides.tendon_friction {
         parameters.tendon.friction_coefficient = friction;
     }
-    parameters.tendon_channels_m =
-        scene.tendon.iter().map(|channel| [channel.toward_mm * 1e-3, channel.across_mm * 1e-3]).collect();
+    if !scene.tendon.is_empty() {
+        let routes = scene.tendon.iter().map(|it| [it.toward_mm * 1e-3, it.across_mm * 1e-3].into());
+        parameters.tendon_routes = Some(routes.collect());
+    }
     if let Some(ratio) = overrides.damping_ratio {
         parameters.damping_ratio = ratio;
     }
@@ -151,6 +152,16 @@ pub fn manipulator_parameters(scene: &Scene) -> Result<ManipulatorParameters, Ma
         parameters.contact.stiffness_n_per_m = stiffness;
     }
     Ok(parameters)
+}
+
+/// The standard tool, with the notches that a scene may change.
+fn standard(overrides: &scene::Manipulator) -> ManipulatorParameters {
+    let mut parameters = ManipulatorParameters::jhu_27();
+    parameters.set_notch(&Notch {
+        width_m: overrides.notch_width_mm.map_or(Notch::JHU.width_m, |mm| mm * 1e-3),
+        past_axis_m: overrides.notch_past_axis_mm.map_or(Notch::JHU.past_axis_m, |mm| mm * 1e-3),
+    });
+    parameters
 }
 
 /// Base pose of the straight tool whose burr is at the scene's start position.

@@ -13,9 +13,9 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 
 use super::MAX_TENDONS;
 use super::contact::ContactSolver;
-use super::error::ManipulatorError;
+use super::error::{ManipulatorError, check};
 use super::geometry::{SphereLayout, link_lengths_m, spheres};
-use super::parameters::ManipulatorParameters;
+use super::parameters::{ManipulatorParameters, TendonRoute};
 use super::state::{BaseMotion, ContactResult, ProxySphere, StepReport, Wrench, places_from};
 use super::tendon::{Channels, TendonMemory};
 use super::{CONTACTS_PER_SPHERE, MAX_LINKS, MAX_SHAFT_SPHERES};
@@ -105,6 +105,8 @@ pub struct ConstantCurvature {
     /// Of the mount (N/m) and the bend (N m/rad).
     stiffness: Vector4<f64>,
     damping: Vector4<f64>,
+    /// Bend without load, rad.
+    rest_rad: f64,
     limit_rad: f64,
     stop_stiffness_nm_per_rad: f64,
     first_frequency_rad_per_s: f64,
@@ -123,16 +125,18 @@ pub struct ConstantCurvature {
 }
 
 impl ConstantCurvature {
-    /// A straight tool at rest on `base`, with slack tendons.
+    /// A tool in its rest shape, at rest on `base`, with slack tendons. Of a pre-curved tool it takes the whole bend, and spreads it evenly.
     ///
     /// # Errors
-    /// A parameter is out of range; the error names it.
+    /// A parameter is out of range, or a tendon bends only a part of the tool; the error names it.
     pub fn new(parameters: ManipulatorParameters, base: &BaseMotion) -> Result<Self, ManipulatorError> {
         parameters.validate()?;
         super::validation::validate_base(base)?;
         let arc = Arc::new(&parameters);
         let p = &parameters;
         let joints = p.joint_positions_m.len();
+        refuse_partial_tendons(p)?;
+        let rest_rad = p.joint_rest_rad.iter().sum();
         let compliance: f64 = p.joint_stiffness_nm_per_rad.iter().map(|k| 1.0 / k).sum();
         let [mx, my, mz] = p.mount_stiffness_n_per_m;
         let stiffness = Vector4::new(mx, my, mz, 1.0 / compliance);
@@ -159,6 +163,7 @@ impl ConstantCurvature {
             arc,
             stiffness,
             damping,
+            rest_rad,
             limit_rad: joints as f64 * p.joint_limit_rad,
             // The stops of the flexures act in series.
             stop_stiffness_nm_per_rad: p.joint_stop_stiffness_nm_per_rad / joints as f64,
@@ -169,7 +174,7 @@ impl ConstantCurvature {
             edges_m: p.cell_edges_m(),
             lumps,
             state: ConstantCurvatureState {
-                position: Vector4::zeros(),
+                position: Vector4::new(0.0, 0.0, 0.0, rest_rad),
                 velocity: Vector4::zeros(),
                 base: *base,
                 tendon: [TendonMemory::default(); MAX_TENDONS],
@@ -217,7 +222,7 @@ impl ConstantCurvature {
         &self.parameters
     }
 
-    /// First bending mode of the straight tool on a rigid mount, Hz.
+    /// First bending mode of the tool on a rigid mount while it is straight, Hz.
     pub fn first_natural_frequency_hz(&self) -> f64 {
         self.first_frequency_rad_per_s / (2.0 * core::f64::consts::PI)
     }
@@ -284,6 +289,28 @@ impl ConstantCurvature {
         self.state.report.flange_wrench
     }
 
+    /// Makes the tool straight, and at rest: a pre-curved tool that a hole or a guide holds.
+    pub fn straighten(&mut self) {
+        self.state.position.fill(0.0);
+        self.state.velocity.fill(0.0);
+        self.update_configuration();
+        for t in 0..self.channels.count {
+            self.state.tendon[t].take_up_m = self.take_up_m(t);
+        }
+    }
+
+    /// Length of tendon `t` taken up by the bent tool, from its rest shape, m.
+    fn take_up_m(&self, t: usize) -> f64 {
+        self.channels.offset_m[t][0] * self.from_rest()[3]
+    }
+
+    /// Mount displacement, and the bend from that without load.
+    fn from_rest(&self) -> Vector4<f64> {
+        let mut q = self.state.position;
+        q[3] -= self.rest_rad;
+        q
+    }
+
     /// Solves contacts without vector instructions: slower, same bits.
     pub(super) fn use_plain_instructions(&mut self) {
         self.contact.arch = pulp::Arch::Scalar;
@@ -306,9 +333,9 @@ impl ConstantCurvature {
 
     /// Kinetic energy relative to the base plus elastic energy of bend and mount, J.
     pub fn energy_j(&self) -> f64 {
-        let (q, v) = (&self.state.position, &self.state.velocity);
-        let elastic = q.component_mul(&self.stiffness).dot(q);
-        0.5 * (elastic + v.dot(&(mass_matrix(&self.lumps, &self.arc, q[3]) * v)))
+        let (bend, from_rest, v) = (self.state.position[3], self.from_rest(), &self.state.velocity);
+        let elastic = from_rest.component_mul(&self.stiffness).dot(&from_rest);
+        0.5 * (elastic + v.dot(&(mass_matrix(&self.lumps, &self.arc, bend) * v)))
     }
 
     /// A copy of the complete dynamic state.
@@ -326,6 +353,17 @@ impl ConstantCurvature {
         self.state.clone_from(state);
         self.update_configuration();
     }
+}
+
+/// One arc cannot bend in part.
+fn refuse_partial_tendons(p: &ManipulatorParameters) -> Result<(), ManipulatorError> {
+    let joints = p.joint_positions_m.len();
+    for TendonRoute { reach, .. } in p.tendon_routes.iter().flatten() {
+        let allowed = "all flexures: the rung constant_curvature is one arc";
+        let number = reach.to.unwrap_or(joints) - reach.from;
+        check("tendon_routes.reach", number as f64, allowed, |_| number == joints)?;
+    }
+    Ok(())
 }
 
 /// Lumped masses: shaft, Gauss points of the arc, the tube distal to it, the burr.

@@ -69,14 +69,14 @@ impl ConstantCurvature {
         }
         // Positive definite, because all masses are positive and no stiffness is negative.
         let inverse = operator.try_inverse().unwrap_or_else(Matrix4::zeros);
-        let elastic = -self.stiffness.component_mul(q)
+        let elastic = -self.stiffness.component_mul(&self.from_rest())
             - self.damping.component_mul(before)
             - stiffness.component_mul(&(before * dt))
             + Vector4::new(0.0, 0.0, 0.0, tendon.torque_nm);
         (before + inverse * (loads + elastic) * dt, (operator, inverse))
     }
 
-    /// Closed form of the channel: the take-up is `side d bend`. The tension falls as `exp(-mu s phi)` along the arc, and the bend sees
+    /// Closed form of the channel: the take-up is `d (bend - rest)`. The tension falls as `exp(-mu s phi)` along the arc, and the bend sees
     /// its mean, `(1 - exp(-x)) / x` with `x = mu s |bend|`. `rate`, the bend rate, tells whether a saturated sliding state is about to
     /// reverse.
     fn tendon_torque(&self, rate: f64, command: &TendonCommand) -> TendonTorque {
@@ -85,7 +85,7 @@ impl ConstantCurvature {
         let mut sum = TendonTorque { torque_nm: 0.0, stiffness_nm_per_rad: 0.0, slides_on: false };
         for t in 0..self.channels.count {
             let slope = self.channels.offset_m[t][0];
-            let take_up = slope * bend;
+            let take_up = self.take_up_m(t);
             let tension = base_tension(p, command, t, take_up);
             if tension <= 0.0 {
                 continue;
@@ -173,7 +173,8 @@ impl ConstantCurvature {
             Place { link: 0, point, force: direction.map(|d| [d.x, d.y, d.z, d.dot(&per_bend)]) }
         });
         let law = StopLaw { limit_rad: self.limit_rad, stiffness_nm_per_rad: self.stop_stiffness_nm_per_rad };
-        solver.collect_stop((dt, &law), BEND, (q[BEND], free[BEND]), self.state.stop_torque_nm);
+        let from_rest = q[BEND] - self.rest_rad;
+        solver.collect_stop((dt, &law), BEND, (from_rest, free[BEND]), self.state.stop_torque_nm);
         report.refused_contact_count = solver.refused;
         report.contact_count = solver.contact.len();
         report.max_overlap_m = solver.max_overlap_m;
@@ -233,7 +234,7 @@ impl ConstantCurvature {
         self.update_configuration();
         let p = &self.parameters.tendon;
         for t in 0..self.channels.count {
-            let take_up_m = self.channels.offset_m[t][0] * self.state.position[3];
+            let take_up_m = self.take_up_m(t);
             (report.tendon_tension_n[t], report.tendon_displacement_m[t]) =
                 self.state.tendon[t].advance(take_up_m, p, &input.tendon, t);
         }

@@ -29,7 +29,8 @@ impl<const D: usize> SpatialChain<D> {
         position: &[f64],
         velocity: &[f64],
     ) -> f64 {
-        let elastic: f64 = self.stiffness.iter().zip(position).map(|(k, q)| 0.5 * k * q * q).sum();
+        let bent = self.stiffness.iter().zip(position).zip(&self.rest);
+        let elastic: f64 = bent.map(|((k, q), rest)| 0.5 * k * (q - rest) * (q - rest)).sum();
         let (mut energy, mut motion) = (elastic, ZERO);
         for link in 0..=self.layout.joints {
             for k in self.layout.freedoms_of(link) {

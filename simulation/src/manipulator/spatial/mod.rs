@@ -2,7 +2,7 @@
 //!
 //! [`SpatialChain<3>`] bends in two planes and twists. [`SpatialChain<6>`] also stretches and shears.
 //! [`SpatialChain<1>`] is the planar chain again, with up to 64 links. Frames, tendons, contact laws, mount and integrators are those of
-//! the planar rung (see [`crate::manipulator`]). Each coordinate of a flexure has its own spring `k q`, so the forces derive from one
+//! the planar rung (see [`crate::manipulator`]). Each coordinate of a flexure has its own spring `k (q - q_0)`, so the forces derive from one
 //! potential at any angle.
 //!
 //! All stiffnesses are the bending stiffness of a flexure times the ratios of [`crate::manipulator::StiffnessRatios`], the same in both.
@@ -45,6 +45,8 @@ pub struct SpatialChain<const D: usize> {
     layout: SpatialLayout<D>,
     /// Per degree of freedom.
     stiffness: Vec<f64>,
+    /// Coordinates without load: the rest angles.
+    rest: Vec<f64>,
     damping: Vec<f64>,
     first_frequency_rad_per_s: f64,
     /// Baseline: springs and dampers enter as explicit forces only.
@@ -70,7 +72,7 @@ pub struct SpatialChain<const D: usize> {
 impl<const D: usize> SpatialChain<D> {
     const SUPPORTED: () = assert!(D == 1 || D == 3 || D == 6, "a flexure has 1, 3 or 6 freedoms");
 
-    /// A straight tool at rest on `base`, with slack tendons.
+    /// A tool in its rest shape, at rest on `base`, with slack tendons.
     ///
     /// # Errors
     /// A parameter is out of range; the error names it.
@@ -84,6 +86,12 @@ impl<const D: usize> SpatialChain<D> {
         let first =
             modal::first_frequency_rad_per_s(layout.first_joint_m, &layout.length_m, &layout.body, bending);
         let stiffness = stiffnesses::<D>(&parameters);
+        let mut rest = vec![0.0; freedoms];
+        for (joint, angle) in parameters.joint_rest_rad.iter().enumerate() {
+            rest[layout.bend(joint)] = *angle;
+        }
+        let mut state = SpatialState::new(base, freedoms, MAX_CONTACTS);
+        state.position.copy_from_slice(&rest);
         let damping = (0..freedoms)
             .map(|k| match parameters.mount_stiffness_n_per_m.get(k) {
                 Some(mount) => {
@@ -101,10 +109,11 @@ impl<const D: usize> SpatialChain<D> {
         let mut chain = Self {
             spheres: layout.spheres.iter().map(blank).collect(),
             stiffness,
+            rest,
             damping,
             first_frequency_rad_per_s: first,
             explicit: false,
-            state: SpatialState::new(base, freedoms, MAX_CONTACTS),
+            state,
             configuration: Configuration::new(&layout),
             bend: [vec![0.0; layout.joints], vec![0.0; layout.joints]],
             trial: Configuration::new(&layout),
@@ -120,6 +129,17 @@ impl<const D: usize> SpatialChain<D> {
         };
         chain.update_configuration();
         Ok(chain)
+    }
+
+    /// Makes the tool straight, and at rest: a pre-curved tool that a hole or a guide holds.
+    pub fn straighten(&mut self) {
+        self.state.position.fill(0.0);
+        self.state.velocity.fill(0.0);
+        self.update_configuration();
+        let (parameters, layout) = (&self.parameters.tendon, &self.layout);
+        for t in 0..self.tendon.channels.count {
+            self.state.tendon[t].take_up_m = self.tendon.take_up(parameters, layout, &self.state.position, t);
+        }
     }
 
     /// Baseline: semi-implicit Euler; springs and dampers enter as forces, not through the operator.
@@ -171,7 +191,7 @@ impl<const D: usize> SpatialChain<D> {
         &self.parameters
     }
 
-    /// First bending mode of the straight tool on a rigid mount, Hz.
+    /// First bending mode of the tool on a rigid mount while it is straight, Hz.
     pub fn first_natural_frequency_hz(&self) -> f64 {
         self.first_frequency_rad_per_s / (2.0 * core::f64::consts::PI)
     }

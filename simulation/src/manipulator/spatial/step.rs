@@ -152,7 +152,7 @@ impl<const D: usize> SpatialChain<D> {
         let stops = self.pressed.drive();
         fill(out, |i| {
             self.tendon.torque[i] + stops[i]
-                - self.stiffness[i] * q[i]
+                - self.stiffness[i] * (q[i] - self.rest[i])
                 - self.damping[i] * v[i]
                 - stiffness[i] * y[i]
         });
@@ -178,7 +178,8 @@ impl<const D: usize> SpatialChain<D> {
         let h = if self.explicit { 0.0 } else { dt };
         self.pressed.clear();
         if !self.explicit {
-            self.pressed.collect(&self.parameters, dt, &q, &self.state.stop_torque);
+            fill(&mut work.next, |i| q[i] - self.rest[i]);
+            self.pressed.collect(&self.parameters, dt, &work.next, &self.state.stop_torque);
         }
         let Work { before, expected, stiffness, diagonal, .. } = &mut *work;
         let motion = Motion { q: &q, v: before };
@@ -244,7 +245,7 @@ impl<const D: usize> SpatialChain<D> {
         for joint in 0..layout.joints {
             let bend = layout.bend(joint);
             for k in (bend..=if D > 1 { bend + 1 } else { bend }).filter(|k| !self.pressed.has(*k)) {
-                let moving = (state.position[k], work.after[k]);
+                let moving = (state.position[k] - self.rest[k], work.after[k]);
                 solver.collect_stop((dt, &law), k, moving, state.stop_torque[k]);
             }
         }
@@ -404,7 +405,7 @@ impl<const D: usize> SpatialChain<D> {
         let reach = FREE_SHARE * self.parameters.joint_limit_rad;
         (0..self.layout.joints).any(|joint| {
             let bend = self.layout.bend(joint);
-            q[bend].abs() > reach || (D > 1 && q[bend + 1].abs() > reach)
+            (q[bend] - self.rest[bend]).abs() > reach || (D > 1 && q[bend + 1].abs() > reach)
         })
     }
 

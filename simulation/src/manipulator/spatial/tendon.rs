@@ -114,7 +114,7 @@ impl TendonLoad {
                 continue;
             }
             let mut wrap = 0.0;
-            for i in 0..layout.joints {
+            for i in self.channels.flexures(t) {
                 let take_up = TakeUp::of(p, layout, self.channels.offset_m[t], i, motion.q);
                 wrap += 0.5 * take_up.turn_rad;
                 let mu = if frictional { p.friction_coefficient } else { 0.0 };
@@ -148,7 +148,7 @@ impl TendonLoad {
     ) -> (f64, f64) {
         let Motion { q, v } = motion;
         let (mut length_m, mut rate) = (0.0, 0.0);
-        for i in 0..layout.joints {
+        for i in self.channels.flexures(t) {
             let take_up = TakeUp::of(p, layout, self.channels.offset_m[t], i, q);
             let k = layout.bend(i);
             length_m += take_up.length_m;
@@ -163,7 +163,20 @@ impl TendonLoad {
                 rate -= v[k - 1];
             }
         }
-        (length_m, rate)
+        (length_m - self.channels.rest_m[t], rate)
+    }
+
+    /// Length of tendon `t` taken up by the bent tool, from its rest shape, m.
+    pub fn take_up<const D: usize>(
+        &self,
+        p: &TendonParameters,
+        layout: &SpatialLayout<D>,
+        q: &[f64],
+        t: usize,
+    ) -> f64 {
+        let (channel, flexures) = (self.channels.offset_m[t], self.channels.flexures(t));
+        let bent_m: f64 = flexures.map(|i| TakeUp::of(p, layout, channel, i, q).length_m).sum();
+        bent_m - self.channels.rest_m[t]
     }
 
     /// Advances the sliding states to `q`; returns tension (N) and displacement (m) of each tendon there.
@@ -177,8 +190,7 @@ impl TendonLoad {
     ) -> ([f64; MAX_TENDONS], [f64; MAX_TENDONS]) {
         let (mut tension_n, mut displacement_m) = ([0.0; MAX_TENDONS], [0.0; MAX_TENDONS]);
         for t in 0..self.channels.count {
-            let channel = self.channels.offset_m[t];
-            let take_up_m = (0..layout.joints).map(|i| TakeUp::of(p, layout, channel, i, q).length_m).sum();
+            let take_up_m = self.take_up(p, layout, q, t);
             (tension_n[t], displacement_m[t]) = memory[t].advance(take_up_m, p, command, t);
         }
         (tension_n, displacement_m)

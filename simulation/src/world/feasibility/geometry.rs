@@ -153,7 +153,11 @@ pub(super) fn hole_thinner_than_burr(start: &Start) -> Option<String> {
 
 pub(super) fn burr_thinner_than_tool(start: &Start) -> Option<String> {
     start.voxels()?;
-    let (burr_mm, tube_mm) = (start.scene.manipulator.burr_diameter_mm?, start.tube_diameter_mm());
+    let tool = &start.scene.manipulator;
+    if tool.burr_diameter_mm.is_none() && tool.tool.is_none() {
+        return None;
+    }
+    let (burr_mm, tube_mm) = (2e3 * tool.radii().burr_m, start.tube_diameter_mm());
     (burr_mm < tube_mm)
         .then(|| format!("is {burr_mm}: the shaft, {tube_mm:.1} mm thick, does not follow so thin a burr"))
 }

@@ -1,5 +1,8 @@
 //! The tool's dimensions, for people.
 
+pub mod response;
+pub mod source;
+
 use std::fmt::Write;
 
 use ipc_types::scene::Scene;
@@ -29,7 +32,7 @@ pub fn dimensions(scene: &Scene) -> Result<Vec<Dimension>, Failure> {
     let burr_m = tool.burr_centre_m();
     let joints = tool.joint_positions_m.len();
     let dimension = |name, value: f64, text| Dimension { name, value, text };
-    Ok(vec![
+    let mut all = vec![
         dimension("length_mm", 1e3 * (burr_m + tool.burr_radius_m), "from the flange to the burr's front"),
         dimension(
             "burr_centre_mm",
@@ -64,12 +67,15 @@ pub fn dimensions(scene: &Scene) -> Result<Vec<Dimension>, Failure> {
             joints as f64 * tool.joint_limit_rad.to_degrees(),
             "bend of the whole tool with all flexures at their stops",
         ),
-        dimension(
+    ];
+    if tool.tendon_routes.is_none() {
+        all.push(dimension(
             "tendon_offset_mm",
             1e3 * tool.tendon.offset_m,
             "distance of the standard pair of tendons from the axis",
-        ),
-    ])
+        ));
+    }
+    Ok(all)
 }
 
 /// The dimensions as a section of the scene reference.

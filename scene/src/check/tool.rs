@@ -1,0 +1,202 @@
+//! Checks what relates the keys of a tool description to each other.
+
+use messages::MAX_JOINTS;
+
+use super::Checker;
+use crate::declaration::Range;
+use crate::error::SceneError;
+use crate::model::{ManipulatorRung, Scene, ToolDescription, ToolFlexure, ToolTendon};
+use crate::tool::FlexurePlace;
+
+/// Flexures may touch; so much less is rounding, mm.
+const TOUCH_MM: f64 = 1e-6;
+/// Rest curvatures that differ by less than this share of the largest are one.
+const SAME_CURVATURE: f64 = 0.01;
+
+/// Checks a tool. `above` is the path of its keys: empty in a tool file.
+pub(crate) fn tool(tool: &ToolDescription, above: &str, checker: &Checker) -> Result<(), SceneError> {
+    let check = Check { tool, above, checker };
+    check.tube()?;
+    check.flexures()?;
+    let places = tool.flexures();
+    check.places(&places)?;
+    for (index, place) in places.iter().enumerate() {
+        check.stiffness(&places, index, place)?;
+    }
+    check.shaft(places[0].at_mm)?;
+    check.burr(&places)?;
+    tool.tendon.iter().enumerate().try_for_each(|(index, tendon)| check.tendon(index, tendon, places.len()))
+}
+
+struct Check<'a> {
+    tool: &'a ToolDescription,
+    above: &'a str,
+    checker: &'a Checker<'a>,
+}
+
+impl Check<'_> {
+    fn range(&self, key: &str, value: f64, lowest: f64, highest: f64) -> Result<(), SceneError> {
+        let allowed = Range { lowest, highest, or_zero: false };
+        self.checker.range(&format!("{}{key}", self.above), value, allowed)
+    }
+
+    fn invalid(&self, key: &str, problem: impl Into<String>) -> SceneError {
+        self.checker.invalid(&format!("{}{key}", self.above), problem)
+    }
+
+    fn tube(&self) -> Result<(), SceneError> {
+        let tube = &self.tool.tube;
+        // A wall thinner than a hundredth of a millimetre is no tube.
+        self.range("tube.inner_diameter_mm", tube.inner_diameter_mm, 0.0, tube.outer_diameter_mm - 0.02)?;
+        let cable_mm = tube.drive_cable_diameter_mm.unwrap_or(0.0);
+        self.range("tube.drive_cable_diameter_mm", cable_mm, 0.0, tube.inner_diameter_mm)
+    }
+
+    fn flexures(&self) -> Result<(), SceneError> {
+        for (index, flexure) in self.tool.flexure.iter().enumerate() {
+            if flexure.count > 1 && flexure.pitch_mm.is_none() {
+                let key = format!("flexure[{index}].pitch_mm");
+                return Err(self.invalid(&key, format!("is missing; `count` is {}", flexure.count)));
+            }
+        }
+        let number = self.tool.flexure.iter().map(|flexure| flexure.count).sum::<usize>();
+        self.range("flexure (their number)", number as f64, 1.0, MAX_JOINTS as f64)
+    }
+
+    /// From the flange on, and none into another.
+    fn places(&self, places: &[FlexurePlace]) -> Result<(), SceneError> {
+        for (index, pair) in places.windows(2).enumerate() {
+            let half_mm = |place: usize| 0.5 * places[place].flexure.length_mm.unwrap_or(0.0);
+            let lowest = pair[0].at_mm + (half_mm(index) + half_mm(index + 1)).max(0.01);
+            if pair[1].at_mm < lowest - TOUCH_MM {
+                let key = format!("flexure[{}].at_mm", pair[1].entry);
+                let problem = format!(
+                    "puts a flexure at {}, allowed is {lowest} or more: it would overlap the one before it",
+                    pair[1].at_mm
+                );
+                return Err(self.invalid(&key, problem));
+            }
+        }
+        let first = &places[0];
+        let lowest = 0.5 * first.flexure.length_mm.unwrap_or(0.0);
+        self.range("flexure[0].at_mm", first.at_mm, lowest, 1000.0)
+    }
+
+    fn stiffness(
+        &self,
+        places: &[FlexurePlace],
+        index: usize,
+        place: &FlexurePlace,
+    ) -> Result<(), SceneError> {
+        let (entry, flexure) = (place.entry, place.flexure);
+        self.notch(ToolDescription::pitch_mm(places, index), entry, flexure)?;
+        if flexure.stiffness_nm_per_deg.is_some() {
+            return Ok(());
+        }
+        if self.tool.tube.youngs_modulus_gpa.is_none() {
+            let problem = "is missing; expected it, or `tube.youngs_modulus_gpa`, from which it follows";
+            return Err(self.invalid(&format!("flexure[{entry}].stiffness_nm_per_deg"), problem));
+        }
+        if ToolDescription::length_mm(places, index).is_none() {
+            let problem = "is missing; the only flexure has no neighbours from which it follows";
+            return Err(self.invalid(&format!("flexure[{entry}].length_mm"), problem));
+        }
+        Ok(())
+    }
+
+    /// The range in which the formulas for notches hold.
+    fn notch(&self, pitch_mm: Option<f64>, entry: usize, flexure: &ToolFlexure) -> Result<(), SceneError> {
+        let (width_mm, past_mm) = match (flexure.notch_width_mm, flexure.notch_past_axis_mm) {
+            (None, None) => return Ok(()),
+            (Some(width_mm), Some(past_mm)) => (width_mm, past_mm),
+            (None, _) => return Err(self.invalid(&format!("flexure[{entry}].notch_width_mm"), "is missing")),
+            (_, None) => {
+                return Err(self.invalid(&format!("flexure[{entry}].notch_past_axis_mm"), "is missing"));
+            }
+        };
+        let Some(pitch_mm) = pitch_mm else {
+            let problem = "needs two flexures or more: a flexure is what two notches leave between them";
+            return Err(self.invalid(&format!("flexure[{entry}].notch_width_mm"), problem));
+        };
+        self.range(&format!("flexure[{entry}].notch_width_mm"), width_mm, 0.05, 0.95 * pitch_mm)?;
+        let tube = &self.tool.tube;
+        let middle_mm = 0.25 * (tube.outer_diameter_mm + tube.inner_diameter_mm);
+        // Behind the notch's end half a ring is left, as high as two pitches less the notch.
+        let most_mm = middle_mm - 0.5 * (2.0 * pitch_mm - width_mm);
+        self.range(&format!("flexure[{entry}].notch_past_axis_mm"), past_mm, 0.5 * width_mm, most_mm)
+    }
+
+    fn shaft(&self, first_mm: f64) -> Result<(), SceneError> {
+        let shaft = &self.tool.shaft;
+        let to_mm = shaft.contact_to_mm.unwrap_or(first_mm);
+        self.range("shaft.contact_to_mm", to_mm, 0.0, first_mm)?;
+        self.range("shaft.contact_from_mm", shaft.contact_from_mm.unwrap_or(0.0), 0.0, to_mm)
+    }
+
+    /// The cutter's centre is ahead of the tube's end, half a pitch behind which the last flexure sits.
+    fn burr(&self, places: &[FlexurePlace]) -> Result<(), SceneError> {
+        let length_mm = ToolDescription::length_mm(places, places.len() - 1);
+        let end_mm = 0.5 * length_mm.unwrap_or(0.0);
+        let offset_mm = self.tool.burr.offset_mm;
+        if offset_mm < end_mm - TOUCH_MM {
+            let problem = format!(
+                "is {offset_mm}, allowed is {end_mm} to 500: the cutter would lie inside the tube, which ends there"
+            );
+            return Err(self.invalid("burr.offset_mm", problem));
+        }
+        Ok(())
+    }
+
+    fn tendon(&self, index: usize, tendon: &ToolTendon, flexures: usize) -> Result<(), SceneError> {
+        let (from, count) = (tendon.from_flexure as f64, flexures as f64);
+        self.range(&format!("tendon[{index}].from_flexure"), from, 1.0, count)?;
+        let to = tendon.to_flexure.map_or(count, |to| to as f64);
+        self.range(&format!("tendon[{index}].to_flexure"), to, from, count)
+    }
+}
+
+/// Checks that a scene's other keys go with the tool that it describes.
+pub(crate) fn beside(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
+    let manipulator = &scene.manipulator;
+    let Some(described) = &manipulator.tool else { return Ok(()) };
+    tool(described, "manipulator.tool.", checker)?;
+    let notches = [
+        ("manipulator.notch_width_mm", manipulator.notch_width_mm.is_some()),
+        ("manipulator.notch_past_axis_mm", manipulator.notch_past_axis_mm.is_some()),
+        ("tendon", !scene.tendon.is_empty()),
+    ];
+    if let Some((key, _)) = notches.iter().find(|(_, given)| *given) {
+        let problem = "is of the standard tool; a scene with another tool has it in its description";
+        return Err(checker.invalid(key, problem));
+    }
+    if manipulator.model == Some(ManipulatorRung::ConstantCurvature) {
+        one_arc(described, checker)?;
+    }
+    Ok(())
+}
+
+/// The cheapest rung is one arc: its rest shape and its tendons bend it all along.
+fn one_arc(tool: &ToolDescription, checker: &Checker) -> Result<(), SceneError> {
+    let refused = |why: String| {
+        let problem =
+            format!("is constant_curvature, which is one arc; {why}; expected planar, spatial or full");
+        Err(checker.invalid("manipulator.model", problem))
+    };
+    let places = tool.flexures();
+    let along = |tendon: &&ToolTendon| {
+        tendon.from_flexure > 1 || tendon.to_flexure.is_some_and(|to| to < places.len())
+    };
+    if let Some(index) = tool.tendon.iter().position(|tendon| along(&tendon)) {
+        return refused(format!("tendon {} of `{}` bends only part of the tool", index + 1, tool.name));
+    }
+    let curvature = |index: usize| {
+        let length_mm = ToolDescription::pitch_mm(&places, index).unwrap_or(1.0);
+        places[index].flexure.rest_deg / length_mm
+    };
+    let all: Vec<f64> = (0..places.len()).map(curvature).collect();
+    let most = all.iter().fold(0.0, |most: f64, own| most.max(own.abs()));
+    if all.iter().any(|own| (own - all[0]).abs() > SAME_CURVATURE * most) {
+        return refused(format!("`{}` is not pre-curved to one radius", tool.name));
+    }
+    Ok(())
+}

@@ -1,0 +1,215 @@
+//! `[manipulator.tool]`: a tool, as a tool file describes it.
+
+use messages::{MAX_JOINTS, MAX_TENDONS};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{SCENE_NAME, SCENE_NAME_EXPECTED};
+
+/// A tool, in place of the standard one: what `manipulator.file` holds. Places are along the straight tool, from the flange.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ToolDescription {
+    /// Its name.
+    #[schemars(regex(pattern = SCENE_NAME), extend("patternErrorMessage" = SCENE_NAME_EXPECTED))]
+    pub name: String,
+    /// What it is, and where its numbers come from.
+    #[serde(default)]
+    pub description: String,
+    /// Damping ratio of the first bending mode.
+    #[serde(default = "standard_damping")]
+    #[schemars(range(min = 0.001, max = 10.0))]
+    pub damping_ratio: f64,
+    /// Stiffness of the mount between arm and tool.
+    #[serde(default = "standard_mount")]
+    #[schemars(range(min = 1e3, max = 1e7))]
+    pub mount_stiffness_n_per_m: f64,
+    /// The tube, the same along the whole tool.
+    pub tube: ToolTube,
+    /// The rigid part in front of the first flexure.
+    #[serde(default)]
+    pub shaft: ToolShaft,
+    /// Where the tool bends, from the flange to the tip. As many as a state has joints, groups counted out.
+    #[schemars(length(max = MAX_JOINTS))]
+    pub flexure: Vec<ToolFlexure>,
+    /// How far a flexure bends.
+    #[serde(default)]
+    pub stop: FlexureStop,
+    /// The cutter, a ball.
+    pub burr: ToolBurr,
+    /// The tendons, in the order of the commands.
+    #[serde(default)]
+    #[schemars(length(max = MAX_TENDONS))]
+    pub tendon: Vec<ToolTendon>,
+    /// What all tendons have in common.
+    #[serde(default)]
+    pub tendon_cable: TendonCable,
+}
+
+const fn standard_damping() -> f64 {
+    0.05
+}
+
+const fn standard_mount() -> f64 {
+    2e5
+}
+
+/// The tube of a tool.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ToolTube {
+    /// Outside; the contact spheres of shaft and links are as thick.
+    #[schemars(range(min = 0.5, max = 30.0))]
+    pub outer_diameter_mm: f64,
+    /// Lumen.
+    #[schemars(range(min = 0.0, max = 30.0))]
+    pub inner_diameter_mm: f64,
+    /// The steel drive cable in the lumen, which X-ray frames show.
+    #[schemars(range(min = 0.1, max = 30.0))]
+    pub drive_cable_diameter_mm: Option<f64>,
+    /// Mass per length.
+    #[schemars(range(min = 1e-4, max = 10.0))]
+    pub linear_density_kg_per_m: f64,
+    /// Modulus of elasticity, from which the stiffness of a flexure follows that does not give its own.
+    #[schemars(range(min = 1e-3, max = 1000.0))]
+    pub youngs_modulus_gpa: Option<f64>,
+    /// Poisson's ratio.
+    #[serde(default = "nitinol_poisson")]
+    #[schemars(range(min = 0.0, max = 0.5))]
+    pub poisson_ratio: f64,
+}
+
+const fn nitinol_poisson() -> f64 {
+    0.33
+}
+
+/// The rigid part of a tool.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ToolShaft {
+    /// Its mass.
+    #[schemars(range(min = 0.0, max = 1e5), extend("x-absent" = "that of the tube"))]
+    pub mass_g: Option<f64>,
+    /// Its centre of mass.
+    #[schemars(range(min = 0.0, max = 1000.0), extend("x-absent" = "its middle"))]
+    pub centre_mm: Option<f64>,
+    /// Where its contact spheres begin. There are as many as diameters of the tube up to `contact_to_mm`, at most 8.
+    #[schemars(range(min = 0.0, max = 1000.0), extend("x-absent" = "the flange, or 7 diameters before the last"))]
+    pub contact_from_mm: Option<f64>,
+    /// Where its last contact sphere is.
+    #[schemars(range(min = 0.0, max = 1000.0), extend("x-absent" = "the first flexure"))]
+    pub contact_to_mm: Option<f64>,
+}
+
+/// A flexure, or several that are alike.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ToolFlexure {
+    /// Its centre; of several, that of the first.
+    #[schemars(range(min = 0.01, max = 1000.0))]
+    pub at_mm: f64,
+    /// How many there are.
+    #[serde(default = "one")]
+    #[schemars(range(min = 1, max = MAX_JOINTS))]
+    pub count: usize,
+    /// From one to the next of these.
+    #[schemars(range(min = 0.01, max = 500.0))]
+    pub pitch_mm: Option<f64>,
+    /// Length of tube that bends. Without notches k = E I / length.
+    #[schemars(range(min = 0.01, max = 500.0), extend("x-absent" = "half way to either neighbour"))]
+    pub length_mm: Option<f64>,
+    /// Bending stiffness.
+    #[schemars(range(min = 1e-6, max = 1e4), extend("x-absent" = "from E and the tube, or E and the notches"))]
+    pub stiffness_nm_per_deg: Option<f64>,
+    /// Bend without any load, toward `tool.bend_toward`: a pre-curved tube.
+    #[serde(default)]
+    #[schemars(range(min = -45.0, max = 45.0))]
+    pub rest_deg: f64,
+    /// Width of the notch along the tube. Absent: a piece of round tube.
+    #[schemars(range(min = 0.05, max = 10.0))]
+    pub notch_width_mm: Option<f64>,
+    /// How far the notch reaches past the tube's axis.
+    #[schemars(range(min = 0.025, max = 10.0))]
+    pub notch_past_axis_mm: Option<f64>,
+}
+
+const fn one() -> usize {
+    1
+}
+
+/// The stop of each flexure.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct FlexureStop {
+    /// Bend from the rest angle to either side.
+    #[schemars(range(min = 0.01, max = 175.0))]
+    pub angle_deg: f64,
+    /// Stiffness of the stop.
+    #[schemars(range(min = 1e-3, max = 1e6))]
+    pub stiffness_nm_per_rad: f64,
+}
+
+impl Default for FlexureStop {
+    fn default() -> Self {
+        Self { angle_deg: 5.0, stiffness_nm_per_rad: 100.0 }
+    }
+}
+
+/// The cutter of a tool, a ball.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ToolBurr {
+    /// Its diameter.
+    #[schemars(range(min = 1.0, max = 20.0))]
+    pub diameter_mm: f64,
+    /// From the last flexure to its centre.
+    #[schemars(range(min = 0.01, max = 500.0))]
+    pub offset_mm: f64,
+    /// Its mass.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub mass_g: f64,
+}
+
+/// A tendon of a tool.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ToolTendon {
+    /// Distance of the channel from the tool axis toward `tool.bend_toward`.
+    #[schemars(range(min = -10.0, max = 10.0))]
+    pub toward_mm: f64,
+    /// Distance across it (direction times `bend_toward`, right-handed); for `spatial` and `full`.
+    #[serde(default)]
+    #[schemars(range(min = -10.0, max = 10.0))]
+    pub across_mm: f64,
+    /// The first flexure that it bends, from 1 at the flange: up to there a sheath holds it.
+    #[serde(default = "one")]
+    #[schemars(range(min = 1, max = MAX_JOINTS))]
+    pub from_flexure: usize,
+    /// The last flexure that it bends: behind it the tendon ends.
+    #[schemars(range(min = 1, max = MAX_JOINTS), extend("x-absent" = "the last of the tool"))]
+    pub to_flexure: Option<usize>,
+}
+
+/// What the tendons are made of.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct TendonCable {
+    /// Axial stiffness from actuator to anchor; by default a steel cable of 0.35 mm and 0.3 m.
+    #[schemars(range(min = 1.0, max = 1e9))]
+    pub stiffness_n_per_m: f64,
+    /// Friction coefficient in the channels.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub friction: f64,
+    /// Free length across a flexure, hole to hole.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub gap_mm: f64,
+    /// Sliding distance over which friction builds up.
+    #[schemars(range(min = 1e-3, max = 10.0))]
+    pub presliding_mm: f64,
+}
+
+impl Default for TendonCable {
+    fn default() -> Self {
+        Self { stiffness_n_per_m: 3.0e4, friction: 0.0, gap_mm: 0.0, presliding_mm: 0.02 }
+    }
+}

@@ -1,0 +1,63 @@
+//! `manipulator.file`: a file that describes a tool.
+//!
+//! It is put into the scene's table as `[manipulator.tool]` before the scene is parsed, so a [`Scene`](crate::Scene) holds the tool itself,
+//! and so does its copy in the session and in the log.
+
+use std::path::{Path, PathBuf};
+
+use toml::{Table, Value};
+
+use crate::check::{self, Checker};
+use crate::declaration::TOOL;
+use crate::error::SceneError;
+use crate::plan::ReadText;
+use crate::{ToolDescription, malformed, ranges};
+
+impl ToolDescription {
+    /// Parses and checks a tool file's text; `path` names it in errors.
+    ///
+    /// # Errors
+    /// [`SceneError`]: a key is unknown or missing, a value is out of its range, or the tool cannot stand.
+    pub fn parse(text: &str, path: &Path) -> Result<ToolDescription, SceneError> {
+        let given: Table = toml::from_str(text).map_err(|cause| malformed(text, path, text, &cause))?;
+        let tool: ToolDescription =
+            toml::from_str(text).map_err(|cause| malformed(text, path, text, &cause))?;
+        let checker = Checker { file: path };
+        ranges::check(&TOOL, &given, "", &checker)?;
+        check::tool(&tool, "", &checker)?;
+        Ok(tool)
+    }
+}
+
+/// Puts the tool that `manipulator.file` describes into a scene's table, and takes the key out. `false`: the scene names no file.
+///
+/// # Errors
+/// The file cannot be read or describes no tool; the scene also describes one.
+pub(crate) fn put_in(
+    scene: &mut Table,
+    folder: &Path,
+    read: &ReadText,
+    checker: &Checker,
+) -> Result<bool, SceneError> {
+    let Some(Value::Table(manipulator)) = scene.get_mut("manipulator") else { return Ok(false) };
+    let file = match manipulator.remove("file") {
+        None => return Ok(false),
+        Some(Value::String(named)) => folder.join(PathBuf::from(named)),
+        Some(other) => {
+            return Err(checker.invalid("manipulator.file", format!("is {other}, expected a path as text")));
+        }
+    };
+    if manipulator.contains_key("tool") {
+        let problem = "stands beside `manipulator.tool`; expected one of the two";
+        return Err(checker.invalid("manipulator.file", problem));
+    }
+    let name = foreign_text::foreign_path(&file);
+    let text = read(&file).map_err(|cause| {
+        checker.invalid("manipulator.file", format!("names {name}, which cannot be read ({cause})"))
+    })?;
+    let tool = ToolDescription::parse(&text, &file)?;
+    let table = Value::try_from(&tool)
+        .map_err(|cause| checker.invalid("manipulator.file", format!("cannot be kept: {cause}")))?;
+    manipulator.insert("tool".to_owned(), table);
+    Ok(true)
+}

@@ -1,0 +1,235 @@
+//! Tools that a file describes: where they are kept, and what is refused.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by it")]
+
+use std::path::Path;
+
+use scene::{ManipulatorRung, Scene, SceneError, ToolDescription};
+
+const TOOL: &str = "name = \"drill\"
+[tube]
+outer_diameter_mm = 6.0
+inner_diameter_mm = 4.0
+linear_density_kg_per_m = 0.1
+[burr]
+diameter_mm = 8.0
+offset_mm = 4.0
+mass_g = 1.0
+[[tendon]]
+toward_mm = 2.5
+[[flexure]]
+at_mm = 36.0
+stiffness_nm_per_deg = 0.01
+[[flexure]]
+at_mm = 38.0
+length_mm = 1.5
+stiffness_nm_per_deg = 0.01
+[[flexure]]
+at_mm = 40.0
+count = 5
+pitch_mm = 2.0
+stiffness_nm_per_deg = 0.01
+";
+
+const SCENE: &str = "name = \"a\"
+run = { mode = \"lockstep\", duration_s = 1.0 }
+tool = { burr_start_mm = [0.0, 0.0, 0.0], direction = [1.0, 0.0, 0.0], bend_toward = [0.0, 0.0, 1.0] }
+[manipulator]
+file = \"tools/drill.toml\"
+";
+
+fn scene(scene: &str, tool: &str) -> Result<Scene, SceneError> {
+    let read = |path: &Path| {
+        assert_eq!(path, Path::new("/scenes/tools/drill.toml"), "relative to the scene's file");
+        Ok(tool.to_owned())
+    };
+    Scene::parse_with(scene, Path::new("/scenes/a.toml"), &read)
+}
+
+#[test]
+fn a_scene_holds_its_tool_and_reads_as_the_same_without_the_file() {
+    let first = scene(SCENE, TOOL).unwrap();
+    assert_eq!(first.manipulator.file, None, "what a log keeps needs no other file");
+    let tool = first.manipulator.tool.as_ref().unwrap();
+    assert_eq!(
+        tool.flexures().iter().map(|it| it.at_mm).collect::<Vec<_>>(),
+        [36.0, 38.0, 40.0, 42.0, 44.0, 46.0, 48.0]
+    );
+    assert_eq!((first.manipulator.radii().tube_outer_m, first.manipulator.radii().burr_m), (3e-3, 4e-3));
+    let again = Scene::parse(&toml::to_string(&first).unwrap(), Path::new("log")).unwrap();
+    assert_eq!(again, first);
+    let overridden = scene(&format!("{SCENE}burr_diameter_mm = 7.0\n"), TOOL).unwrap();
+    assert_eq!(overridden.manipulator.radii().burr_m, 3.5e-3);
+}
+
+/// Bug that it would be: the pilot hole of a plan as wide as the standard tool's burr.
+#[test]
+fn the_pilot_hole_of_a_plan_is_as_wide_as_the_described_burr() {
+    let plan = r#"{"markups": [{"type": "Fiducial", "coordinateSystem": "RAS", "controlPoints": [
+        {"label": "entry", "position": [10, 0, 0]}, {"label": "target", "position": [10, 0, 55]}]}]}"#;
+    let text = "name = \"a\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\nvolume = { phantom = \"block\" }\n\
+                tool = { plan = \"p.json\", bend_toward = [1.0, 0.0, 0.0] }\nmanipulator = { file = \"t.toml\" }\n";
+    let read = |path: &Path| Ok(if path.ends_with("p.json") { plan } else { TOOL }.to_owned());
+    let scene = Scene::parse_with(text, Path::new("/scenes/a.toml"), &read).unwrap();
+    assert!((scene.predrill[0].diameter_mm - 8.5).abs() < 1e-12, "{}", scene.predrill[0].diameter_mm);
+}
+
+/// Each tool that cannot stand: what is changed, and what is said of it.
+#[test]
+fn a_tool_that_cannot_stand_is_refused_with_file_key_value_and_range() {
+    for (from, to, said) in [
+        (
+            "stiffness_nm_per_deg = 0.01",
+            "stiffness_nm_per_deg = -0.01",
+            "`flexure.stiffness_nm_per_deg` is -0.01, allowed is 0.000001 to 10000",
+        ),
+        (
+            "linear_density_kg_per_m = 0.1",
+            "linear_density_kg_per_m = nan",
+            "`tube.linear_density_kg_per_m` is NaN, allowed is 0.0001 to 10",
+        ),
+        (
+            "at_mm = 38.0",
+            "at_mm = 36.5",
+            "`flexure[1].at_mm` puts a flexure at 36.5, allowed is 36.75 or more: it would overlap the one before it",
+        ),
+        ("at_mm = 38.0", "at_mm = 39.5", "`flexure[2].at_mm` puts a flexure at 40, allowed is 40.25 or more"),
+        ("at_mm = 38.0", "at_mm = 20.0", "`flexure[1].at_mm` puts a flexure at 20, allowed is 36.75 or more"),
+        (
+            "toward_mm = 2.5",
+            "toward_mm = 2.5\nto_flexure = 8",
+            "`tendon[0].to_flexure` is 8, allowed is 1 to 7",
+        ),
+        (
+            "toward_mm = 2.5",
+            "toward_mm = 2.5\nfrom_flexure = 5\nto_flexure = 4",
+            "`tendon[0].to_flexure` is 4, allowed is 5 to 7",
+        ),
+        (
+            "offset_mm = 4.0",
+            "offset_mm = 0.9",
+            "`burr.offset_mm` is 0.9, allowed is 1 to 500: the cutter would lie inside the tube",
+        ),
+        (
+            "inner_diameter_mm = 4.0",
+            "inner_diameter_mm = 6.5",
+            "`tube.inner_diameter_mm` is 6.5, allowed is 0 to 5.98",
+        ),
+        (
+            "inner_diameter_mm = 4.0",
+            "inner_diameter_mm = 4.0\ndrive_cable_diameter_mm = 5.0",
+            "`tube.drive_cable_diameter_mm` is 5, allowed is 0 to 4",
+        ),
+        ("pitch_mm = 2.0\n", "", "`flexure[2].pitch_mm` is missing; `count` is 5"),
+        ("count = 5", "count = 31", "`flexure (their number)` is 33, allowed is 1 to 32"),
+        (
+            "pitch_mm = 2.0\nstiffness_nm_per_deg = 0.01\n",
+            "pitch_mm = 2.0\n",
+            "`flexure[2].stiffness_nm_per_deg` is missing; expected it, or `tube.youngs_modulus_gpa`",
+        ),
+        ("count = 5", "count = 5\nnotch_width_mm = 0.7", "`flexure[2].notch_past_axis_mm` is missing"),
+        (
+            "count = 5",
+            "count = 5\nnotch_width_mm = 2.5\nnotch_past_axis_mm = 1.3",
+            "`flexure[2].notch_width_mm` is 2.5, allowed is 0.05 to 1.9",
+        ),
+        (
+            "count = 5",
+            "count = 5\nnotch_width_mm = 0.7\nnotch_past_axis_mm = 0.9",
+            "`flexure[2].notch_past_axis_mm` is 0.9, allowed is 0.35 to 0.85",
+        ),
+        (
+            "[burr]",
+            "[shaft]\ncontact_to_mm = 37.0\n[burr]",
+            "`shaft.contact_to_mm` is 37, allowed is 0 to 36",
+        ),
+        ("[burr]", "[ball]", "line 6: `ball`: unknown field `ball`"),
+        ("name = \"drill\"", "name = \"a b\"", "`name` is \"a b\"; expected 1 to 64 letters"),
+        (
+            "diameter_mm = 8.0",
+            "diameter_mm = \"8\"",
+            "`burr.diameter_mm`: invalid type: string \"8\", expected a number",
+        ),
+    ] {
+        assert!(TOOL.contains(from), "{from}");
+        // Of the last flexures, where a key stands several times.
+        let changed = match from.starts_with("pitch_mm") || from.starts_with("count") {
+            true => TOOL.replace(from, to),
+            false => TOOL.replacen(from, to, 1),
+        };
+        let refused = scene(SCENE, &changed).unwrap_err().to_string();
+        assert!(
+            refused.starts_with("/scenes/tools/drill.toml") && refused.contains(said),
+            "{refused}\nis not\n{said}"
+        );
+        if refused.contains("line ") {
+            continue;
+        }
+        // The same in the scene itself.
+        let tool: toml::Value = toml::from_str(&changed).unwrap();
+        let mut inline: toml::Table =
+            toml::from_str(&SCENE.replace("file = \"tools/drill.toml\"", "")).unwrap();
+        inline["manipulator"].as_table_mut().unwrap().insert("tool".to_owned(), tool);
+        let refused =
+            Scene::parse(&toml::to_string(&inline).unwrap(), Path::new("a.toml")).unwrap_err().to_string();
+        let said = said.replacen('`', "`manipulator.tool.", 1);
+        assert!(refused.starts_with("a.toml: ") && refused.contains(&said), "{refused}\nis not\n{said}");
+    }
+}
+
+#[test]
+fn what_a_scene_says_beside_a_tool_file_must_go_with_it() {
+    for (more, said) in [
+        ("notch_width_mm = 0.7\n", "a.toml: `manipulator.notch_width_mm` is of the standard tool"),
+        ("[[tendon]]\ntoward_mm = 2.0\n", "a.toml: `tendon` is of the standard tool"),
+        (
+            "[manipulator.tool]\nname = \"b\"\n",
+            "a.toml: `manipulator.file` stands beside `manipulator.tool`; expected one of the two",
+        ),
+    ] {
+        let refused = scene(&format!("{SCENE}{more}"), TOOL).unwrap_err().to_string();
+        assert!(refused.contains(said), "{refused}\nis not\n{said}");
+    }
+    let refused = scene(&SCENE.replace("\"tools/drill.toml\"", "7"), TOOL).unwrap_err().to_string();
+    assert!(refused.contains("`manipulator.file` is 7, expected a path as text"), "{refused}");
+    let unreadable = |_: &Path| Err(std::io::Error::other("no such file"));
+    let refused = Scene::parse_with(SCENE, Path::new("/scenes/a.toml"), &unreadable).unwrap_err().to_string();
+    assert_eq!(
+        refused,
+        "/scenes/a.toml: `manipulator.file` names /scenes/tools/drill.toml, which cannot be read (no such file)"
+    );
+    assert!(Scene::parse(SCENE, Path::new("a.toml")).is_err(), "a log names no file");
+}
+
+/// A model that does not hold for a tool is refused by its name.
+#[test]
+fn a_rung_whose_assumptions_a_tool_breaks_is_refused() {
+    let arc = format!("{SCENE}model = \"constant_curvature\"\n");
+    assert_eq!(scene(&arc, TOOL).unwrap().manipulator.model, Some(ManipulatorRung::ConstantCurvature));
+    let half = TOOL.replace("toward_mm = 2.5", "toward_mm = 2.5\nto_flexure = 3");
+    let refused = scene(&arc, &half).unwrap_err().to_string();
+    assert!(
+        refused.contains(
+            "`manipulator.model` is constant_curvature, which is one arc; tendon 1 of `drill` bends only part"
+        ),
+        "{refused}"
+    );
+    let bent = TOOL.replacen("stiffness_nm_per_deg", "rest_deg = 2.0\nstiffness_nm_per_deg", 1);
+    let refused = scene(&arc, &bent).unwrap_err().to_string();
+    assert!(refused.contains("`drill` is not pre-curved to one radius"), "{refused}");
+    assert!(
+        scene(&arc, &TOOL.replace("stiffness_nm_per_deg", "rest_deg = 2.0\nstiffness_nm_per_deg")).is_ok()
+    );
+    let across = TOOL.replace("toward_mm = 2.5", "toward_mm = 2.5\nacross_mm = 1.0");
+    for flat in ["", "model = \"planar\"\n", "model = \"constant_curvature\"\n"] {
+        let refused = scene(&format!("{SCENE}{flat}"), &across).unwrap_err().to_string();
+        assert!(refused.contains("`manipulator.tool.tendon.across_mm` bends out of the plane"), "{refused}");
+    }
+    assert!(scene(&format!("{SCENE}model = \"spatial\"\n"), &across).is_ok());
+}
+
+#[test]
+fn a_tool_file_alone_is_read_by_the_same_rules() {
+    assert_eq!(ToolDescription::parse(TOOL, Path::new("t.toml")).unwrap().name, "drill");
+    let refused = ToolDescription::parse("name = \"a\"", Path::new("t.toml")).unwrap_err().to_string();
+    assert!(refused.contains("t.toml") && refused.contains("missing field `tube`"), "{refused}");
+}

@@ -1,0 +1,134 @@
+//! A tool description as a manipulator's parameters.
+
+use core::f64::consts::PI;
+
+use scene::{FlexurePlace, ToolDescription, ToolFlexure};
+
+use crate::manipulator::{
+    ManipulatorParameters, Notch, Section, StiffnessRatios, TendonParameters, TendonReach, TendonRoute,
+};
+
+/// Contact spheres that a shaft may have.
+const MOST_SHAFT_SPHERES: usize = crate::manipulator::MAX_SHAFT_SPHERES;
+
+/// The parameters of a described tool. What the description does not say, such as the contact model, is that of the standard tool.
+///
+/// The bending stiffness of a flexure is, in this order: its own; that of its notches, `E` times [`Notch::unit_stiffness`]; that of a piece
+/// of round tube, `k = E I / length` with `I = pi/4 (r_o^4 - r_i^4)`. The other freedoms follow from the notches or the tube by
+/// [`StiffnessRatios`].
+pub(super) fn described(tool: &ToolDescription) -> ManipulatorParameters {
+    let places = tool.flexures();
+    let radii = tool.radii();
+    let tube_radii_m = [radii.tube_outer_m, radii.tube_inner_m];
+    let per_flexure = |of: &dyn Fn(usize, &FlexurePlace) -> f64| -> Vec<f64> {
+        places.iter().enumerate().map(|(index, place)| of(index, place)).collect()
+    };
+    let joints_m = per_flexure(&|_, place| place.at_mm * 1e-3);
+    let first_m = joints_m.first().copied().unwrap_or(0.0);
+    let material = Material {
+        tube_radii_m,
+        poisson_ratio: tool.tube.poisson_ratio,
+        youngs_modulus_pa: tool.tube.youngs_modulus_gpa.map_or(0.0, |modulus| modulus * 1e9),
+    };
+    let density = tool.tube.linear_density_kg_per_m;
+    let rest = per_flexure(&|_, place| place.flexure.rest_deg * PI / 180.0);
+    let spheres = shaft_spheres(tool, first_m);
+    ManipulatorParameters {
+        joint_stiffness_nm_per_rad: per_flexure(&|index, place| material.stiffness(&places, index, place)),
+        joint_rest_rad: if rest.iter().all(|angle| *angle == 0.0) { Vec::new() } else { rest },
+        section: Section::Ratios(material.ratios(&places)),
+        poisson_ratio: tool.tube.poisson_ratio,
+        joint_limit_rad: tool.stop.angle_deg * PI / 180.0,
+        joint_stop_stiffness_nm_per_rad: tool.stop.stiffness_nm_per_rad,
+        tip_offset_m: tool.burr.offset_mm * 1e-3,
+        linear_density_kg_per_m: density,
+        tube_radii_m,
+        burr_mass_kg: tool.burr.mass_g / 1e3,
+        shaft_mass_kg: tool.shaft.mass_g.map_or(density * first_m, |mass_g| mass_g / 1e3),
+        shaft_centre_m: tool.shaft.centre_mm.map_or(0.5 * first_m, |centre_mm| centre_mm / 1e3),
+        damping_ratio: tool.damping_ratio,
+        mount_stiffness_n_per_m: [tool.mount_stiffness_n_per_m; 3],
+        shaft_sphere_count: spheres.count,
+        shaft_sphere_span_m: spheres.span_m,
+        shaft_sphere_radius_m: radii.tube_outer_m,
+        segment_sphere_radius_m: radii.tube_outer_m,
+        burr_radius_m: radii.burr_m,
+        tendon: TendonParameters {
+            offset_m: 0.0,
+            gap_m: tool.tendon_cable.gap_mm / 1e3,
+            stiffness_n_per_m: tool.tendon_cable.stiffness_n_per_m,
+            friction_coefficient: tool.tendon_cable.friction,
+            presliding_m: tool.tendon_cable.presliding_mm / 1e3,
+        },
+        tendon_routes: Some(tool.tendon.iter().map(route).collect()),
+        joint_positions_m: joints_m,
+        ..ManipulatorParameters::jhu_27()
+    }
+}
+
+fn route(tendon: &scene::ToolTendon) -> TendonRoute {
+    TendonRoute {
+        channel_m: [tendon.toward_mm / 1e3, tendon.across_mm / 1e3],
+        reach: TendonReach { from: tendon.from_flexure - 1, to: tendon.to_flexure },
+    }
+}
+
+struct Spheres {
+    count: usize,
+    span_m: [f64; 2],
+}
+
+/// As many spheres as diameters fit, so that neighbours touch; of a long shaft the ones next to the flexures.
+fn shaft_spheres(tool: &ToolDescription, first_m: f64) -> Spheres {
+    let diameter_m = tool.tube.outer_diameter_mm / 1e3;
+    let to_m = tool.shaft.contact_to_mm.map_or(first_m, |to_mm| to_mm / 1e3);
+    let longest_m = (MOST_SHAFT_SPHERES - 1) as f64 * diameter_m;
+    let from_m = tool.shaft.contact_from_mm.map_or((to_m - longest_m).max(0.0), |from_mm| from_mm / 1e3);
+    let count = libm::round((to_m - from_m) / diameter_m).max(1.0);
+    Spheres { count: (count as usize).min(MOST_SHAFT_SPHERES), span_m: [from_m, to_m] }
+}
+
+/// What a flexure's stiffness follows from.
+struct Material {
+    tube_radii_m: [f64; 2],
+    poisson_ratio: f64,
+    youngs_modulus_pa: f64,
+}
+
+impl Material {
+    fn notch(flexure: &ToolFlexure) -> Option<Notch> {
+        let (width_mm, past_axis_mm) = flexure.notch_width_mm.zip(flexure.notch_past_axis_mm)?;
+        Some(Notch { width_m: width_mm * 1e-3, past_axis_m: past_axis_mm * 1e-3 })
+    }
+
+    /// Bending stiffness, N m/rad.
+    fn stiffness(&self, places: &[FlexurePlace], index: usize, place: &FlexurePlace) -> f64 {
+        if let Some(own) = place.flexure.stiffness_nm_per_deg {
+            return own * (180.0 / PI);
+        }
+        if let Some(notch) = Material::notch(place.flexure) {
+            let unit = notch.unit_stiffness(pitch_m(places, index), self.tube_radii_m, self.poisson_ratio);
+            return self.youngs_modulus_pa * unit.bending_nm_per_rad;
+        }
+        let [outer, inner] = self.tube_radii_m.map(|r| r * r * r * r);
+        let length_m = ToolDescription::length_mm(places, index).unwrap_or(f64::INFINITY) * 1e-3;
+        self.youngs_modulus_pa * 0.25 * PI * (outer - inner) / length_m
+    }
+
+    fn ratios(&self, places: &[FlexurePlace]) -> Vec<StiffnessRatios> {
+        let tube = || StiffnessRatios::tube(self.tube_radii_m, self.poisson_ratio);
+        let own = |(index, place): (usize, &FlexurePlace)| {
+            let notch = Material::notch(place.flexure)?;
+            let unit = notch.unit_stiffness(pitch_m(places, index), self.tube_radii_m, self.poisson_ratio);
+            Some(unit.ratios())
+        };
+        places.iter().enumerate().map(|it| own(it).unwrap_or_else(tube)).collect()
+    }
+}
+
+/// Mean distance of a flexure from its neighbours, m.
+fn pitch_m(places: &[FlexurePlace], index: usize) -> f64 {
+    let last = places.len().saturating_sub(1);
+    let (from, to) = (index.saturating_sub(1), (index + 1).min(last));
+    (places[to].at_mm * 1e-3 - places[from].at_mm * 1e-3) / (to - from).max(1) as f64
+}

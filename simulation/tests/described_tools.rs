@@ -1,0 +1,234 @@
+//! Tools that a file describes: the standard one bit for bit, the others against closed forms.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a helper that fails is a failed test")]
+
+use std::path::{Path, PathBuf};
+
+use messages::{BURR_SPEED, Command, Latched, LatchedCommand, SOURCE_FRESH, SOURCE_HELD, TENDON_SERVO_JF};
+use nalgebra::{Isometry3, Vector3};
+use scene::{Manipulator, Scene, ToolDescription};
+use simulation::manipulator::{
+    AnyManipulator, BaseMotion, ManipulatorModel, ManipulatorParameters, Rung, StepInput, TendonCommand,
+    Wrench,
+};
+use simulation::{Simulation, manipulator_parameters};
+use test_support::scenes::TOOL;
+
+fn folder() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/tools")
+}
+
+/// A scene with this text in its `[manipulator]`.
+fn scene(manipulator: &str) -> Scene {
+    let text = format!(
+        "name = \"tools\"\nrun = {{ mode = \"lockstep\", duration_s = 1.0 }}\n[manipulator]\n{manipulator}\n{TOOL}"
+    );
+    Scene::parse_with(&text, &folder().join("scene.toml"), &|file| std::fs::read_to_string(file)).unwrap()
+}
+
+fn described(file: &str) -> ManipulatorParameters {
+    manipulator_parameters(&scene(&format!("file = \"{file}\""))).unwrap()
+}
+
+#[test]
+fn the_standard_tool_and_its_file_are_one() {
+    for overrides in ["", "links = 9", "stiffness_scale = 0.7\nmass_scale = 2.0\nburr_diameter_mm = 6.0"] {
+        let [standard, mut file] = [overrides.to_owned(), format!("file = \"jhu_27.toml\"\n{overrides}")]
+            .map(|text| manipulator_parameters(&scene(&text)).unwrap());
+        // The antagonist pair, once as such and once as two tendons.
+        let channels = file.tendon_routes.take().unwrap();
+        file.tendon.offset_m = channels[0].channel_m[0];
+        assert_eq!(channels[1].channel_m, [-file.tendon.offset_m, 0.0]);
+        assert_eq!(file, standard, "{overrides}");
+    }
+    assert_eq!(
+        scene("file = \"jhu_27.toml\"").manipulator.radii(),
+        Manipulator::default().radii(),
+        "the X-ray's radii"
+    );
+}
+
+/// Hash after 600 ticks with both tendons pulled in turn.
+fn hash(scene: &Scene) -> [u64; 2] {
+    let mut simulation = Simulation::new(scene, None).unwrap();
+    for tick in 0..600 {
+        let command = Command {
+            sequence: 1 + tick / 200,
+            tendon_mode: TENDON_SERVO_JF,
+            tendon_force_n: [[3.0, 0.0, 0.0, 0.0], [0.0, 5.0, 0.0, 0.0], [1.0, 0.5, 0.0, 0.0]]
+                [tick as usize / 200],
+            burr_mode: BURR_SPEED,
+            burr_speed_rad_per_s: 800.0,
+            ..Command::zeroed()
+        };
+        let source = if tick % 200 == 0 { SOURCE_FRESH } else { SOURCE_HELD };
+        let mut latched = Latched { tick, controller_count: 1, ..Latched::zeroed() };
+        latched.commands[0] = LatchedCommand { source, controller_index: 0, age_ticks: tick % 200, command };
+        simulation.step(&latched).unwrap();
+    }
+    simulation.state().hash
+}
+
+#[test]
+fn the_standard_tool_has_the_same_hash_with_and_without_its_file() {
+    for rung in ["constant_curvature", "planar", "spatial", "full"] {
+        let [standard, file] = ["", "file = \"jhu_27.toml\"\n"]
+            .map(|file| hash(&scene(&format!("{file}model = \"{rung}\"\ntendon_friction = 0.1"))));
+        assert_eq!(standard, file, "{rung}");
+        let changed = hash(&scene(&format!("model = \"{rung}\"\ntendon_friction = 0.11")));
+        assert_ne!(standard, changed, "{rung}: a hash that nothing changes");
+    }
+}
+
+fn settled(rung: Rung, mut p: ManipulatorParameters, tension_n: [f64; 4]) -> AnyManipulator {
+    p.damping_ratio = 1.0;
+    p.mount_stiffness_n_per_m = [1e9; 3];
+    let base = BaseMotion::at_rest(Isometry3::identity());
+    let mut tool = AnyManipulator::new(rung, p, &base).unwrap();
+    // A pre-curved tool comes to its shape from a straight one.
+    tool.straighten();
+    let tendon = TendonCommand::EachForce(tension_n);
+    let input = StepInput { base, tendon, tip_wrench: Wrench::zero(), contacts: &[] };
+    for _ in 0..3000 {
+        tool.step(1e-3, &input).unwrap();
+    }
+    tool
+}
+
+/// Ends of arcs in series behind a straight piece, then a straight piece: (x, z). Each arc is its length and its bend.
+fn arcs(straight_m: f64, arcs: &[[f64; 2]], behind_m: f64) -> [f64; 2] {
+    let (mut angle, mut x, mut z) = (0.0_f64, 0.0, straight_m);
+    for [length_m, bend] in arcs {
+        let (chord_m, half) = if *bend == 0.0 {
+            (*length_m, 0.0)
+        } else {
+            (2.0 * length_m / bend * (0.5 * bend).sin(), 0.5 * bend)
+        };
+        x += chord_m * (angle + half).sin();
+        z += chord_m * (angle + half).cos();
+        angle += bend;
+    }
+    [x + behind_m * angle.sin(), z + behind_m * angle.cos()]
+}
+
+fn distance_m(tool: &AnyManipulator, [x, z]: [f64; 2]) -> f64 {
+    (tool.t_world_tip().translation.vector - Vector3::new(x, 0.0, z)).norm()
+}
+
+/// A circle in closed form; the published radii, and the one of the file.
+#[test]
+fn a_pre_curved_tool_comes_to_its_arc_within_10_um() {
+    for radius_mm in [35.0, 50.0, 80.0] {
+        let mut p = described("steerable_drill.toml");
+        let bend = 1.25 / radius_mm;
+        if radius_mm == 50.0 {
+            assert!(p.joint_rest_rad.iter().all(|rest| (rest - bend).abs() < 1e-15));
+        }
+        p.joint_rest_rad = vec![bend; 32];
+        let tip_m = arcs(0.04, &[[0.04, 32.0 * bend]], p.tip_offset_m - 0.625e-3);
+        for rung in Rung::ALL {
+            let off_m = distance_m(&settled(rung, p.clone(), [0.0; 4]), tip_m);
+            println!("{radius_mm} mm, {}: {:.2} µm", rung.name(), off_m * 1e6);
+            assert!(off_m < 10e-6, "{radius_mm} mm, {rung:?}: {off_m}");
+        }
+    }
+}
+
+/// Two arcs: in front every tendon bends, behind only those to the tip. A flexure settles where `k q = d T cos(q/2)`.
+#[test]
+fn two_segments_come_to_two_arcs() {
+    let p = described("two_segments.toml");
+    let k = p.joint_stiffness_nm_per_rad[11];
+    for tension_n in [[3.0, 0.0, 0.0, 0.0], [0.0, 4.0, 6.0, 0.0], [4.0, 0.0, 0.0, 8.0]] {
+        let moment = |tendons: &[f64]| {
+            tendons
+                .iter()
+                .enumerate()
+                .map(|(t, n)| if t % 2 == 0 { 2.5e-3 * n } else { -2.5e-3 * n })
+                .sum::<f64>()
+        };
+        let angle = |moment: f64| (0..50).fold(0.0_f64, |q, _| moment / k * (0.5 * q).cos());
+        let bends = [angle(moment(&tension_n)), angle(moment(&tension_n[..2]))];
+        let (start_m, pitch_m) = (36.0e-3 - 0.65e-3, 1.3e-3);
+        let two = bends.map(|bend| [12.0 * pitch_m, 12.0 * bend]);
+        let tip_m = arcs(start_m, &two, p.tip_offset_m - 0.5 * pitch_m);
+        for rung in [Rung::Planar, Rung::Spatial, Rung::Full] {
+            let mut p = p.clone();
+            // Every flexure alike, which the first and the last are not quite; nothing is compressed or sheared.
+            p.joint_stiffness_nm_per_rad = vec![k; 24];
+            p.section = simulation::manipulator::Section::Tube;
+            p.tube_radii_m = [1e-5, 0.0];
+            let tool = settled(rung, p, tension_n);
+            let off_m = distance_m(&tool, tip_m);
+            println!("{tension_n:?}, {}: {:.2} µm", rung.name(), off_m * 1e6);
+            // A chain of 24 hinges against arcs: its error is the bend squared over 24 n squared of the length.
+            assert!(off_m < 10e-6, "{tension_n:?}, {rung:?}: {off_m}");
+        }
+    }
+}
+
+#[test]
+fn one_arc_refuses_what_bends_in_part() {
+    let base = BaseMotion::at_rest(Isometry3::identity());
+    let refused = AnyManipulator::new(Rung::ConstantCurvature, described("two_segments.toml"), &base);
+    let said = refused.unwrap_err().to_string();
+    assert!(said.contains("`tendon_routes.reach` is 12") && said.contains("constant_curvature"), "{said}");
+    let links = described("two_segments.toml").with_links(8).unwrap();
+    assert_eq!(links.tendon_routes.unwrap()[2].reach.to, Some(4));
+    let said = described("two_segments.toml").with_links(9).unwrap_err().to_string();
+    assert!(said.contains("`links` is 9"), "{said}");
+}
+
+/// A pre-curved tool with as many links as flexures, and with half as many, keeps its bend.
+#[test]
+fn links_share_the_rest_angles() {
+    let p = described("steerable_drill.toml");
+    let whole: f64 = p.joint_rest_rad.iter().sum();
+    for links in [8, 16, 32] {
+        let shared: f64 = p.with_links(links).unwrap().joint_rest_rad.iter().sum();
+        assert!((shared - whole).abs() < 1e-12, "{links}: {shared}, {whole}");
+    }
+}
+
+/// What is pulled is measured from the tool's own shape: nothing pulls on a slack pre-curved tool.
+#[test]
+fn a_pulled_length_is_measured_from_the_rest_shape() {
+    let mut p = described("steerable_drill.toml");
+    p.tendon_routes = Some(vec![[1.5e-3, 0.0].into(), [-1.5e-3, 0.0].into()]);
+    let base = BaseMotion::at_rest(Isometry3::identity());
+    let tendon = TendonCommand::EachDisplacement([0.0; 4]);
+    let input = StepInput { base, tendon, tip_wrench: Wrench::zero(), contacts: &[] };
+    for rung in Rung::ALL {
+        let mut tool = AnyManipulator::new(rung, p.clone(), &base).unwrap();
+        let start = tool.t_world_tip();
+        for _ in 0..100 {
+            tool.step(1e-3, &input).unwrap();
+        }
+        let moved_m = (tool.t_world_tip().translation.vector - start.translation.vector).norm();
+        assert!(moved_m < 1e-9, "{rung:?}: {moved_m}");
+        assert!(tool.tendon_tensions_n().iter().all(|n| n.abs() < 1e-6), "{rung:?}");
+    }
+}
+
+/// `k = E I / length` of a round tube, and `E` times the stiffness of the notches at 1 Pa.
+#[test]
+fn stiffness_follows_from_the_tube_and_from_the_notches() {
+    let tube = described("rigid_drill.toml");
+    let by_hand = 200e9 * core::f64::consts::PI / 64.0 * 4.5e-3_f64.powi(4) / 4.5e-3;
+    assert!((tube.joint_stiffness_nm_per_rad[3] / by_hand - 1.0).abs() < 1e-12);
+    let notched = described("two_segments.toml");
+    let unit = simulation::manipulator::Notch::JHU.unit_stiffness(1.3e-3, [3e-3, 2e-3], 0.33);
+    assert!((notched.joint_stiffness_nm_per_rad[11] / (28.5e9 * unit.bending_nm_per_rad) - 1.0).abs() < 1e-9);
+}
+
+#[test]
+fn every_shipped_tool_stands() {
+    let mut files: Vec<PathBuf> = std::fs::read_dir(folder()).unwrap().map(|it| it.unwrap().path()).collect();
+    files.sort();
+    assert_eq!(files.len(), 4);
+    for file in files {
+        let tool = ToolDescription::parse(&std::fs::read_to_string(&file).unwrap(), &file).unwrap();
+        assert_eq!(tool.name, file.file_stem().unwrap().to_str().unwrap());
+        let p = described(file.file_name().unwrap().to_str().unwrap());
+        AnyManipulator::new(Rung::Full, p, &BaseMotion::at_rest(Isometry3::identity())).unwrap();
+    }
+}

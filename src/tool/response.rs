@@ -1,0 +1,157 @@
+//! What the tool does: its shape at rest and under each tendon, its first mode, and what a step of each rung costs.
+
+use std::time::Instant;
+
+use ipc_types::scene::Scene;
+use nalgebra::Isometry3;
+use serde::Serialize;
+use simulation::manipulator::{
+    AnyManipulator, BaseMotion, MAX_TENDONS, ManipulatorModel, ManipulatorParameters, Rung, StepInput,
+    TendonCommand, Wrench,
+};
+use simulation::{manipulator_parameters, rung};
+
+use crate::failure::Failure;
+
+/// Tensions that are shown, N.
+const TENSIONS_N: [f64; 3] = [2.0, 5.0, 10.0];
+/// The tool has settled when no flexure turns faster, rad/s; at 1 ms it then moves less than a nanometre a step.
+const SETTLED_RAD_PER_S: f64 = 1e-6;
+/// Steps of 1 ms in which a critically damped tool settles, or is given up.
+const MOST_STEPS: usize = 5000;
+const STEP_S: f64 = 1e-3;
+/// Steps that are timed, of each rung.
+const TIMED_STEPS: usize = 500;
+
+/// The tool at rest, in its base's frame.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Shape {
+    /// The tendon that is pulled, from 0; absent: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tendon: Option<usize>,
+    /// Its tension.
+    pub tension_n: f64,
+    /// Bend of the whole tool toward `tool.bend_toward`.
+    pub bend_deg: f64,
+    /// The burr's centre toward `tool.bend_toward`.
+    pub toward_mm: f64,
+    /// Across it.
+    pub across_mm: f64,
+    /// Along the straight tool, from the flange.
+    pub along_mm: f64,
+    /// Flexures on their stops.
+    pub stopped: usize,
+}
+
+/// What a step of a rung costs.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Cost {
+    /// Name of the rung.
+    pub rung: &'static str,
+    /// Median time of a step in free space on this machine, µs.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub step_us: Option<f64>,
+    /// Why the rung cannot represent the tool.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub refused: Option<String>,
+}
+
+/// What the tool of a scene does.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Response {
+    /// Without load, then under each tendon alone.
+    pub shapes: Vec<Shape>,
+    /// First bending mode on a rigid mount while the tool is straight, Hz.
+    pub first_frequency_hz: f64,
+    /// Of every rung, the cheapest first.
+    pub costs: Vec<Cost>,
+}
+
+/// Measures the tool of a scene, on the scene's rung, in free space.
+///
+/// # Errors
+/// Bad input: no such tool, or the rung that the scene names cannot represent it.
+pub fn response(scene: &Scene) -> Result<Response, Failure> {
+    let parameters = manipulator_parameters(scene).map_err(Failure::bad_input)?;
+    let own = rung(scene.manipulator.model.unwrap_or_default());
+    let tool = new(own, &parameters).map_err(Failure::bad_input)?;
+    let mut shapes = vec![shape(own, &parameters, None, 0.0)?];
+    for tendon in 0..parameters.tendon_count() {
+        for tension_n in TENSIONS_N {
+            shapes.push(shape(own, &parameters, Some(tendon), tension_n)?);
+        }
+    }
+    let costs = Rung::ALL.map(|rung| cost(rung, &parameters)).to_vec();
+    Ok(Response { shapes, first_frequency_hz: tool.first_natural_frequency_hz(), costs })
+}
+
+type Built = Result<AnyManipulator, simulation::manipulator::ManipulatorError>;
+
+fn new(rung: Rung, parameters: &ManipulatorParameters) -> Built {
+    AnyManipulator::new(rung, parameters.clone(), &BaseMotion::at_rest(Isometry3::identity()))
+}
+
+fn pulled(tendon: Option<usize>, tension_n: f64) -> StepInput<'static> {
+    let mut each = [0.0; MAX_TENDONS];
+    if let Some(place) = tendon.and_then(|tendon| each.get_mut(tendon)) {
+        *place = tension_n;
+    }
+    StepInput {
+        base: BaseMotion::at_rest(Isometry3::identity()),
+        tendon: TendonCommand::EachForce(each),
+        tip_wrench: Wrench::zero(),
+        contacts: &[],
+    }
+}
+
+fn shape(
+    rung: Rung,
+    parameters: &ManipulatorParameters,
+    tendon: Option<usize>,
+    tension_n: f64,
+) -> Result<Shape, Failure> {
+    let damped = ManipulatorParameters { damping_ratio: 1.0, ..parameters.clone() };
+    let mut tool = new(rung, &damped).map_err(Failure::bad_input)?;
+    let input = pulled(tendon, tension_n);
+    for _ in 0..MOST_STEPS {
+        tool.step(STEP_S, &input).map_err(|cause| Failure::failed(cause.to_string()))?;
+        if tool.joint_velocities_rad_per_s().iter().all(|rate| rate.abs() < SETTLED_RAD_PER_S) {
+            break;
+        }
+    }
+    let burr_m = tool.t_world_tip().translation.vector;
+    Ok(Shape {
+        tendon,
+        tension_n,
+        bend_deg: tool.bend_rad().to_degrees(),
+        toward_mm: 1e3 * burr_m.x,
+        across_mm: 1e3 * burr_m.y,
+        along_mm: 1e3 * burr_m.z,
+        stopped: tool.last_report().stopped_joint_count,
+    })
+}
+
+fn cost(rung: Rung, parameters: &ManipulatorParameters) -> Cost {
+    let refused = |why: String| Cost { rung: rung.name(), step_us: None, refused: Some(why) };
+    let mut tool = match new(rung, parameters) {
+        Ok(tool) => tool,
+        Err(why) => return refused(why.to_string()),
+    };
+    let across = |channel: &[f64; 2]| channel[1] != 0.0;
+    let routes = parameters.tendon_routes.iter().flatten();
+    if rung < Rung::Spatial && routes.clone().any(|route| across(&route.channel_m)) {
+        return refused("a tendon bends out of the plane".to_owned());
+    }
+    let mut times_us = Vec::with_capacity(TIMED_STEPS);
+    for step in 0..TIMED_STEPS {
+        // A pull that comes and goes, so that the tool moves.
+        let input = pulled(Some(0), if step / 100 % 2 == 0 { 3.0 } else { 0.0 });
+        let start = Instant::now();
+        if let Err(why) = tool.step(STEP_S, &input) {
+            return refused(why.to_string());
+        }
+        times_us.push(1e6 * start.elapsed().as_secs_f64());
+    }
+    times_us.sort_by(f64::total_cmp);
+    Cost { rung: rung.name(), step_us: Some(times_us[TIMED_STEPS / 2]), refused: None }
+}
