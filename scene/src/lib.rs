@@ -42,6 +42,7 @@ mod ranges;
 pub mod reference;
 mod schema;
 mod tool;
+mod urdf;
 
 pub use error::SceneError;
 pub use model::*;
@@ -75,23 +76,27 @@ impl Scene {
     /// Parses and checks a scene's text; `path` names it in errors, and relative paths in the scene are relative to its folder.
     ///
     /// # Errors
-    /// [`SceneError`]: a key is unknown or missing, or a value is out of its range; the scene names a plan, which [`Scene::parse_with`] reads.
+    /// [`SceneError`]: a key is unknown or missing, or a value is out of its range; the scene names a plan or a URDF file, which [`Scene::parse_with`] reads.
     pub fn parse(text: &str, path: &Path) -> Result<Scene, SceneError> {
-        let refused = |_: &Path| Err(std::io::Error::other("a plan is read with the scene's file alone"));
+        let refused = |_: &Path| {
+            Err(std::io::Error::other("a file that a scene names is read with the scene's file alone"))
+        };
         Scene::parse_with(text, path, &refused)
     }
 
-    /// The same, with a function that reads the plan that the scene may name (`tool.plan`). The scene returned holds what follows from the
-    /// plan, and no plan.
+    /// The same, with a function that reads the files that the scene may name (`tool.plan`, `arm.urdf`). The scene returned holds what
+    /// follows from them, and no file.
     ///
     /// # Errors
-    /// As [`Scene::parse`]; the plan cannot be read, is none, or gives a point that the scene gives, too.
+    /// As [`Scene::parse`]; a file cannot be read or is none of its kind, or gives what the scene gives, too.
     pub fn parse_with(text: &str, path: &Path, read: &ReadText) -> Result<Scene, SceneError> {
         let folder = path.parent().unwrap_or(Path::new("."));
         let mut given: toml::Table =
             toml::from_str(text).map_err(|cause| malformed(text, path, text, &cause))?;
-        let planned = plan::put_in(&mut given, folder, read, &check::Checker { file: path })?;
-        let completed = match planned {
+        let checker = check::Checker { file: path };
+        let planned = plan::put_in(&mut given, folder, read, &checker)?;
+        let described = urdf::put_in(&mut given, folder, read, &checker)?;
+        let completed = match planned || described {
             // The scene as it is written, with its lines.
             false => text.to_owned(),
             true => toml::to_string(&given).map_err(|cause| SceneError::Malformed {
