@@ -17,6 +17,7 @@ pub mod openigtlink;
 pub mod plan;
 pub mod seeds;
 pub mod settings;
+pub mod urdf;
 pub mod viewer;
 pub mod volume;
 
@@ -44,5 +45,6 @@ pub const TARGETS: &[Target] = &[
     Target { name: "metaimage", run: volume::metaimage, seeds: seeds::metaimage },
     Target { name: "dicom", run: volume::dicom, seeds: seeds::dicom },
     Target { name: "plan", run: plan::plan, seeds: plan::seeds },
+    Target { name: "urdf", run: urdf::urdf, seeds: urdf::seeds },
     Target { name: "openigtlink", run: openigtlink::openigtlink, seeds: openigtlink::seeds },
 ];

@@ -10,7 +10,7 @@ use crate::cdr::{self, Order};
 use crate::commander::Motion;
 use crate::msg::{JointState, PoseStamped, StringStamped};
 use crate::robot::WORLD;
-use crate::topics::{ARM_JOINT_NAMES, Input, joint_names};
+use crate::topics::{Input, joint_names};
 
 /// Joint angles and rates that a command may ask for (`hub::command_check`); the arm checks its own range.
 const MAX_JOINT_RAD: f64 = core::f64::consts::TAU;
@@ -121,21 +121,31 @@ pub enum Refused {
     Disabled,
 }
 
-/// Reads a message of a topic. `tendons`: tendons of the tool.
+/// The joints that messages may command.
+#[derive(Debug, Clone, Copy)]
+pub struct Commanded<'a> {
+    /// Names of the arm's, from base to flange.
+    pub arm: &'a [String],
+    /// Tendons of the tool.
+    pub tendons: usize,
+}
+
+/// Reads a message of a topic that commands those joints.
 ///
 /// # Errors
 /// Why it is refused.
-pub fn read(topic: Input, bytes: &[u8], order: Order, tendons: usize) -> Result<Request, Refused> {
+pub fn read(topic: Input, bytes: &[u8], order: Order, commanded: Commanded) -> Result<Request, Refused> {
+    let Commanded { arm, tendons } = commanded;
     if bytes.len() > MAX_MESSAGE_BYTES {
         return Err(Refused::TooLong(bytes.len()));
     }
     let joints = || decode::<JointState>(bytes, order);
     let pose = || decode::<PoseStamped>(bytes, order).and_then(|message| pose_of(&message));
     let motion = match topic {
-        Input::ArmServoJp => Motion::ArmServoJp(arm_values(&joints()?, Field::Position, MAX_JOINT_RAD)?),
-        Input::ArmMoveJp => Motion::ArmMoveJp(arm_values(&joints()?, Field::Position, MAX_JOINT_RAD)?),
+        Input::ArmServoJp => Motion::ArmServoJp(arm_values(&joints()?, arm, Field::Position, MAX_JOINT_RAD)?),
+        Input::ArmMoveJp => Motion::ArmMoveJp(arm_values(&joints()?, arm, Field::Position, MAX_JOINT_RAD)?),
         Input::ArmServoJv => {
-            Motion::ArmServoJv(arm_values(&joints()?, Field::Velocity, MAX_JOINT_RATE_RAD_PER_S)?)
+            Motion::ArmServoJv(arm_values(&joints()?, arm, Field::Velocity, MAX_JOINT_RATE_RAD_PER_S)?)
         }
         Input::ArmServoCp => Motion::ArmServoCp(pose()?),
         Input::ArmMoveCp => Motion::ArmMoveCp(pose()?),
@@ -188,9 +198,13 @@ impl Field {
     }
 }
 
-fn arm_values(message: &JointState, field: Field, most: f64) -> Result<[f64; ARM_JOINTS], Refused> {
-    let names = ARM_JOINT_NAMES.map(str::to_owned);
-    values(message, field, &names, -most, most)
+fn arm_values(
+    message: &JointState,
+    names: &[String],
+    field: Field,
+    most: f64,
+) -> Result<[f64; ARM_JOINTS], Refused> {
+    values(message, field, names, -most, most)
 }
 
 fn tendon_values(
@@ -271,9 +285,11 @@ mod tests {
 
     use super::*;
     use crate::msg::{Header, Quaternion, RosPose, Vector3};
+    use crate::topics::ARM_JOINT_NAMES;
 
     fn ask<T: serde::Serialize>(topic: Input, message: &T) -> Result<Request, Refused> {
-        read(topic, &cdr::encode(message).unwrap(), Order::Little, 1)
+        let arm = ARM_JOINT_NAMES.map(str::to_owned);
+        read(topic, &cdr::encode(message).unwrap(), Order::Little, Commanded { arm: &arm, tendons: 1 })
     }
 
     fn joints(name: &[&str], position: &[f64]) -> JointState {
@@ -344,7 +360,8 @@ mod tests {
         fn no_bytes_do_harm(bytes in proptest::collection::vec(any::<u8>(), 0..400), topic in 0_usize..10, big: bool) {
             let topic = crate::topics::INPUTS[topic].topic;
             let order = if big { Order::Big } else { Order::Little };
-            if let Ok(Request::Move(Motion::ArmServoJp(values))) = read(topic, &bytes, order, 2) {
+            let names = ARM_JOINT_NAMES.map(str::to_owned);
+            if let Ok(Request::Move(Motion::ArmServoJp(values))) = read(topic, &bytes, order, Commanded { arm: &names, tendons: 2 }) {
                 prop_assert!(values.iter().all(|value| value.is_finite()));
             }
         }

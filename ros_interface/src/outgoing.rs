@@ -1,6 +1,6 @@
 //! What the bridge publishes of a state, as CDR.
 
-use messages::{ARM_JOINTS, ArmMode, ArmStatus, Phase, State};
+use messages::{ArmMode, ArmStatus, Phase, State};
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::Serialize;
 
@@ -11,7 +11,7 @@ use crate::msg::{
     TransformStamped, TwistStamped, UInt64, WrenchStamped,
 };
 use crate::robot::{Placed, Robot, WORLD, isometry};
-use crate::topics::{ARM_JOINT_NAMES, Output, joint_names};
+use crate::topics::{Output, joint_names};
 
 /// A message on its way out.
 #[derive(Debug, Clone, PartialEq)]
@@ -44,17 +44,18 @@ pub fn of_state(robot: &Robot, state: &State) -> Vec<Outgoing> {
 }
 
 fn arm(out: &mut Vec<Outgoing>, robot: &Robot, state: &State, stamp: Time) {
-    let name: Vec<String> = ARM_JOINT_NAMES.map(str::to_owned).to_vec();
+    let name = robot.arm_joints().to_vec();
+    let joints = name.len();
     let measured = JointState {
         header: header(stamp, ""),
         name: name.clone(),
-        position: state.arm_joint_position_rad.to_vec(),
-        velocity: state.arm_joint_velocity_rad_per_s.to_vec(),
+        position: state.arm_joint_position_rad[..joints].to_vec(),
+        velocity: state.arm_joint_velocity_rad_per_s[..joints].to_vec(),
         effort: Vec::new(),
     };
     push(out, Output::ArmMeasuredJs, &measured);
     let drive = |joint: usize| state.arm_joint_position_rad[joint] - state.arm_joint_deflection_rad[joint];
-    let position = (0..ARM_JOINTS).map(drive).collect();
+    let position = (0..joints).map(drive).collect();
     let setpoint = JointState { header: header(stamp, ""), name, position, ..JointState::default() };
     push(out, Output::ArmSetpointJs, &setpoint);
 

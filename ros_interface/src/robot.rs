@@ -3,9 +3,9 @@
 use messages::{ARM_JOINTS, Pose, State};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use scene::Scene;
-use simulation::arm::{ArmParameters, UrGeometry};
+use simulation::arm::{ArmGeometry, ArmParameters};
 
-use crate::topics::Names;
+use crate::topics::{ARM_JOINT_NAMES, Names};
 
 /// The frame that everything stands in: the patient frame, LPS.
 pub const WORLD: &str = "world";
@@ -26,9 +26,11 @@ pub struct Placed {
 pub struct Robot {
     names: Names,
     /// Without the tool: frame 6 is the flange.
-    geometry: UrGeometry,
+    geometry: ArmGeometry,
+    /// Names of the arm's joints: six, or none where there is no arm.
+    arm_joints: Vec<String>,
     t_world_arm_base: Isometry3<f64>,
-    /// The parts of the Denavit-Hartenberg transforms that do not turn: the identity, then `Tz(d_i) Tx(a_i) Rx(alpha_i)`.
+    /// The parts of the chain that do not turn; for an arm of Universal Robots the identity, then `Tz(d_i) Tx(a_i) Rx(alpha_i)`.
     fixed_parts: [Isometry3<f64>; ARM_JOINTS + 1],
     t_flange_base: Isometry3<f64>,
     /// Lower and upper ends of the joints' ranges.
@@ -41,31 +43,23 @@ pub struct Robot {
 impl Robot {
     /// The robot of a scene, placed by a state: the arm's base stands where its flange and its joints say.
     pub fn new(scene: &Scene, state: &State, names: Names) -> Robot {
-        let standard = ArmParameters::ur5(scene.dt_s());
-        let geometry = standard.geometry;
-        let limits = standard.joint_limits;
-        let arm = &scene.arm;
-        let or = |degrees: Option<[f64; 6]>, standard: [f64; 6]| {
-            degrees.map_or(standard, |d| d.map(f64::to_radians))
-        };
-        let rate = arm.max_joint_speed_deg_per_s.map_or(limits.velocity_rad_s, |deg| [deg.to_radians(); 6]);
+        let parameters = ArmParameters::of(&scene.arm, scene.dt_s());
+        let (geometry, limits) = (parameters.geometry.with_tool(None), parameters.joint_limits);
         let t_world_flange = isometry(&state.t_world_flange);
         let straight = geometry.frames(&[0.0; ARM_JOINTS]);
         let fixed_part = |index: usize| match index {
-            0 => Isometry3::identity(),
+            0 => straight.t_base_link(0),
             _ => straight.t_base_link(index - 1).inverse() * straight.t_base_link(index),
         };
         Robot {
             names,
             geometry,
+            arm_joints: arm_joints(scene, &geometry),
             t_world_arm_base: t_world_flange * geometry.forward(&state.arm_joint_position_rad).inverse(),
             fixed_parts: core::array::from_fn(fixed_part),
             t_flange_base: t_world_flange.inverse() * isometry(&state.t_world_base),
-            ranges_rad: [
-                or(arm.lower_joints_deg, limits.lower_rad),
-                or(arm.upper_joints_deg, limits.upper_rad),
-            ],
-            rates_rad_per_s: rate,
+            ranges_rad: [limits.lower_rad, limits.upper_rad],
+            rates_rad_per_s: limits.velocity_rad_s,
             flexures: used(state.joint_count, state.t_world_link.len()),
             tendons: used(state.tendon_count, state.tendon_tension_n.len()),
         }
@@ -74,6 +68,11 @@ impl Robot {
     /// Names in topics and frames.
     pub fn names(&self) -> &Names {
         &self.names
+    }
+
+    /// Names of the arm's joints, from base to flange: six, or none where there is no arm.
+    pub fn arm_joints(&self) -> &[String] {
+        &self.arm_joints
     }
 
     /// Ends of the arm joints' ranges, and their fastest rates.
@@ -138,14 +137,15 @@ impl Robot {
     /// Every frame that moves, parents first.
     pub fn moving(&self, state: &State) -> Vec<Placed> {
         let mut placed = Vec::with_capacity(ARM_JOINTS + self.flexures + 4);
-        for (index, angle_rad) in state.arm_joint_position_rad.into_iter().enumerate() {
+        let joints = self.arm_joints.len();
+        for (index, angle_rad) in state.arm_joint_position_rad.into_iter().take(joints).enumerate() {
             let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle_rad);
             let t_parent_child = self.fixed_parts[index] * turn;
             let (parent, child) = (self.arm_frame(index), self.arm_frame(index + 1));
             placed.push(Placed { parent, child, pose: pose(&t_parent_child) });
         }
-        let (parent, child) = (self.arm_frame(ARM_JOINTS), self.flange());
-        placed.push(Placed { parent, child, pose: pose(&self.fixed_parts[ARM_JOINTS]) });
+        let (parent, child) = (self.arm_frame(joints), self.flange());
+        placed.push(Placed { parent, child, pose: pose(&self.fixed_parts[joints]) });
         let mut last = (self.flange(), isometry(&state.t_world_flange));
         let mut hang = |child: String, t_world_child: &Pose, stays: bool| {
             let t_world_child = isometry(t_world_child);
@@ -176,6 +176,19 @@ impl Robot {
             Vector3::from(state.t_world_base.position_m) - Vector3::from(state.t_world_flange.position_m);
         let linear = turn * Vector3::new(twist[0], twist[1], twist[2]) + angular.cross(&arm);
         [linear.into(), angular.into()]
+    }
+}
+
+/// The names of a scene's arm joints: those of its file, or those that Universal Robots' own description has.
+fn arm_joints(scene: &Scene, geometry: &ArmGeometry) -> Vec<String> {
+    match &scene.arm.joint {
+        Some(joints) => {
+            let turning = joints.iter().filter(|joint| joint.axis.is_some());
+            let legal = |name: &str| foreign_text::plain(name).replace(['<', '>', '&', '"', '\n', '\t'], "_");
+            turning.map(|joint| legal(&joint.name)).collect()
+        }
+        None if geometry.moves() => ARM_JOINT_NAMES.map(str::to_owned).to_vec(),
+        None => Vec::new(),
     }
 }
 

@@ -2,13 +2,12 @@
 
 use std::fmt::Write;
 
-use messages::ARM_JOINTS;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use scene::Scene;
 use simulation::manipulator_parameters;
 
 use crate::robot::{Robot, WORLD};
-use crate::topics::{ARM_JOINT_NAMES, joint_names};
+use crate::topics::joint_names;
 
 /// Radius of the arm's links as they are drawn.
 const ARM_RADIUS_M: f64 = 0.04;
@@ -41,7 +40,8 @@ pub fn describe(scene: &Scene, robot: &Robot) -> Result<String, simulation::mani
 
 fn arm(urdf: &mut Urdf, robot: &Robot) {
     let parts = robot.fixed_parts();
-    for (index, name) in ARM_JOINT_NAMES.into_iter().enumerate() {
+    let joints = robot.arm_joints().len();
+    for (index, name) in robot.arm_joints().iter().enumerate() {
         let child = robot.arm_frame(index + 1);
         let next = parts[index + 1].translation.vector;
         urdf.link(&child, Some(Shape::Rod { to: next, radius_m: ARM_RADIUS_M }));
@@ -50,7 +50,7 @@ fn arm(urdf: &mut Urdf, robot: &Robot) {
         urdf.joint(name, kind, &robot.arm_frame(index), &child, &parts[index]);
     }
     urdf.link(&robot.flange(), None);
-    urdf.joint("flange", Kind::Fixed, &robot.arm_frame(ARM_JOINTS), &robot.flange(), &parts[ARM_JOINTS]);
+    urdf.joint("flange", Kind::Fixed, &robot.arm_frame(joints), &robot.flange(), &parts[joints]);
 }
 
 /// The tool.

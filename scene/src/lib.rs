@@ -44,6 +44,7 @@ pub mod reference;
 mod schema;
 mod tool;
 mod tool_file;
+mod urdf;
 
 pub use error::SceneError;
 pub use model::*;
@@ -78,7 +79,7 @@ impl Scene {
     /// Parses and checks a scene's text; `path` names it in errors, and relative paths in the scene are relative to its folder.
     ///
     /// # Errors
-    /// [`SceneError`]: a key is unknown or missing, or a value is out of its range; the scene names a plan or a tool file, which
+    /// [`SceneError`]: a key is unknown or missing, or a value is out of its range; the scene names a file (a plan, a tool, a URDF), which
     /// [`Scene::parse_with`] reads.
     pub fn parse(text: &str, path: &Path) -> Result<Scene, SceneError> {
         let refused =
@@ -86,20 +87,21 @@ impl Scene {
         Scene::parse_with(text, path, &refused)
     }
 
-    /// The same, with a function that reads the files that the scene may name (`tool.plan`, `manipulator.file`). The scene returned holds
-    /// what follows from the plan and the tool itself, and names neither file.
+    /// The same, with a function that reads the files that the scene may name (`tool.plan`, `manipulator.file`, `arm.urdf`). The scene
+    /// returned holds what follows from them, and names no file.
     ///
     /// # Errors
-    /// As [`Scene::parse`]; the plan or the tool file cannot be read or is none, or gives what the scene gives, too.
+    /// As [`Scene::parse`]; a file cannot be read or is none of its kind, or gives what the scene gives, too.
     pub fn parse_with(text: &str, path: &Path, read: &ReadText) -> Result<Scene, SceneError> {
         let folder = path.parent().unwrap_or(Path::new("."));
         let mut given: toml::Table =
             toml::from_str(text).map_err(|cause| malformed(text, path, text, &cause))?;
         let checker = check::Checker { file: path };
         // The plan's pilot hole is as wide as the tool's burr.
-        let described = tool_file::put_in(&mut given, folder, read, &checker)?;
+        let tool = tool_file::put_in(&mut given, folder, read, &checker)?;
         let planned = plan::put_in(&mut given, folder, read, &checker)?;
-        let completed = match described || planned {
+        let arm = urdf::put_in(&mut given, folder, read, &checker)?;
+        let completed = match tool || planned || arm {
             // The scene as it is written, with its lines.
             false => text.to_owned(),
             true => toml::to_string(&given).map_err(|cause| SceneError::Malformed {

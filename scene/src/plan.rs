@@ -133,6 +133,6 @@ fn tables<'t>(scene: &'t mut Table, key: &str) -> impl Iterator<Item = &'t mut T
     })
 }
 
-fn numbers(place: [f64; 3]) -> Value {
+pub(crate) fn numbers(place: [f64; 3]) -> Value {
     Value::Array(place.map(Value::Float).to_vec())
 }

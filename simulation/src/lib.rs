@@ -53,7 +53,7 @@
 //! |---|---|
 //! | [`manipulator`] | the tool: four models of increasing detail, tendons, contact impulses |
 //! | [`bone`] | the voxels: contact planes, drilling |
-//! | [`arm`] | UR5 kinematics, jerk-limited motion, elastic joints |
+//! | [`arm`] | kinematics, jerk-limited motion, elastic joints |
 //! | [`rigid`] | free and fixed bodies in Rapier |
 //! | [`baselines`] | published methods, for comparison in charts only |
 

@@ -22,8 +22,7 @@ fn the_tool_stands_at_the_flange_through_its_transform() {
     let apart = (flange * t_flange_tool()).inverse() * arm.state().t_world_tool;
     assert!(apart.translation.vector.norm() < 1e-15 && apart.rotation.angle() < 1e-15);
     // Independent of the tool: the kinematics without one.
-    let mut bare = arm.parameters().geometry;
-    bare.t_flange_tool = None;
+    let bare = arm.parameters().geometry.with_tool(None);
     let expected = arm.parameters().t_world_arm_base * bare.forward(&arm.state().q_rad);
     assert!((expected.translation.vector - flange.translation.vector).norm() < 1e-15);
     let rates = Vector3::new(0.1, 0.2, 0.3);

@@ -195,7 +195,7 @@ fn unreachable_and_singular_poses_are_told_apart() {
 fn a_base_is_placed_where_the_flange_is_wanted() {
     let wanted = Isometry3::new(Vector3::new(0.12, -0.34, 0.56), Vector3::new(1.0, -2.0, 0.5));
     let q = COMFORTABLE_Q_RAD;
-    let base = place_base_for(&UR5, &wanted, &q);
+    let base = place_base_for(&UR5.into(), &wanted, &q);
     let flange = base * UR5.forward(&q);
     assert!((flange.translation.vector - wanted.translation.vector).norm() < 1e-14);
     assert!(flange.rotation.rotation_to(&wanted.rotation).vector().norm() < 1e-15);

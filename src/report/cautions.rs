@@ -1,13 +1,14 @@
 //! What is most likely wrong with a run that went through: for the table at its end and `summary.json`.
 
 use ipc_types::scene::{Drives, Scene};
+use simulation::arm::ArmParameters;
 
 use super::run_lane::RunLane;
 use super::timing_lane::TimingLane;
 use crate::plan::ModelError;
 
-/// A greater normal force is named: the arm's rated payload, 5 kg (Universal Robots, UR5 technical specifications).
-const MOST_FORCE_N: f64 = 5.0 * 9.81;
+/// A normal force greater than the weight of the arm's rated payload is named.
+const GRAVITY_M_PER_S2: f64 = 9.81;
 /// A tip that has stayed within this of its start has not moved.
 const STILL_M: f64 = 1e-5;
 
@@ -30,12 +31,13 @@ fn refused(timing: &TimingLane) -> Option<String> {
 }
 
 fn force(run: &RunLane) -> Option<String> {
+    let of_scene = |scene: &Scene| ArmParameters::of(&scene.arm, scene.dt_s());
+    let arm = run.scene.as_ref().map_or_else(|| ArmParameters::ur5(1e-3), of_scene);
+    let most_n = arm.payload_kg? * GRAVITY_M_PER_S2;
     let (burr_n, contact_n) = (run.peaks.burr_force_n, run.peaks.contact_force_n);
-    let (what, force_n) = if burr_n > MOST_FORCE_N { ("the burr", burr_n) } else { ("a contact", contact_n) };
-    (force_n > MOST_FORCE_N).then(|| {
-        format!(
-            "{what} pressed with up to {force_n:.1} N, more than the arm's payload of {MOST_FORCE_N:.1} N"
-        )
+    let (what, force_n) = if burr_n > most_n { ("the burr", burr_n) } else { ("a contact", contact_n) };
+    (force_n > most_n).then(|| {
+        format!("{what} pressed with up to {force_n:.1} N, more than the arm's payload of {most_n:.1} N")
     })
 }
 

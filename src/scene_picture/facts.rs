@@ -3,7 +3,7 @@
 use ipc_types::scene::Scene;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde_json::{Value, json};
-use simulation::arm::{ArmParameters, COMFORTABLE_Q_RAD, place_base_for};
+use simulation::arm::{ArmParameters, initial_q_rad, place_base_for};
 use simulation::{Verdict, findings};
 use volume_io::Volume;
 
@@ -156,18 +156,11 @@ fn profile(volume: &Volume, shapes: &Shapes, is_bone: impl Fn(&Sample) -> bool) 
     before
 }
 
-/// How far the arm can move the tool's base straight ahead from the start, by its closed inverse kinematics and its joint limits.
+/// How far the arm can move the tool's base straight ahead from the start, by its inverse kinematics and its joint limits.
 fn feed_mm(scene: &Scene, shapes: &Shapes) -> f64 {
-    let given = &scene.arm;
-    let mut arm = ArmParameters::ur5(scene.dt_s());
-    if given.tool_position_mm != [0.0; 3] || given.tool_rotation_vector_deg != [0.0; 3] {
-        let turn = Vector3::from(given.tool_rotation_vector_deg).map(f64::to_radians);
-        arm.geometry.t_flange_tool = Some(Isometry3::new(Vector3::from(given.tool_position_mm) * 1e-3, turn));
-    }
-    let joints = given.initial_joints_deg.map_or(COMFORTABLE_Q_RAD, |q| q.map(f64::to_radians));
-    let radians = |deg: Option<[f64; 6]>, usual: [f64; 6]| deg.map_or(usual, |q| q.map(f64::to_radians));
-    let lower = radians(given.lower_joints_deg, arm.joint_limits.lower_rad);
-    let upper = radians(given.upper_joints_deg, arm.joint_limits.upper_rad);
+    let arm = ArmParameters::of(&scene.arm, scene.dt_s());
+    let joints = initial_q_rad(&scene.arm);
+    let limits = &arm.joint_limits;
     let across = shapes.along.cross(&shapes.toward);
     let axes = Matrix3::from_columns(&[shapes.toward, across, shapes.along]);
     let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
@@ -179,7 +172,10 @@ fn feed_mm(scene: &Scene, shapes: &Shapes) -> f64 {
     let (mut reached_mm, mut near) = (0, joints);
     for feed_mm in (FEED_STEP_MM..=FEED_MM).step_by(FEED_STEP_MM as usize) {
         let goal = t_arm_world * base(f64::from(feed_mm));
-        let Ok(found) = arm.geometry.inverse_nearest(&goal, &near, &lower, &upper) else { break };
+        let Ok(found) = arm.geometry.inverse_nearest(&goal, &near, &limits.lower_rad, &limits.upper_rad)
+        else {
+            break;
+        };
         (reached_mm, near) = (feed_mm, found);
     }
     f64::from(reached_mm)

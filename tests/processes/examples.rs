@@ -7,8 +7,10 @@ use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Place, Run, assert_nothing_left, trabecula};
 
 /// Each scene, and the line by which it shows its feature.
-const GALLERY: [(&str, &str); 14] = [
+const GALLERY: [(&str, &str); 16] = [
     ("arm_compliance.toml", "[arm.compliance]"),
+    ("arm_joints.toml", "[[arm.joint]]"),
+    ("arm_model.toml", "model = \"ur10e\""),
     ("contact_voxels.toml", "voxels = \"balls\""),
     ("drilling_removal.toml", "removal = \"capped\""),
     ("drr_carm.toml", "[drr.carm]"),

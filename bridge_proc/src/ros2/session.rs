@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use ipc_types::messages::{ControlAction, Phase, Severity};
 use ros_interface::commander::{Commander, OperatingState};
 use ros_interface::image::{self, ImageForm};
-use ros_interface::incoming::{self, Refused, Request, StateCommand};
+use ros_interface::incoming::{self, Commanded, Refused, Request, StateCommand};
 use ros_interface::outgoing;
 use ros_interface::robot::Robot;
 use ros_interface::topics::{INPUTS, Input, Names};
@@ -167,8 +167,11 @@ impl Joined {
         for came in node.take() {
             match came {
                 Incoming::Message { topic, cdr, order, from } => {
-                    let tendons = self.robot.as_ref().map_or(0, Robot::tendons);
-                    let done = incoming::read(topic, &cdr, order, tendons)
+                    let commanded = Commanded {
+                        arm: self.robot.as_ref().map_or(&[], Robot::arm_joints),
+                        tendons: self.robot.as_ref().map_or(0, Robot::tendons),
+                    };
+                    let done = incoming::read(topic, &cdr, order, commanded)
                         .map_err(|refused| refused.to_string())
                         .and_then(|request| self.act(request, from));
                     if let Err(why) = done {

@@ -1,5 +1,6 @@
 //! Checks what relates a scene's keys to each other. Ranges of single keys: [`ranges`].
 
+mod arm;
 mod controllers;
 mod tool;
 
@@ -7,7 +8,7 @@ use std::path::Path;
 
 use crate::declaration::{Range, SCENE};
 use crate::error::SceneError;
-use crate::model::{Arm, Body, CArm, Drr, ManipulatorRung, Scene, Tool, Volume};
+use crate::model::{Body, CArm, Drr, ManipulatorRung, Scene, Tool, Volume};
 use crate::ranges;
 
 pub(crate) use tool::tool;
@@ -72,7 +73,7 @@ pub(crate) fn check(scene: &Scene, given: &toml::Table, file: &Path) -> Result<(
         let problem = "stands beside `drilling.edge_pressure_mpa`; expected one of the two";
         return Err(checker.invalid("drilling.edge_force_n_per_mm", problem));
     }
-    check_arm(&scene.arm, &checker)?;
+    arm::check(&scene.arm, &checker)?;
     if let Some(drr) = &scene.drr {
         check_drr(drr, &checker)?;
         if scene.volume.is_none() {
@@ -164,20 +165,6 @@ fn check_tendons(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     if let Some((key, _)) = own.chain(described).find(|(_, across_mm)| flat && *across_mm != 0.0) {
         let problem = "bends out of the plane; expected `manipulator.model` to be spatial or full";
         return Err(checker.invalid(key, problem));
-    }
-    Ok(())
-}
-
-fn check_arm(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
-    let standard = [360.0, 360.0, 180.0, 360.0, 360.0, 360.0];
-    let lower = arm.lower_joints_deg.unwrap_or(standard.map(|angle: f64| -angle));
-    let upper = arm.upper_joints_deg.unwrap_or(standard);
-    for i in 0..6 {
-        checker.at_least("arm.upper_joints_deg", upper[i], lower[i] + 1e-3)?;
-        if let Some(start) = arm.initial_joints_deg {
-            let joint = Range { lowest: lower[i], highest: upper[i], or_zero: false };
-            checker.range("arm.initial_joints_deg", start[i], joint)?;
-        }
     }
     Ok(())
 }

@@ -1,13 +1,27 @@
 //! `[arm]`: what carries the tool.
 
+use std::path::PathBuf;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The arm: a UR5, its limits and how it holds the tool.
+/// The arm: which one, its limits and how it holds the tool.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 #[schemars(extend("x-absent" = "standard"))]
 pub struct Arm {
+    /// An arm of Universal Robots by its name, or `fixed`: no arm, the tool's base is held where `[tool]` says. Absent: `ur5`.
+    pub model: Option<ArmModel>,
+    /// URDF file of another serial arm with six turning joints, from the scene file's folder; in place of `model`. The joints between its
+    /// base and its tip become `[[arm.joint]]`, so a log needs no file.
+    #[schemars(extend("x-kind" = "path", "x-absent" = "none"))]
+    pub urdf: Option<PathBuf>,
+    /// Link of the URDF file where the arm begins. Absent: the one link that hangs on no other.
+    #[schemars(extend("x-absent" = "none"))]
+    pub base_link: Option<String>,
+    /// Link of the URDF file that is the flange, +z along the tool. Absent: the one link on which no other hangs.
+    #[schemars(extend("x-absent" = "none"))]
+    pub tip_link: Option<String>,
     /// Fastest motion of the tool's base on a path.
     #[schemars(range(min = 0.01, max = 1000.0))]
     pub max_speed_mm_per_s: f64,
@@ -26,7 +40,7 @@ pub struct Arm {
     /// Largest angular jerk of it; 25 rad/s³ by default.
     #[schemars(range(min = 1.0, max = 1e6))]
     pub max_turn_deg_per_s3: Option<f64>,
-    /// Fastest turn of each joint; 180 by default, Universal Robots' figure.
+    /// Fastest turn of each joint; by default the arm's own (UR5: 180, Universal Robots' figure). A joint whose own is slower keeps it.
     #[schemars(range(min = 0.01, max = 180.0))]
     pub max_joint_speed_deg_per_s: Option<f64>,
     /// Largest acceleration of each joint; 5 rad/s² by default.
@@ -57,11 +71,18 @@ pub struct Arm {
     /// Elastic joints; absent: stiff, at no cost.
     #[schemars(extend("x-absent" = "none"))]
     pub compliance: Option<ArmCompliance>,
+    /// The joints of another serial arm, from base to flange, as `urdf` makes them; in place of `model`. Six of them turn.
+    #[schemars(length(max = 64), extend("x-absent" = "none"))]
+    pub joint: Option<Vec<ArmJoint>>,
 }
 
 impl Default for Arm {
     fn default() -> Self {
         Arm {
+            model: None,
+            urdf: None,
+            base_link: None,
+            tip_link: None,
             max_speed_mm_per_s: 50.0,
             max_acceleration_mm_per_s2: 200.0,
             max_jerk_mm_per_s3: 2000.0,
@@ -78,8 +99,60 @@ impl Default for Arm {
             tool_rotation_vector_deg: [0.0; 3],
             max_force_n: None,
             compliance: None,
+            joint: None,
         }
     }
+}
+
+/// What carries the tool.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum ArmModel {
+    /// UR3 of the CB3 series.
+    Ur3,
+    /// UR3e.
+    Ur3e,
+    /// UR5 of the CB3 series.
+    #[default]
+    Ur5,
+    /// UR5e.
+    Ur5e,
+    /// UR10e.
+    Ur10e,
+    /// UR16e.
+    Ur16e,
+    /// UR20.
+    Ur20,
+    /// No arm: the tool's base is held.
+    Fixed,
+}
+
+/// A joint of a serial arm, as URDF describes it: where it stands in the link before it, and how it turns.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ArmJoint {
+    /// Its name.
+    pub name: String,
+    /// Place of its frame in the frame of the joint before it, or in the arm's base.
+    #[serde(default)]
+    #[schemars(inner(range(min = -10000.0, max = 10000.0)))]
+    pub position_mm: [f64; 3],
+    /// Orientation of its frame there: turns about the fixed axes x, y and z, in this order (URDF's roll, pitch, yaw).
+    #[serde(default)]
+    #[schemars(inner(range(min = -720.0, max = 720.0)))]
+    pub roll_pitch_yaw_deg: [f64; 3],
+    /// Axis about which it turns, in its frame, of any length; absent: it does not turn.
+    #[schemars(inner(range(min = -1000.0, max = 1000.0)))]
+    pub axis: Option<[f64; 3]>,
+    /// Least angle of a joint that turns.
+    #[schemars(range(min = -720.0, max = 720.0))]
+    pub lower_deg: Option<f64>,
+    /// Greatest angle of a joint that turns, above the least.
+    #[schemars(range(min = -720.0, max = 720.0))]
+    pub upper_deg: Option<f64>,
+    /// Fastest turn of a joint that turns.
+    #[schemars(range(min = 0.01, max = 3600.0))]
+    pub max_speed_deg_per_s: Option<f64>,
 }
 
 /// A spring and a damper in each joint of the arm.

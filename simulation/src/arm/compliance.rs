@@ -1,7 +1,7 @@
 //! Elastic joints: a spring and a damper between each gearbox and its link. Optional, for scenes that depend on arm compliance.
 //!
 //! The links obey `M(q) (v̇ + q̈) + D v + K d = Jᵀ w`, with joint deflection d and its rate v, commanded acceleration q̈, the tool's
-//! wrench w on its base, and the mass matrix M of the UR5's links. One step is linearly implicit Euler, as in the manipulator: `(M + A +
+//! wrench w on its base, and the mass matrix M of the arm's links. One step is linearly implicit Euler, as in the manipulator: `(M + A +
 //! h D + h² K) Δv = h (Jᵀ w - K (d + h v) - D v - M q̈)`, `d += h (v + Δv)`. At rest `d = K⁻¹ Jᵀ w`; to first order the tool's base has
 //! then moved by `J K⁻¹ Jᵀ w`.
 //!
@@ -13,36 +13,18 @@
 //! Neglected: gravity on the links (the commanded angles are those of the loaded arm), and velocity products, about 1e-4 of the
 //! acceleration terms at drilling speeds.
 
-use super::kinematics::{Joints, LinkFrames, UrGeometry, stack};
+use super::geometry::ArmGeometry;
+use super::kinematics::{Joints, LinkFrames, stack};
+use super::models::Link;
 use super::{Arm, ArmError};
-use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3, Vector6};
+use nalgebra::{Isometry3, Matrix6, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
-
-/// A link: mass, centre of mass in its Denavit-Hartenberg frame, and inertia about that frame's axes through the centre of mass.
-struct Link {
-    mass_kg: f64,
-    centre_m: [f64; 3],
-    inertia_kg_m2: [f64; 3],
-}
-
-const fn link(mass_kg: f64, centre_m: [f64; 3], inertia_kg_m2: [f64; 3]) -> Link {
-    Link { mass_kg, centre_m, inertia_kg_m2 }
-}
-
-/// Links 1 to 6 of the UR5, from Universal_Robots_ROS2_Description, `config/ur5/physical_parameters.yaml`. Masses and centres of mass are
-/// Universal Robots' figures; the inertias are that file's cylinder approximations, rotated into the axes used here.
-const UR5_LINKS: [Link; 6] = [
-    link(3.7, [0.0, -0.02561, 0.00193], [0.014_972_358, 0.010_406_25, 0.014_972_358]),
-    link(8.393, [0.2125, 0.0, 0.11336], [0.015_107_4, 0.133_885_835, 0.133_885_835]),
-    link(2.33, [0.15, 0.0, 0.0265], [0.004_095, 0.031_216_804, 0.031_216_804]),
-    link(1.219, [0.0, -0.0018, 0.01634], [0.002_013_890, 0.002_194_2, 0.002_013_890]),
-    link(1.219, [0.0, 0.0018, 0.01634], [0.001_831_040, 0.002_194_2, 0.001_831_040]),
-    link(0.1879, [0.0, 0.0, -0.001159], [8.062_476e-5, 8.062_476e-5, 1.321_172e-4]),
-];
 
 /// Springs and dampers of the joints.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ComplianceParameters {
+    /// The arm's links.
+    pub links: [Link; 6],
     /// Stiffness of each joint, N m/rad.
     pub stiffness_nm_per_rad: Joints,
     /// Damping of each joint, N m s/rad.
@@ -126,7 +108,7 @@ impl Compliance {
     ) -> Result<DeflectedBase, ArmError> {
         let h = arm.parameters().dt_s;
         let frames = self.frames(arm);
-        let mass = mass_matrix(&arm.parameters().geometry, &self.joints(arm));
+        let mass = mass_matrix(&arm.parameters().geometry, &self.parameters.links, &self.joints(arm));
         let turn = arm.parameters().t_world_arm_base.rotation.inverse();
         let wrench = stack(&(turn * force_n), &(turn * torque_nm));
         let jacobian = frames.jacobian();
@@ -180,11 +162,11 @@ impl Compliance {
     }
 }
 
-/// Mass matrix of the UR5's links, kg m²: the sum of `m Jvᵀ Jv + Jωᵀ I Jω`. Excludes the tool.
-pub fn mass_matrix(geometry: &UrGeometry, q_rad: &Joints) -> Matrix6<f64> {
-    let frames = UrGeometry { t_flange_tool: None, ..*geometry }.frames(q_rad);
+/// Mass matrix of an arm's links, kg m²: the sum of `m Jvᵀ Jv + Jωᵀ I Jω`. Excludes the tool.
+pub fn mass_matrix(geometry: &ArmGeometry, links: &[Link; 6], q_rad: &Joints) -> Matrix6<f64> {
+    let frames = geometry.with_tool(None).frames(q_rad);
     let mut mass = Matrix6::zeros();
-    for (index, link) in UR5_LINKS.iter().enumerate() {
+    for (index, link) in links.iter().enumerate() {
         let rotation = frames.rotation[index + 1];
         let centre = frames.origin_m[index + 1] + rotation * Vector3::from(link.centre_m);
         let mut linear = nalgebra::Matrix3x6::zeros();
@@ -194,8 +176,7 @@ pub fn mass_matrix(geometry: &UrGeometry, q_rad: &Joints) -> Matrix6<f64> {
             linear.set_column(joint, &axis.cross(&(centre - frames.origin_m[joint])));
             angular.set_column(joint, &axis);
         }
-        let inertia =
-            rotation * Matrix3::from_diagonal(&Vector3::from(link.inertia_kg_m2)) * rotation.transpose();
+        let inertia = rotation * link.inertia() * rotation.transpose();
         mass += linear.transpose() * linear * link.mass_kg + angular.transpose() * inertia * angular;
     }
     mass

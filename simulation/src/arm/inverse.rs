@@ -57,6 +57,23 @@ pub enum KinematicsError {
         /// The smallest accepted value.
         minimum: f64,
     },
+    /// The joints' axes are dependent: no joint rates move the tool's base as the path wants.
+    #[error("the arm is singular there: its joints cannot move the tool in every direction; move the goal")]
+    Singular,
+    /// The numeric inverse found no joint angles within the limits.
+    #[error(
+        "no joint angles within the limits were found for the pose: the nearest miss it by {missed_m} m and {missed_rad} rad; \
+         move the goal or place the base elsewhere"
+    )]
+    NotReached {
+        /// Distance of the tool's base from the goal.
+        missed_m: f64,
+        /// About the angle between them.
+        missed_rad: f64,
+    },
+    /// There is no arm.
+    #[error("there is no arm to move the tool (`arm.model` is \"fixed\"); choose another `arm.model`")]
+    NoJoints,
     /// Every branch violates a joint limit.
     #[error(
         "all {branches} solutions of the pose lie outside the joint limits; move the goal or place the base elsewhere"

@@ -1,4 +1,4 @@
-//! Forward and differential kinematics of the Universal Robots six-joint arms (UR3, UR5, UR10: one geometry).
+//! Forward and differential kinematics of the Universal Robots six-joint arms (UR3 to UR20: one geometry).
 //!
 //! Standard Denavit-Hartenberg convention: `T_{i-1,i} = Rz(q_i) Tz(d_i) Tx(a_i) Rx(alpha_i)`; frame 0 is the arm's base, frame 6 the
 //! flange. The twists alpha are 90, 0, 0, 90, -90, 0 degrees. Their sines and cosines are exact 0 and ±1 in the code, so no rounding of
@@ -33,19 +33,6 @@ pub struct UrGeometry {
 }
 
 impl UrGeometry {
-    /// The UR5, from Universal Robots' published "DH Parameters for calculations of kinematics and dynamics".
-    pub const fn ur5() -> Self {
-        Self {
-            d1_m: 0.089159,
-            a2_m: -0.425,
-            a3_m: -0.39225,
-            d4_m: 0.10915,
-            d5_m: 0.09465,
-            d6_m: 0.0823,
-            t_flange_tool: None,
-        }
-    }
-
     /// All link frames at joint angles `q_rad`; the last one is the tool's base.
     pub fn frames(&self, q_rad: &Joints) -> LinkFrames {
         let d = [self.d1_m, 0.0, 0.0, self.d4_m, self.d5_m, self.d6_m];
@@ -64,11 +51,9 @@ impl UrGeometry {
             origin_m[i + 1] = origin_m[i] + rotation[i] * Vector3::new(a[i] * cos, a[i] * sin, d[i]);
             rotation[i + 1] = rotation[i] * link;
         }
-        if let Some(tool) = &self.t_flange_tool {
-            origin_m[6] += rotation[6] * tool.translation.vector;
-            rotation[6] *= tool.rotation.to_rotation_matrix().matrix();
-        }
-        LinkFrames { rotation, origin_m }
+        let mut frames = LinkFrames { rotation, origin_m };
+        frames.attach(self.t_flange_tool.as_ref());
+        frames
     }
 
     /// `T_base_tool`: pose of the tool's base in the arm's base frame; without a tool transform, of the flange.
@@ -106,7 +91,8 @@ pub struct SingularityFactors {
     pub shoulder_m: f64,
 }
 
-/// The frames of the base (index 0), the links (1..=5) and the tool's base (6), in the arm's base frame.
+/// The frames of the base (index 0), the links (1..=5) and the tool's base (6), in the arm's base frame. Joint i + 1 turns about z of
+/// frame i; in an arm that is not of Universal Robots, frame 0 is that of the first joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinkFrames {
     /// Rotation of each frame.
@@ -122,6 +108,14 @@ impl LinkFrames {
         let rotation =
             UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(self.rotation[i]));
         Isometry3::from_parts(Translation3::from(self.origin_m[i]), rotation)
+    }
+
+    /// Moves the last frame from the flange to the tool's base.
+    pub(super) fn attach(&mut self, t_flange_tool: Option<&Isometry3<f64>>) {
+        if let Some(tool) = t_flange_tool {
+            self.origin_m[6] += self.rotation[6] * tool.translation.vector;
+            self.rotation[6] *= tool.rotation.to_rotation_matrix().matrix();
+        }
     }
 
     /// Axis of joint `i` (0..=5) in the base frame.

@@ -1,8 +1,8 @@
-//! The arm that carries the tool: UR5 kinematics and jerk-limited motion, one tick at a time.
+//! The arm that carries the tool: kinematics and jerk-limited motion, one tick at a time.
 //!
 //! An [`Arm`] takes [`ArmCommand`]s and steps. After each tick its [`ArmState`] holds the joints and the tool base's pose, velocity and
 //! acceleration in the patient frame; the velocity is the exact derivative of the pose (J q̇). The tool's base is the flange frame times
-//! [`UrGeometry::t_flange_tool`]; every commanded pose refers to it. The arm follows its trajectory exactly: there are no drive dynamics.
+//! [`ArmGeometry::t_flange_tool`]; every commanded pose refers to it. The arm follows its trajectory exactly: there are no drive dynamics.
 //! [`Compliance`] adds joint deflection.
 //!
 //! The numeric core is pure: the state after n ticks is a function of the parameters and of the commands with their ticks. A motion is
@@ -11,23 +11,29 @@
 
 mod compliance;
 mod following;
+mod geometry;
 mod inverse;
 mod kinematics;
+mod models;
 mod motion;
 mod parameters;
 mod path;
 mod planning;
+mod serial;
 mod state;
 mod trajectory;
 mod velocity;
 
 pub use compliance::{Compliance, ComplianceParameters, ComplianceState, DeflectedBase, mass_matrix};
+pub use geometry::ArmGeometry;
 pub use inverse::{InverseSolutions, KinematicsError};
 pub use kinematics::{Joints, LinkFrames, SingularityFactors, UrGeometry};
+pub use models::{Link, initial_q_rad};
 pub use parameters::{
     ArmCommand, ArmError, ArmParameters, COMFORTABLE_Q_RAD, CartesianLimits, JointLimits, place_base_for,
 };
 pub(crate) use path::LEAST_MANIPULABILITY_M3;
+pub use serial::{SerialGeometry, SerialJoint};
 pub use state::{ArmMode, ArmState, ProtectiveStop, RELEASED_SHARE};
 pub use trajectory::{AxisLimits, AxisState, Goal, Planner, Segment, TrajectoryError};
 
@@ -46,7 +52,7 @@ pub struct ArmSnapshot {
     last_command: ArmCommand,
 }
 
-/// A UR arm that moves within velocity, acceleration and jerk limits.
+/// An arm that moves within velocity, acceleration and jerk limits.
 ///
 /// Not `Send`: Ruckig's objects stay on the thread that created them. Send an [`ArmSnapshot`] instead.
 pub struct Arm {
@@ -102,7 +108,7 @@ impl Arm {
 
     /// Pose of the flange in the patient frame.
     pub fn t_world_flange(&self) -> Isometry3<f64> {
-        match &self.parameters.geometry.t_flange_tool {
+        match self.parameters.geometry.t_flange_tool() {
             Some(tool) => self.state.t_world_tool * tool.inverse(),
             None => self.state.t_world_tool,
         }
@@ -124,6 +130,9 @@ impl Arm {
     /// Commands the arm, effective from the next tick. During a protective stop only `Hold` is accepted, and ends it. A refused command leaves the motion unchanged; a repeat of the last accepted
     /// command has no effect.
     pub fn command(&mut self, command: ArmCommand) -> Result<(), ArmError> {
+        if command != ArmCommand::Hold && !self.parameters.geometry.moves() {
+            return Err(ArmError::NoArm);
+        }
         if let ProtectiveStop::Stopped { force_n } = self.state.protective_stop {
             if command != ArmCommand::Hold {
                 return Err(ArmError::InProtectiveStop);

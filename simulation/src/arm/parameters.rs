@@ -1,12 +1,14 @@
 //! Arm parameters, commands and errors.
 
+use super::geometry::ArmGeometry;
 use super::inverse::{KinematicsError, check_pose};
-use super::kinematics::{Joints, UrGeometry};
+use super::kinematics::Joints;
+use super::models::Link;
 use super::path::LEAST_MANIPULABILITY_M3;
 use super::trajectory::TrajectoryError;
 use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Serialize};
-use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::f64::consts::{FRAC_PI_2, TAU};
 use thiserror::Error;
 
 /// Joint limits: position, velocity, acceleration and jerk.
@@ -44,8 +46,12 @@ pub struct CartesianLimits {
 /// Complete definition of an arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArmParameters {
-    /// Link lengths.
-    pub geometry: UrGeometry,
+    /// Kinematics.
+    pub geometry: ArmGeometry,
+    /// The links' masses, for elastic joints; `None`: not known.
+    pub links: Option<[Link; 6]>,
+    /// What the arm may carry, by its maker's figure; `None`: not known.
+    pub payload_kg: Option<f64>,
     /// T_world_arm_base: pose of the arm's base (Denavit-Hartenberg frame 0) in the patient frame.
     pub t_world_arm_base: Isometry3<f64>,
     /// Limits of the joints.
@@ -57,33 +63,6 @@ pub struct ArmParameters {
 }
 
 impl ArmParameters {
-    /// A UR5 at the world origin. Position limits ±360° (elbow ±180°) and 180°/s are Universal Robots' figures
-    /// (Universal_Robots_ROS2_Description, `config/ur5/joint_limits.yaml`). Acceleration and jerk limits are not published; 5 rad/s² and
-    /// 50 rad/s³ are used here, which reaches full acceleration in 0.1 s. The path limits suit a careful insertion.
-    pub fn ur5(dt_s: f64) -> Self {
-        let range_rad = [TAU, TAU, PI, TAU, TAU, TAU];
-        Self {
-            geometry: UrGeometry::ur5(),
-            t_world_arm_base: Isometry3::identity(),
-            joint_limits: JointLimits {
-                lower_rad: range_rad.map(|x| -x),
-                upper_rad: range_rad,
-                velocity_rad_s: [PI; 6],
-                acceleration_rad_s2: [5.0; 6],
-                jerk_rad_s3: [50.0; 6],
-            },
-            cartesian_limits: CartesianLimits {
-                speed_m_s: 0.1,
-                acceleration_m_s2: 0.5,
-                jerk_m_s3: 5.0,
-                angular_speed_rad_s: 0.5,
-                angular_acceleration_rad_s2: 2.5,
-                angular_jerk_rad_s3: 25.0,
-            },
-            dt_s,
-        }
-    }
-
     pub(super) fn check(&self) -> Result<(), ArmError> {
         let j = &self.joint_limits;
         let c = &self.cartesian_limits;
@@ -102,8 +81,9 @@ impl ArmParameters {
         positive("speed_m_s", &[c.speed_m_s, c.angular_speed_rad_s])?;
         positive("acceleration_m_s2", &[c.acceleration_m_s2, c.angular_acceleration_rad_s2])?;
         positive("jerk_m_s3", &[c.jerk_m_s3, c.angular_jerk_rad_s3])?;
-        let g = &self.geometry;
-        positive("geometry", &[g.d1_m, -g.a2_m, -g.a3_m, g.d4_m, g.d5_m, g.d6_m])?;
+        if let ArmGeometry::Ur(g) = &self.geometry {
+            positive("geometry", &[g.d1_m, -g.a2_m, -g.a3_m, g.d4_m, g.d5_m, g.d6_m])?;
+        }
         for i in 0..6 {
             let (lower, upper) = (j.lower_rad[i], j.upper_rad[i]);
             if !(lower < upper && lower >= -2.0 * TAU && upper <= 2.0 * TAU) {
@@ -125,7 +105,8 @@ impl ArmParameters {
     }
 }
 
-/// A comfortable configuration: far from every singularity and limit (manipulability 0.093 m³ for the UR5).
+/// A comfortable configuration of the arms of Universal Robots: far from every singularity and limit (manipulability 0.093 m³ for the
+/// UR5, 0.018 m³ for the UR3).
 pub const COMFORTABLE_Q_RAD: Joints = [0.0, -1.2, 1.8, -2.2, -FRAC_PI_2, 0.0];
 
 /// `T_world_arm_base` that puts the tool's base at `t_world_tool` with the joint angles `q_rad`.
@@ -133,7 +114,7 @@ pub const COMFORTABLE_Q_RAD: Joints = [0.0, -1.2, 1.8, -2.2, -FRAC_PI_2, 0.0];
 /// The arm's base takes whatever orientation that needs, as on a cart, a wall or a ceiling. In the comfortable configuration the tool can
 /// then move at least 100 mm in every direction (tested).
 pub fn place_base_for(
-    geometry: &UrGeometry,
+    geometry: &ArmGeometry,
     t_world_tool: &Isometry3<f64>,
     q_rad: &Joints,
 ) -> Isometry3<f64> {
@@ -346,6 +327,11 @@ pub enum ArmError {
         /// The limit.
         limit_n: f64,
     },
+    /// There is no arm to move.
+    #[error(
+        "the scene has no arm (`arm.model` is \"fixed\"): the tool's base is held; command no motion, or choose another `arm.model`"
+    )]
+    NoArm,
     /// A motion was commanded during a protective stop.
     #[error(
         "the arm is in a protective stop, since the tool pushed too hard on its flange; send `hold` to release it, then a goal"

@@ -1,8 +1,9 @@
 //! Cartesian paths of the tool's base (a straight line, a rotation about a pivot), and limits on the path parameter that keep the tool
 //! and the joints within their own limits.
 
+use super::geometry::ArmGeometry;
 use super::inverse::KinematicsError;
-use super::kinematics::{Joints, LinkFrames, UrGeometry, solve_rates, stack};
+use super::kinematics::{Joints, LinkFrames, solve_rates, stack};
 use super::parameters::{ArmError, CartesianLimits, JointLimits};
 use super::trajectory::AxisLimits;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3, Vector6};
@@ -133,7 +134,7 @@ pub(super) struct JointsOnPath {
 /// The arm's properties that path following needs.
 #[derive(Clone, Copy)]
 pub(super) struct PathFollower<'a> {
-    pub(super) geometry: &'a UrGeometry,
+    pub(super) geometry: &'a ArmGeometry,
     pub(super) joint_limits: &'a JointLimits,
     pub(super) cartesian_limits: &'a CartesianLimits,
 }
@@ -151,7 +152,7 @@ impl PathFollower<'_> {
         let q_rad = self.geometry.inverse_nearest(&pose, q_near_rad, &limits.lower_rad, &limits.upper_rad)?;
         let frames = self.geometry.frames(&q_rad);
         let jacobian = frames.jacobian();
-        let singular = KinematicsError::WristSingular { sin_q5: libm::sin(q_rad[4]).abs(), minimum: 0.0 };
+        let singular = self.geometry.singular(&q_rad);
         let (twist, curve) = path.derivatives(parameter, &pose);
         let first = solve_rates(&jacobian, &twist).ok_or(singular)?;
         let second = solve_rates(&jacobian, &(curve - frames.bias_acceleration(&first))).ok_or(singular)?;
@@ -204,7 +205,7 @@ impl PathFollower<'_> {
     fn bend_along(&self, path: &Path, stretch: Stretch, q_start_rad: &Joints) -> Result<Bend, ArmError> {
         let Stretch { from, to } = stretch;
         let step = (to - from) / PATH_INTERVALS as f64;
-        let signs = self.signs(q_start_rad);
+        let branch = self.geometry.branch(q_start_rad);
         let mut bend = Bend { first: [0.0; 6], second: [0.0; 6], third: [0.0; 6], origin_m: [0.0; 3] };
         let mut previous: Option<JointsOnPath> = None;
         for sample in 0..=PATH_INTERVALS {
@@ -217,19 +218,15 @@ impl PathFollower<'_> {
             if manipulability_m3 < LEAST_MANIPULABILITY_M3 {
                 return Err(ArmError::PathSingular { fraction, manipulability_m3 });
             }
-            if self.signs(&here.q_rad) != signs || previous.is_some_and(|p| !p.predicts(&here, step)) {
+            if self.geometry.branch(&here.q_rad) != branch
+                || previous.is_some_and(|p| !p.predicts(&here, step))
+            {
                 return Err(ArmError::PathJumps { fraction });
             }
             bend.include(&here, previous.as_ref(), step);
             previous = Some(here);
         }
         Ok(bend)
-    }
-
-    /// The signs that identify an inverse kinematics branch.
-    fn signs(&self, q_rad: &Joints) -> [bool; 3] {
-        let f = self.geometry.singularity_factors(q_rad);
-        [f.elbow > 0.0, f.wrist > 0.0, f.shoulder_m > 0.0]
     }
 }
 

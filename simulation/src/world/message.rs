@@ -126,7 +126,8 @@ impl Simulation<'_> {
                 self.state.arm_joint_velocity_rad_per_s[i] += elastic.rate_rad_s[i];
             }
             self.state.arm_joint_deflection_rad = elastic.deflection_rad;
-            let tool = self.arm.parameters().geometry.t_flange_tool.unwrap_or_else(Isometry3::identity);
+            let tool =
+                self.arm.parameters().geometry.t_flange_tool().copied().unwrap_or_else(Isometry3::identity);
             self.state.t_world_flange = pose(&(deflected.t_world_tool * tool.inverse()));
         }
     }

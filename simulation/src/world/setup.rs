@@ -12,7 +12,7 @@ use super::move_tool::PLANES_PER_SPHERE;
 use super::tendon_drive::TendonDrive;
 use super::tool::described;
 use super::{Bone, Driver, Hounsfield, Simulation, SimulationError};
-use crate::arm::{Arm, ArmParameters, COMFORTABLE_Q_RAD, Compliance, ComplianceParameters, place_base_for};
+use crate::arm::{Arm, ArmParameters, Compliance, ComplianceParameters, initial_q_rad, place_base_for};
 use crate::bone::{
     BoneField, BoneParameters, ContactBuffer, ContactKind, CuttingLaw, GridGeometry, Removal, VoxelIndex,
 };
@@ -34,7 +34,7 @@ pub(super) fn build<'v>(
     // Use the arm's own forward kinematics, so that tick 1 does not start with a jump from rounding.
     let base = BaseMotion::at_rest(arm.state().t_world_tool);
     let max_burr_radius_m = parameters.burr_radius_m;
-    let compliance = compliance(scene, &parameters)?;
+    let compliance = compliance(scene, arm.parameters(), &parameters)?;
     let mut manipulator =
         AnyManipulator::new(rung(scene.manipulator.model.unwrap_or_default()), parameters, &base)?;
     if scene.tool.start_shape == Some(StartShape::Straight) {
@@ -202,45 +202,28 @@ fn body(body: &Body) -> BodyParameters {
 }
 
 fn arm(scene: &Scene, t_world_tool: &Isometry3<f64>) -> Result<Arm, SimulationError> {
-    let given = &scene.arm;
-    let mut parameters = ArmParameters::ur5(scene.dt_s());
-    if given.tool_position_mm != [0.0; 3] || given.tool_rotation_vector_deg != [0.0; 3] {
-        parameters.geometry.t_flange_tool = Some(Isometry3::new(
-            Vector3::from(given.tool_position_mm) * 1e-3,
-            Vector3::from(given.tool_rotation_vector_deg) * RAD_PER_DEG,
-        ));
-    }
-    let joints = given.initial_joints_deg.map_or(COMFORTABLE_Q_RAD, |q| q.map(|angle| angle * RAD_PER_DEG));
+    let mut parameters = ArmParameters::of(&scene.arm, scene.dt_s());
+    let joints = initial_q_rad(&scene.arm);
     parameters.t_world_arm_base = place_base_for(&parameters.geometry, t_world_tool, &joints);
-    let path = &mut parameters.cartesian_limits;
-    path.speed_m_s = given.max_speed_mm_per_s * 1e-3;
-    path.acceleration_m_s2 = given.max_acceleration_mm_per_s2 * 1e-3;
-    path.jerk_m_s3 = given.max_jerk_mm_per_s3 * 1e-3;
-    let set = |limit: &mut f64, deg: Option<f64>| *limit = deg.map_or(*limit, |deg| deg * RAD_PER_DEG);
-    set(&mut path.angular_speed_rad_s, given.max_turn_deg_per_s);
-    set(&mut path.angular_acceleration_rad_s2, given.max_turn_deg_per_s2);
-    set(&mut path.angular_jerk_rad_s3, given.max_turn_deg_per_s3);
-    let limits = &mut parameters.joint_limits;
-    for i in 0..6 {
-        set(&mut limits.velocity_rad_s[i], given.max_joint_speed_deg_per_s);
-        set(&mut limits.acceleration_rad_s2[i], given.max_joint_acceleration_deg_per_s2);
-        set(&mut limits.jerk_rad_s3[i], given.max_joint_jerk_deg_per_s3);
-        set(&mut limits.lower_rad[i], given.lower_joints_deg.map(|q| q[i]));
-        set(&mut limits.upper_rad[i], given.upper_joints_deg.map(|q| q[i]));
-    }
     Ok(Arm::new(parameters, &joints)?)
 }
 
 /// Number of contacts that may resist a displacement of the tool's base at once: two on either side of a tunnel.
 const CONTACTS_AT_ONCE: f64 = 4.0;
 
-fn compliance(scene: &Scene, tool: &ManipulatorParameters) -> Result<Option<Compliance>, SimulationError> {
-    let Some(given) = &scene.arm.compliance else { return Ok(None) };
+fn compliance(
+    scene: &Scene,
+    arm: &ArmParameters,
+    tool: &ManipulatorParameters,
+) -> Result<Option<Compliance>, SimulationError> {
+    // A checked scene has elastic joints only in arms whose links are known.
+    let (Some(given), Some(links)) = (&scene.arm.compliance, arm.links) else { return Ok(None) };
     let mount = tool.mount_stiffness_n_per_m.into_iter().fold(0.0, f64::max);
     let first_m = tool.joint_positions_m.first().copied().unwrap_or(0.0);
     let last_m = tool.joint_positions_m.last().copied().unwrap_or(0.0);
     let mass_kg = tool.shaft_mass_kg + tool.burr_mass_kg + tool.linear_density_kg_per_m * (last_m - first_m);
     let parameters = ComplianceParameters {
+        links,
         stiffness_nm_per_rad: given.joint_stiffness_nm_per_rad,
         damping_nms_per_rad: given.joint_damping_nms_per_rad,
         tool_stiffness_n_per_m: mount + CONTACTS_AT_ONCE * tool.contact.stiffness_n_per_m,

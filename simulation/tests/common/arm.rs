@@ -41,7 +41,7 @@ pub fn t_flange_tool() -> Isometry3<f64> {
 /// A UR5 that holds its tool comfortably at a pose of the patient frame.
 pub fn guided_arm() -> Arm {
     let mut parameters = ArmParameters::ur5(DT_S);
-    parameters.geometry.t_flange_tool = Some(t_flange_tool());
+    parameters.geometry = parameters.geometry.with_tool(Some(t_flange_tool()));
     let wanted = Isometry3::new(Vector3::new(0.1, -0.2, 0.3), Vector3::new(0.4, 0.5, -0.6));
     parameters.t_world_arm_base = place_base_for(&parameters.geometry, &wanted, &COMFORTABLE_Q_RAD);
     Arm::new(parameters, &COMFORTABLE_Q_RAD).unwrap()

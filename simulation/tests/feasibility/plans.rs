@@ -42,6 +42,19 @@ fn arm() -> Vec<Case> {
             &[],
         ),
         case(
+            "no arm, but a controller that feeds with it",
+            changed("[arm]\n", "[arm]\nmodel = \"fixed\"\n"),
+            &[
+                "impossible: `arm.model` is \"fixed\", but a controller drives the arm; expected an arm, or no \"arm\" in `controller.drives`",
+            ],
+        ),
+        case(
+            "no arm, and nobody drives it",
+            changed_in(&driven_by("external = true"), "[arm]\n", "[arm]\nmodel = \"fixed\"\n")
+                .replace("\"arm\", ", ""),
+            &[],
+        ),
+        case(
             "a singular start, and nobody drives the arm",
             changed_in(&driven_by("external = true"), "[arm]\n", &singular).replace("\"arm\", ", ""),
             &[],

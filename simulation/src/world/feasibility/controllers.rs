@@ -24,6 +24,9 @@ impl Start<'_> {
     /// `|det J|` at the start, if it is too small for a path.
     fn singular_m3(&self) -> Option<f64> {
         let arm = &self.simulation.arm;
+        if !arm.parameters().geometry.moves() {
+            return None;
+        }
         let found_m3 = arm.parameters().geometry.manipulability_m3(&arm.state().q_rad);
         (found_m3 < LEAST_MANIPULABILITY_M3).then_some(found_m3)
     }
@@ -53,6 +56,13 @@ pub(super) fn feed_ends_before_bone(start: &Start) -> Option<String> {
             "puts the burr {gap_mm:.1} mm from the nearest bone, allowed is at most {reach_mm:.1}: `{}.{}` and the tool's flexible length",
             feed.table, feed.length_key
         )
+    })
+}
+
+pub(super) fn no_arm_to_move(start: &Start) -> Option<String> {
+    let is_held = !start.simulation.arm.parameters().geometry.moves();
+    (is_held && start.is_led(Drives::Arm)).then(|| {
+        "is \"fixed\", but a controller drives the arm; expected an arm, or no \"arm\" in `controller.drives`".to_owned()
     })
 }
 

@@ -64,7 +64,7 @@ const fn unlikely(key: &'static str, find: fn(&Start) -> Option<String>) -> Rule
 }
 
 /// Every rule, in the order in which findings are told.
-const RULES: [Rule; 18] = [
+const RULES: [Rule; 19] = [
     impossible("controller.command", controllers::program_is_missing),
     impossible("volume.bone_threshold_hu", geometry::nothing_to_drill),
     unlikely("volume.bone_threshold_hu", geometry::no_bone),
@@ -77,6 +77,7 @@ const RULES: [Rule; 18] = [
     unlikely("predrill.diameter_mm", geometry::hole_thinner_than_burr),
     unlikely("manipulator.burr_diameter_mm", geometry::burr_thinner_than_tool),
     impossible("body.position_mm", geometry::body_in_tool),
+    impossible("arm.model", controllers::no_arm_to_move),
     impossible("arm.initial_joints_deg", controllers::no_path_from_singular_start),
     unlikely("arm.initial_joints_deg", controllers::singular_start),
     impossible("controller.curved_drilling.target_mm", controllers::target_out_of_reach),

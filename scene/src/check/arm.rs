@@ -1,0 +1,115 @@
+//! What relates the keys of `[arm]` to each other.
+
+use super::Checker;
+use crate::declaration::Range;
+use crate::error::SceneError;
+use crate::model::{Arm, ArmJoint, ArmModel};
+
+/// Joints that turn. The messages have room for so many, and a tool is placed and turned freely by no fewer.
+pub(crate) const TURNING: usize = 6;
+
+pub(super) fn check(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
+    for (key, given) in [("arm.base_link", &arm.base_link), ("arm.tip_link", &arm.tip_link)] {
+        if given.is_some() {
+            return Err(checker.invalid(key, "names a link of a URDF file; expected `arm.urdf` beside it"));
+        }
+    }
+    if arm.model == Some(ArmModel::Fixed) {
+        check_fixed(arm, checker)?;
+    }
+    let [lower, upper] = match &arm.joint {
+        None => {
+            let standard = [360.0, 360.0, 180.0, 360.0, 360.0, 360.0];
+            [standard.map(|angle: f64| -angle), standard]
+        }
+        Some(joints) => check_joints(arm, joints, checker)?,
+    };
+    let lower = arm.lower_joints_deg.unwrap_or(lower);
+    let upper = arm.upper_joints_deg.unwrap_or(upper);
+    for i in 0..TURNING {
+        checker.at_least("arm.upper_joints_deg", upper[i], lower[i] + 1e-3)?;
+        if let Some(start) = arm.initial_joints_deg {
+            let joint = Range { lowest: lower[i], highest: upper[i], or_zero: false };
+            checker.range("arm.initial_joints_deg", start[i], joint)?;
+        }
+    }
+    Ok(())
+}
+
+/// What has joints or moves is refused where there is no arm.
+fn check_fixed(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
+    let given = [
+        ("arm.joint", arm.joint.is_some()),
+        ("arm.lower_joints_deg", arm.lower_joints_deg.is_some()),
+        ("arm.upper_joints_deg", arm.upper_joints_deg.is_some()),
+        ("arm.initial_joints_deg", arm.initial_joints_deg.is_some()),
+        ("arm.max_joint_speed_deg_per_s", arm.max_joint_speed_deg_per_s.is_some()),
+        ("arm.max_joint_acceleration_deg_per_s2", arm.max_joint_acceleration_deg_per_s2.is_some()),
+        ("arm.max_joint_jerk_deg_per_s3", arm.max_joint_jerk_deg_per_s3.is_some()),
+        ("arm.max_force_n", arm.max_force_n.is_some()),
+        ("arm.compliance", arm.compliance.is_some()),
+    ];
+    match given.iter().find(|(_, given)| *given) {
+        Some((key, _)) => Err(checker.invalid(key, "is for an arm that moves; `arm.model` is \"fixed\"")),
+        None => Ok(()),
+    }
+}
+
+/// The ends of the ranges of an arm that the scene describes.
+fn check_joints(arm: &Arm, joints: &[ArmJoint], checker: &Checker) -> Result<[[f64; 6]; 2], SceneError> {
+    let refused = |key: &str, problem: String| Err(checker.invalid(key, problem));
+    if arm.model.is_some() {
+        return refused(
+            "arm.model",
+            "stands beside `arm.joint` or `arm.urdf`; expected one of them".to_owned(),
+        );
+    }
+    if arm.compliance.is_some() {
+        return refused(
+            "arm.compliance",
+            "needs the masses of the arm's links; expected a named `arm.model`".to_owned(),
+        );
+    }
+    let turning: Vec<&ArmJoint> = joints.iter().filter(|joint| joint.axis.is_some()).collect();
+    let count = turning.len();
+    if count != TURNING {
+        let problem = format!(
+            "has {count} joints that turn, expected {TURNING}: a state has room for so many, and fewer cannot place a tool"
+        );
+        return refused("arm.joint", problem);
+    }
+    for (index, joint) in joints.iter().enumerate() {
+        if joints[..index].iter().any(|other| other.name == joint.name) {
+            return refused(
+                "arm.joint.name",
+                format!("`{}` stands twice", foreign_text::foreign(&joint.name)),
+            );
+        }
+    }
+    let mut ends = [[0.0; TURNING]; 2];
+    for (index, joint) in turning.into_iter().enumerate() {
+        let name = foreign_text::foreign(&joint.name);
+        let length = joint.axis.unwrap_or_default().iter().map(|x| x * x).sum::<f64>().sqrt();
+        if length < 1e-6 {
+            return refused(
+                "arm.joint.axis",
+                format!("of `{name}` has no direction; expected a vector of any length but 0"),
+            );
+        }
+        let (Some(lower), Some(upper), Some(_)) =
+            (joint.lower_deg, joint.upper_deg, joint.max_speed_deg_per_s)
+        else {
+            let problem =
+                format!("`{name}` turns; expected `lower_deg`, `upper_deg` and `max_speed_deg_per_s` of it");
+            return refused("arm.joint", problem);
+        };
+        checker.at_least("arm.joint.upper_deg", upper, lower + 1e-3)?;
+        (ends[0][index], ends[1][index]) = (lower, upper);
+    }
+    if arm.initial_joints_deg.is_none() {
+        let problem =
+            "is absent; expected the angles at which the arm starts, away from singularities".to_owned();
+        return refused("arm.initial_joints_deg", problem);
+    }
+    Ok(ends)
+}

@@ -1,0 +1,266 @@
+//! `arm.urdf`: a serial arm out of a URDF file (<https://wiki.ros.org/urdf/XML>, `joint` and `link`).
+//!
+//! The joints between base and tip are put into the scene's table as `arm.joint` before it is parsed, so a [`Scene`](crate::Scene) holds
+//! numbers only, and so does its copy in the session and in the log.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use foreign_text::{foreign, foreign_path};
+use roxmltree::{Document, Node, ParsingOptions};
+use toml::{Table, Value};
+
+use crate::check::Checker;
+use crate::error::SceneError;
+use crate::plan::{ReadText, numbers};
+
+/// Elements and texts of a file, at most: files of whole robots have some thousands.
+const MOST_NODES: u32 = 200_000;
+/// Joints between base and tip, at most: as many as `arm.joint` takes.
+const MOST_JOINTS: usize = 64;
+/// Farthest that a joint may stand from the one before it.
+const FARTHEST_M: f64 = 10.0;
+/// Greatest angle of a limit or an orientation: two turns.
+const MOST_RAD: f64 = 4.0 * core::f64::consts::PI;
+/// Range of a joint that turns without end, as of a wrist of Universal Robots.
+const CONTINUOUS_RAD: f64 = 2.0 * core::f64::consts::PI;
+/// Fastest turn that a file may give, 10 turns a second.
+const MOST_RAD_PER_S: f64 = 20.0 * core::f64::consts::PI;
+
+/// Puts the joints of the file that `arm.urdf` names into a scene's table, and takes the keys of the file out. `false`: it names none.
+///
+/// # Errors
+/// The file cannot be read, or holds no serial arm of the kind that a scene takes.
+pub(crate) fn put_in(
+    scene: &mut Table,
+    folder: &Path,
+    read: &ReadText,
+    checker: &Checker,
+) -> Result<bool, SceneError> {
+    let Some(Value::Table(arm)) = scene.get_mut("arm") else { return Ok(false) };
+    let Some(file) = taken(arm, "urdf", "a path", checker)? else { return Ok(false) };
+    if arm.contains_key("joint") {
+        return Err(checker.invalid("arm.joint", "stands beside `arm.urdf`; expected one of the two"));
+    }
+    let base = taken(arm, "base_link", "a link's name", checker)?;
+    let tip = taken(arm, "tip_link", "a link's name", checker)?;
+    let file = folder.join(PathBuf::from(file));
+    let joints = read(&file)
+        .map_err(|cause| format!("cannot be read ({cause})"))
+        .and_then(|text| joints_of(&text, base.as_deref(), tip.as_deref()))
+        .map_err(|problem| checker.invalid("arm.urdf", format!("{}: {problem}", foreign_path(&file))))?;
+    arm.insert("joint".to_owned(), Value::Array(joints));
+    Ok(true)
+}
+
+/// Takes a text out of a table.
+fn taken(
+    table: &mut Table,
+    key: &str,
+    expected: &str,
+    checker: &Checker,
+) -> Result<Option<String>, SceneError> {
+    match table.remove(key) {
+        None => Ok(None),
+        Some(Value::String(text)) => Ok(Some(text)),
+        Some(other) => {
+            Err(checker.invalid(&format!("arm.{key}"), format!("is {other}, expected {expected} as text")))
+        }
+    }
+}
+
+/// The joints from base to tip, each as a table of `arm.joint`.
+fn joints_of(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Vec<Value>, String> {
+    let options = ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() };
+    let document = Document::parse_with_options(text, options)
+        .map_err(|cause| format!("is no XML ({})", foreign(&cause.to_string())))?;
+    let robot = document.root_element();
+    if !robot.has_tag_name("robot") {
+        let name = foreign(robot.tag_name().name());
+        return Err(format!(
+            "its root is `{name}`, expected `robot`, as in URDF; xacro has to be expanded first"
+        ));
+    }
+    let tree = Tree::new(robot)?;
+    let base = tree.end(base, "base_link", |link| !tree.parents.contains_key(link))?;
+    let is_parent = |link: &str| tree.parents.values().any(|joint| joint.parent == link);
+    let tip = tree.end(tip, "tip_link", |link| !is_parent(link))?;
+    tree.chain(base, tip)?.into_iter().map(UrdfJoint::table).collect()
+}
+
+/// A joint of the file.
+struct UrdfJoint<'a> {
+    name: &'a str,
+    parent: &'a str,
+    node: Node<'a, 'a>,
+}
+
+/// All links, and the joint above each.
+struct Tree<'a> {
+    links: Vec<&'a str>,
+    parents: BTreeMap<&'a str, UrdfJoint<'a>>,
+}
+
+impl<'a> Tree<'a> {
+    fn new(robot: Node<'a, 'a>) -> Result<Self, String> {
+        let named = |tag: &'static str| robot.children().filter(move |node| node.has_tag_name(tag));
+        let links: Vec<&str> = named("link").filter_map(|node| node.attribute("name")).collect();
+        let mut parents = BTreeMap::new();
+        for node in named("joint") {
+            let name = node.attribute("name").ok_or("a joint has no name")?;
+            let link_of = |tag: &str| {
+                let link = child(node, tag).and_then(|node| node.attribute("link"));
+                let link = link.ok_or_else(|| format!("joint `{}` has no {tag} link", foreign(name)))?;
+                match links.contains(&link) {
+                    true => Ok(link),
+                    false => Err(format!(
+                        "joint `{}` has the {tag} link `{}`, which the file does not have",
+                        foreign(name),
+                        foreign(link)
+                    )),
+                }
+            };
+            let joint = UrdfJoint { name, parent: link_of("parent")?, node };
+            let below = link_of("child")?;
+            if let Some(other) = parents.insert(below, joint) {
+                return Err(format!(
+                    "link `{}` hangs on the joints `{}` and `{}`; expected one: a serial arm has no loops",
+                    foreign(below),
+                    foreign(other.name),
+                    foreign(name)
+                ));
+            }
+        }
+        Ok(Tree { links, parents })
+    }
+
+    /// The link that a key names, or the only one that could be meant.
+    fn end(&self, named: Option<&str>, key: &str, is_end: impl Fn(&str) -> bool) -> Result<&'a str, String> {
+        let listed = |links: &[&str]| {
+            links.iter().take(20).map(|link| foreign(link).to_string()).collect::<Vec<_>>().join(", ")
+        };
+        if let Some(named) = named {
+            let found = self.links.iter().find(|link| **link == named);
+            return found.copied().ok_or_else(|| {
+                format!(
+                    "has no link `{}` (`arm.{key}`); expected one of {}",
+                    foreign(named),
+                    listed(&self.links)
+                )
+            });
+        }
+        let ends: Vec<&str> = self.links.iter().copied().filter(|link| is_end(link)).collect();
+        match ends.as_slice() {
+            [one] => Ok(one),
+            [] => Err(format!("has no link to be `arm.{key}`: its joints form a loop")),
+            several => Err(format!("expected `arm.{key}` to be one of {}", listed(several))),
+        }
+    }
+
+    /// The joints from `base` to `tip`.
+    fn chain(&self, base: &str, tip: &str) -> Result<Vec<&UrdfJoint<'a>>, String> {
+        let (mut chain, mut link) = (Vec::new(), tip);
+        while link != base {
+            let Some(joint) = self.parents.get(link) else {
+                return Err(format!("has no chain of joints from `{}` to `{}`", foreign(base), foreign(tip)));
+            };
+            if chain.len() == MOST_JOINTS {
+                return Err(format!(
+                    "has more than {MOST_JOINTS} joints from `{}` to `{}`, or a loop",
+                    foreign(base),
+                    foreign(tip)
+                ));
+            }
+            chain.push(joint);
+            link = joint.parent;
+        }
+        chain.reverse();
+        Ok(chain)
+    }
+}
+
+impl UrdfJoint<'_> {
+    /// The joint as a table of `arm.joint`.
+    fn table(&self) -> Result<Value, String> {
+        let origin = child(self.node, "origin");
+        let place = |key: &str, most: f64| match origin.and_then(|node| node.attribute(key)) {
+            None => Ok([0.0; 3]),
+            Some(text) => self.three("origin", key, text, most),
+        };
+        let mut table = Table::new();
+        table.insert("name".to_owned(), Value::String(self.name.to_owned()));
+        table.insert("position_mm".to_owned(), numbers(place("xyz", FARTHEST_M)?.map(|m| m * 1e3)));
+        table.insert("roll_pitch_yaw_deg".to_owned(), numbers(place("rpy", MOST_RAD)?.map(f64::to_degrees)));
+        let kind = self.node.attribute("type").unwrap_or_default();
+        match kind {
+            "fixed" => {}
+            "revolute" | "continuous" => self.turn(kind == "continuous", &mut table)?,
+            other => {
+                let expected =
+                    "expected revolute, continuous or fixed: a state holds the joints of an arm as angles";
+                return Err(self.says(&format!("is of the type `{}`; {expected}", foreign(other))));
+            }
+        }
+        Ok(Value::Table(table))
+    }
+
+    /// Axis and limits of a joint that turns.
+    fn turn(&self, is_endless: bool, table: &mut Table) -> Result<(), String> {
+        if child(self.node, "mimic").is_some() {
+            return Err(
+                self.says("copies another (`mimic`); expected each joint of the arm to move by itself")
+            );
+        }
+        let axis = match child(self.node, "axis").and_then(|node| node.attribute("xyz")) {
+            None => [1.0, 0.0, 0.0],
+            Some(text) => self.three("axis", "xyz", text, 1e3)?,
+        };
+        let limit = child(self.node, "limit");
+        let limit_of = |key: &str, lowest: f64, highest: f64| match limit.and_then(|node| node.attribute(key))
+        {
+            None => Err(self.says(&format!("has no `limit {key}`; expected it, {lowest} to {highest}"))),
+            Some(text) => self.number("limit", key, text, lowest, highest),
+        };
+        let [lower, upper] = match is_endless {
+            true => [-CONTINUOUS_RAD, CONTINUOUS_RAD],
+            false => [limit_of("lower", -MOST_RAD, MOST_RAD)?, limit_of("upper", -MOST_RAD, MOST_RAD)?],
+        };
+        let rate = limit_of("velocity", 1e-3, MOST_RAD_PER_S)?;
+        table.insert("axis".to_owned(), numbers(axis));
+        for (key, value) in [("lower_deg", lower), ("upper_deg", upper), ("max_speed_deg_per_s", rate)] {
+            table.insert(key.to_owned(), Value::Float(value.to_degrees()));
+        }
+        Ok(())
+    }
+
+    fn says(&self, problem: &str) -> String {
+        format!("joint `{}` {problem}", foreign(self.name))
+    }
+
+    /// Three numbers of an attribute, none of them farther from zero than `most`.
+    fn three(&self, tag: &str, key: &str, text: &str, most: f64) -> Result<[f64; 3], String> {
+        let parts: Vec<&str> = text.split_ascii_whitespace().collect();
+        let [x, y, z] = parts.as_slice() else {
+            return Err(
+                self.says(&format!("has `{tag} {key}` = \"{}\", expected three numbers", foreign(text)))
+            );
+        };
+        let number = |part: &str| self.number(tag, key, part, -most, most);
+        Ok([number(x)?, number(y)?, number(z)?])
+    }
+
+    fn number(&self, tag: &str, key: &str, text: &str, lowest: f64, highest: f64) -> Result<f64, String> {
+        // A NaN is in no range, so this refuses it too.
+        match text.trim().parse::<f64>() {
+            Ok(value) if (lowest..=highest).contains(&value) => Ok(value),
+            _ => Err(self.says(&format!(
+                "has `{tag} {key}` = {}, expected a number from {lowest} to {highest}",
+                foreign(text)
+            ))),
+        }
+    }
+}
+
+fn child<'a>(node: Node<'a, 'a>, tag: &str) -> Option<Node<'a, 'a>> {
+    node.children().find(|child| child.has_tag_name(tag))
+}

@@ -1,0 +1,125 @@
+//! Kinematics of the arms that a scene can have, behind one type.
+
+use super::inverse::KinematicsError;
+use super::kinematics::{Joints, LinkFrames, UrGeometry};
+use super::serial::SerialGeometry;
+use nalgebra::{Isometry3, Matrix3, Vector3};
+
+/// The kinematics of an arm.
+#[allow(clippy::large_enum_variant, reason = "a simulation has one, and a tick allocates nothing for it")]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ArmGeometry {
+    /// An arm of Universal Robots, with a closed inverse.
+    Ur(UrGeometry),
+    /// Another arm of six turning joints, with a numeric inverse.
+    Serial(SerialGeometry),
+    /// No arm: the flange is the base, whatever the joint angles.
+    Fixed {
+        /// T_flange_tool; `None` means identity.
+        t_flange_tool: Option<Isometry3<f64>>,
+    },
+}
+
+impl From<UrGeometry> for ArmGeometry {
+    fn from(geometry: UrGeometry) -> Self {
+        ArmGeometry::Ur(geometry)
+    }
+}
+
+impl ArmGeometry {
+    /// Whether the arm has joints.
+    pub fn moves(&self) -> bool {
+        !matches!(self, ArmGeometry::Fixed { .. })
+    }
+
+    /// T_flange_tool: pose of the tool's base on the flange; `None` means identity.
+    pub fn t_flange_tool(&self) -> Option<&Isometry3<f64>> {
+        match self {
+            ArmGeometry::Ur(ur) => ur.t_flange_tool.as_ref(),
+            ArmGeometry::Serial(serial) => serial.t_flange_tool.as_ref(),
+            ArmGeometry::Fixed { t_flange_tool } => t_flange_tool.as_ref(),
+        }
+    }
+
+    /// The same arm with its tool's base there on the flange.
+    #[must_use]
+    pub fn with_tool(mut self, t_flange_tool: Option<Isometry3<f64>>) -> Self {
+        match &mut self {
+            ArmGeometry::Ur(ur) => ur.t_flange_tool = t_flange_tool,
+            ArmGeometry::Serial(serial) => serial.t_flange_tool = t_flange_tool,
+            ArmGeometry::Fixed { t_flange_tool: tool } => *tool = t_flange_tool,
+        }
+        self
+    }
+
+    /// All link frames at joint angles `q_rad`; the last one is the tool's base.
+    pub fn frames(&self, q_rad: &Joints) -> LinkFrames {
+        match self {
+            ArmGeometry::Ur(ur) => ur.frames(q_rad),
+            ArmGeometry::Serial(serial) => serial.frames(q_rad),
+            ArmGeometry::Fixed { t_flange_tool } => {
+                let mut frames =
+                    LinkFrames { rotation: [Matrix3::identity(); 7], origin_m: [Vector3::zeros(); 7] };
+                frames.attach(t_flange_tool.as_ref());
+                frames
+            }
+        }
+    }
+
+    /// `T_base_tool`: pose of the tool's base in the arm's base frame; without a tool transform, of the flange.
+    pub fn forward(&self, q_rad: &Joints) -> Isometry3<f64> {
+        self.frames(q_rad).t_base_link(6)
+    }
+
+    /// `|det J|` in m³, Yoshikawa's manipulability of a six-joint arm; 0 without joints.
+    pub fn manipulability_m3(&self, q_rad: &Joints) -> f64 {
+        match self {
+            ArmGeometry::Ur(ur) => ur.manipulability_m3(q_rad),
+            ArmGeometry::Serial(serial) => serial.frames(q_rad).jacobian().determinant().abs(),
+            ArmGeometry::Fixed { .. } => 0.0,
+        }
+    }
+
+    /// Joint angles within the limits that put the tool's base at `t_base_tool`, as near to `q_reference_rad` as the arm's inverse finds
+    /// them: [`UrGeometry::inverse_nearest`], [`SerialGeometry::inverse_nearest`].
+    ///
+    /// # Errors
+    /// The pose is invalid, out of reach or singular, or no solution lies within the limits.
+    pub fn inverse_nearest(
+        &self,
+        t_base_tool: &Isometry3<f64>,
+        q_reference_rad: &Joints,
+        lower_rad: &Joints,
+        upper_rad: &Joints,
+    ) -> Result<Joints, KinematicsError> {
+        match self {
+            ArmGeometry::Ur(ur) => ur.inverse_nearest(t_base_tool, q_reference_rad, lower_rad, upper_rad),
+            ArmGeometry::Serial(serial) => {
+                serial.inverse_nearest(t_base_tool, q_reference_rad, lower_rad, upper_rad)
+            }
+            ArmGeometry::Fixed { .. } => Err(KinematicsError::NoJoints),
+        }
+    }
+
+    /// Signs that differ between two configurations of the arm which only a singularity joins.
+    pub(super) fn branch(&self, q_rad: &Joints) -> [bool; 3] {
+        match self {
+            ArmGeometry::Ur(ur) => {
+                let f = ur.singularity_factors(q_rad);
+                [f.elbow > 0.0, f.wrist > 0.0, f.shoulder_m > 0.0]
+            }
+            ArmGeometry::Serial(serial) => [serial.frames(q_rad).jacobian().determinant() > 0.0, true, true],
+            ArmGeometry::Fixed { .. } => [true; 3],
+        }
+    }
+
+    /// The error where the Jacobian at `q_rad` has no inverse.
+    pub(super) fn singular(&self, q_rad: &Joints) -> KinematicsError {
+        match self {
+            ArmGeometry::Ur(_) => {
+                KinematicsError::WristSingular { sin_q5: libm::sin(q_rad[4]).abs(), minimum: 0.0 }
+            }
+            ArmGeometry::Serial(_) | ArmGeometry::Fixed { .. } => KinematicsError::Singular,
+        }
+    }
+}

@@ -1,0 +1,267 @@
+//! Any serial arm of six turning joints: kinematics from the joints' places and axes, and a numeric inverse.
+//!
+//! The joints are those of URDF: joint i stands at `T_i` in the frame of the joint before it and turns about a unit vector of its own
+//! frame. Written with frames whose z is the axis, the pose is `G_0 Rz(q_1) G_1 .. Rz(q_6) G_6`, with constant `G`.
+
+use super::inverse::{KinematicsError, check_pose};
+use super::kinematics::{Joints, LinkFrames};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Rotation3, UnitQuaternion, Vector3, Vector6};
+
+/// Iterations from one start; Newton's method needs some five near a solution.
+const MOST_ITERATIONS: usize = 60;
+/// Starts besides the reference, where that leads nowhere.
+const OTHER_STARTS: usize = 12;
+/// A pose is reached to this (m and rad together); rounding leaves some 1e-15.
+const REACHED: f64 = 1e-12;
+/// Least damping, m² or rad²: it keeps the equations solvable at a singularity and is far below any square of a regular arm's Jacobian.
+const LEAST_DAMPING: f64 = 1e-16;
+/// Largest change of a joint in an iteration.
+const MOST_STEP_RAD: f64 = 0.5;
+
+/// A constant part of the chain.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Part {
+    rotation: Matrix3<f64>,
+    origin_m: Vector3<f64>,
+}
+
+impl Part {
+    const IDENTITY: Part = Part {
+        rotation: Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
+        origin_m: Vector3::new(0.0, 0.0, 0.0),
+    };
+
+    fn then(&self, next: &Part) -> Part {
+        Part {
+            rotation: self.rotation * next.rotation,
+            origin_m: self.origin_m + self.rotation * next.origin_m,
+        }
+    }
+}
+
+/// A joint as URDF describes it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SerialJoint {
+    /// Place of the joint's frame in the frame of the joint before it, or in the arm's base, m.
+    pub position_m: Vector3<f64>,
+    /// Turns about the fixed axes x, y and z, in this order, rad.
+    pub roll_pitch_yaw_rad: Vector3<f64>,
+    /// Axis in the joint's frame, of any length but 0; `None`: it does not turn.
+    pub axis: Option<Vector3<f64>>,
+}
+
+/// The kinematics of a serial arm of six turning joints.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SerialGeometry {
+    /// `G_0` .. `G_6`.
+    parts: [Part; 7],
+    /// T_flange_tool: pose of the tool's base on the flange; `None` means identity.
+    pub t_flange_tool: Option<Isometry3<f64>>,
+}
+
+impl SerialGeometry {
+    /// The chain of `joints` from base to flange. Joints that turn beyond the sixth stand still, and absent ones change nothing; a
+    /// checked scene has six.
+    pub fn new(joints: impl IntoIterator<Item = SerialJoint>) -> Self {
+        let mut parts = [Part::IDENTITY; 7];
+        let mut turning = 0;
+        for joint in joints {
+            let place =
+                Part { rotation: roll_pitch_yaw(&joint.roll_pitch_yaw_rad), origin_m: joint.position_m };
+            parts[turning] = parts[turning].then(&place);
+            if let Some(axis) = joint.axis.filter(|_| turning < 6) {
+                let onto_axis = Part { rotation: z_onto(&axis.normalize()), origin_m: Vector3::zeros() };
+                parts[turning] = parts[turning].then(&onto_axis);
+                turning += 1;
+                parts[turning].rotation = onto_axis.rotation.transpose();
+            }
+        }
+        Self { parts, t_flange_tool: None }
+    }
+
+    /// All link frames at joint angles `q_rad`: index i has the axis of joint i + 1 as its z, the last one is the tool's base.
+    pub fn frames(&self, q_rad: &Joints) -> LinkFrames {
+        let mut rotation = [self.parts[0].rotation; 7];
+        let mut origin_m = [self.parts[0].origin_m; 7];
+        for (i, angle_rad) in q_rad.iter().enumerate() {
+            let (sin, cos) = libm::sincos(*angle_rad);
+            let turned = rotation[i] * Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
+            origin_m[i + 1] = origin_m[i] + turned * self.parts[i + 1].origin_m;
+            rotation[i + 1] = turned * self.parts[i + 1].rotation;
+        }
+        let mut frames = LinkFrames { rotation, origin_m };
+        frames.attach(self.t_flange_tool.as_ref());
+        frames
+    }
+
+    /// Joint angles within the limits that put the tool's base at `t_base_tool`, to 1e-12 m and rad.
+    ///
+    /// Levenberg and Marquardt's method, damped by the squared error (Sugihara, "Solvability-Unconcerned Inverse Kinematics by the
+    /// Levenberg-Marquardt Method", IEEE Trans. Robotics 27 (2011), eq. 22), with joints at the end of their range held there. It starts
+    /// at the reference, and ends near it where the goal is near. If that leads nowhere, it starts at twelve other fixed places within
+    /// half a turn of the reference, and the solution nearest to the reference counts.
+    ///
+    /// # Errors
+    /// The pose is invalid, or no start leads to it.
+    pub fn inverse_nearest(
+        &self,
+        t_base_tool: &Isometry3<f64>,
+        q_reference_rad: &Joints,
+        lower_rad: &Joints,
+        upper_rad: &Joints,
+    ) -> Result<Joints, KinematicsError> {
+        check_pose(t_base_tool)?;
+        let goal = Goal {
+            rotation: *t_base_tool.rotation.to_rotation_matrix().matrix(),
+            origin_m: t_base_tool.translation.vector,
+            lower_rad,
+            upper_rad,
+        };
+        let first = self.descend(&goal, q_reference_rad);
+        if first.missed.norm() <= REACHED {
+            return Ok(first.q_rad);
+        }
+        let (mut closest, mut nearest) = (first, None::<(f64, Joints)>);
+        for start in 1..=OTHER_STARTS {
+            let ended = self.descend(&goal, &spread(start, q_reference_rad, lower_rad, upper_rad));
+            if ended.missed.norm() < closest.missed.norm() {
+                closest = ended;
+            }
+            if ended.missed.norm() <= REACHED {
+                let far =
+                    |q: &Joints| q.iter().zip(q_reference_rad).map(|(a, b)| (a - b) * (a - b)).sum::<f64>();
+                let distance = far(&ended.q_rad);
+                if nearest.is_none_or(|(least, _)| distance < least) {
+                    nearest = Some((distance, ended.q_rad));
+                }
+            }
+        }
+        nearest.map(|(_, q_rad)| q_rad).ok_or_else(|| KinematicsError::NotReached {
+            missed_m: closest.missed.fixed_rows::<3>(0).norm(),
+            missed_rad: closest.missed.fixed_rows::<3>(3).norm(),
+        })
+    }
+
+    /// Downhill from `start` until the goal is reached or the error falls no more.
+    fn descend(&self, goal: &Goal, start: &Joints) -> Descent {
+        let mut q_rad = goal.within(start);
+        let mut frames = self.frames(&q_rad);
+        let mut missed = goal.missed(&frames);
+        let mut caution = 1.0;
+        for _ in 0..MOST_ITERATIONS {
+            let squared = missed.norm_squared();
+            // A tenth of what counts as reached, so that the last iterations reach rounding.
+            if squared <= 0.01 * REACHED * REACHED {
+                break;
+            }
+            let damping = LEAST_DAMPING + 0.5 * squared * caution;
+            let Some(tried) = goal.step(&frames.jacobian(), &missed, &q_rad, damping) else { break };
+            let tried_frames = self.frames(&tried);
+            let tried_missed = goal.missed(&tried_frames);
+            if tried_missed.norm_squared() < squared {
+                (q_rad, frames, missed) = (tried, tried_frames, tried_missed);
+                caution = (caution * 0.5).max(1e-3);
+            } else if squared <= REACHED * REACHED {
+                break;
+            } else {
+                caution *= 8.0;
+            }
+        }
+        Descent { q_rad, missed }
+    }
+}
+
+/// Where a descent ended.
+#[derive(Clone, Copy)]
+struct Descent {
+    q_rad: Joints,
+    /// From there to the goal: m, then rad.
+    missed: Vector6<f64>,
+}
+
+/// A goal of the tool's base, and the joints' ranges.
+struct Goal<'a> {
+    rotation: Matrix3<f64>,
+    origin_m: Vector3<f64>,
+    lower_rad: &'a Joints,
+    upper_rad: &'a Joints,
+}
+
+impl Goal<'_> {
+    fn within(&self, q_rad: &Joints) -> Joints {
+        std::array::from_fn(|i| q_rad[i].max(self.lower_rad[i]).min(self.upper_rad[i]))
+    }
+
+    /// The way from the tool's base to the goal: linear m, then angular: the axis times twice the sine of half of the angle, rad.
+    fn missed(&self, frames: &LinkFrames) -> Vector6<f64> {
+        let turn = Rotation3::from_matrix_unchecked(self.rotation * frames.rotation[6].transpose());
+        let turn = UnitQuaternion::from_rotation_matrix(&turn);
+        let sign = if turn.w < 0.0 { -2.0 } else { 2.0 };
+        super::kinematics::stack(&(self.origin_m - frames.origin_m[6]), &(turn.imag() * sign))
+    }
+
+    /// The joints after one damped step. A joint that the step would push out of its range stays at its end, and the others make up for
+    /// it.
+    fn step(
+        &self,
+        jacobian: &Matrix6<f64>,
+        missed: &Vector6<f64>,
+        q_rad: &Joints,
+        damping: f64,
+    ) -> Option<Joints> {
+        let mut jacobian = *jacobian;
+        for _ in 0..6 {
+            let normal = jacobian * jacobian.transpose() + Matrix6::identity() * damping;
+            let step = jacobian.transpose() * normal.cholesky()?.solve(missed);
+            let blocked = (0..6).find(|&i| {
+                (step[i] > 0.0 && q_rad[i] >= self.upper_rad[i])
+                    || (step[i] < 0.0 && q_rad[i] <= self.lower_rad[i])
+            });
+            match blocked {
+                Some(joint) => jacobian.set_column(joint, &Vector6::zeros()),
+                None => {
+                    let scale = (MOST_STEP_RAD / step.amax()).min(1.0);
+                    return Some(self.within(&std::array::from_fn(|i| q_rad[i] + step[i] * scale)));
+                }
+            }
+        }
+        None
+    }
+}
+
+/// The n-th of a fixed sequence of places that fills the joints' ranges evenly, within half a turn of the reference: the additive
+/// recurrence with the powers of the root of `x^7 = x + 1` (Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018).
+fn spread(n: usize, q_reference_rad: &Joints, lower_rad: &Joints, upper_rad: &Joints) -> Joints {
+    const ROOT: f64 = 1.112_775_684_278_705_5;
+    let mut share = 1.0;
+    std::array::from_fn(|i| {
+        share /= ROOT;
+        let place = 0.5 + n as f64 * share;
+        let low = lower_rad[i].max(q_reference_rad[i] - std::f64::consts::PI);
+        let high = upper_rad[i].min(q_reference_rad[i] + std::f64::consts::PI);
+        low + (high - low) * (place - libm::floor(place))
+    })
+}
+
+/// Rz(yaw) Ry(pitch) Rx(roll).
+fn roll_pitch_yaw(angles_rad: &Vector3<f64>) -> Matrix3<f64> {
+    let [(sr, cr), (sp, cp), (sy, cy)] = [angles_rad.x, angles_rad.y, angles_rad.z].map(libm::sincos);
+    Matrix3::new(
+        cy * cp,
+        cy * sp * sr - sy * cr,
+        cy * sp * cr + sy * sr,
+        sy * cp,
+        sy * sp * sr + cy * cr,
+        sy * sp * cr - cy * sr,
+        -sp,
+        cp * sr,
+        cp * cr,
+    )
+}
+
+/// A rotation that turns z onto `axis`, a unit vector.
+fn z_onto(axis: &Vector3<f64>) -> Matrix3<f64> {
+    let across = Vector3::ith(axis.iamin(), 1.0);
+    let x = (across - axis * axis.dot(&across)).normalize();
+    Matrix3::from_columns(&[x, axis.cross(&x), *axis])
+}
