@@ -165,8 +165,8 @@ impl ContactCache {
         for track in self.tracks.iter_mut().filter(|track| track.box_searched.meets(first_cut)) {
             track.forget_near_box(first_cut, geometry.spacing_m);
         }
-        for removed in voxels.removed_this_tick() {
-            let position = geometry.voxel_position(geometry.voxel(*removed).map(|x| x as i64));
+        for emptied in voxels.emptied_this_tick() {
+            let position = geometry.voxel_position(geometry.voxel(*emptied).map(|x| x as i64));
             self.tracks.iter_mut().for_each(|track| track.forget_near(position, geometry.spacing_m));
         }
     }
