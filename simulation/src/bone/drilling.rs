@@ -214,7 +214,7 @@ impl DrillCache {
         }
         let press = Press::new(voxels, burr, dt_s);
         let energy_j = parameters.cutting.power_of_contacts_w(burr, contacts) * dt_s;
-        let mut edit = voxels.drill(press.cut_ball(voxels.geometry()));
+        let mut edit = voxels.drill();
         self.seen = edit.journal().edits();
         let mut report = GrindReport::default();
         for indentation in indentations {
@@ -291,7 +291,7 @@ impl DrillTick<'_> {
         for voxel in (0..self.reached.index.len()).filter(|voxel| self.reached.depth[*voxel] > 0.0) {
             let index = self.reached.index[voxel];
             let offset = self.reached.offset(voxel, centre);
-            let at = geometry.voxel(index).map(|x| x as i64);
+            let at = self.reached.at[voxel];
             let mut area_m2 = 0.0;
             for axis in 0..3 {
                 let up = offset[axis] >= 0.0;
@@ -309,7 +309,8 @@ impl DrillTick<'_> {
     /// Sets the spent fraction of a voxel in reach that has a place.
     #[inline]
     pub(super) fn set_spent(&mut self, voxel: usize, spent: f64) {
-        let set = self.edit.cut(self.reached.index[voxel], self.reached.place[voxel], spent);
+        let ReachedVoxels { index, at, place, .. } = &*self.reached;
+        let set = self.edit.cut(index[voxel], at[voxel], place[voxel], spent);
         self.reached.spent[voxel] = set;
     }
 

@@ -10,13 +10,13 @@ use nalgebra::Vector3;
 use pulp::Arch;
 
 use super::cutting::{BurrState, CuttingLaw};
-use super::gather::{outside, widening};
+use super::gather::outside;
 use super::grid::{GridGeometry, VoxelIndex, floor_to_i64};
 use super::occupancy::{VoxelBox, WINDOW_VOXELS};
 use super::parameters::BoneParameters;
 use super::query::VoxelEnd;
 use super::strength::Place;
-use super::voxels::{Ball, Voxels};
+use super::voxels::Voxels;
 
 /// Extra reach of the cached search, in voxels of the smallest spacing. A burr fed at 1.5 mm/s through voxels of 0.5 mm needs a new
 /// search every 33 ticks.
@@ -48,11 +48,6 @@ impl Press {
             recession_m: cutting.feed_per_revolution_max_m * burr.speed_rad_s.abs() * dt_s
                 / core::f64::consts::TAU,
         }
-    }
-
-    /// The ball in which the burr cuts: a surface in reach belongs to a box in reach.
-    pub fn cut_ball(&self, geometry: &GridGeometry) -> Ball {
-        Ball { centre_m: self.centre, radius_m: self.cut_m + widening(geometry.spacing_m) }
     }
 }
 
@@ -95,6 +90,8 @@ pub(super) struct ReachedVoxels {
     /// Centres along each grid axis, metres.
     position: [Vec<f64>; 3],
     pub index: Vec<VoxelIndex>,
+    /// The same along each grid axis.
+    pub at: Vec<[i64; 3]>,
     /// Where the pool stores each spent fraction, if anywhere, and the fraction.
     pub place: Vec<Place>,
     pub spent: Vec<f64>,
@@ -116,6 +113,7 @@ impl ReachedVoxels {
             searched: None,
             position: [numbers(), numbers(), numbers()],
             index: Vec::with_capacity(capacity),
+            at: Vec::with_capacity(capacity),
             place: Vec::with_capacity(capacity),
             spent: numbers(),
             full_j: numbers(),
@@ -138,6 +136,7 @@ impl ReachedVoxels {
     fn clear(&mut self) {
         self.position.iter_mut().for_each(Vec::clear);
         self.index.clear();
+        self.at.clear();
         self.place.clear();
         self.spent.clear();
         self.full_j.clear();
@@ -295,6 +294,7 @@ impl ReachedVoxels {
             along.push(position);
         }
         self.index.push(index);
+        self.at.push(voxel);
         let place = voxels.pool().place(inside);
         self.place.push(place);
         self.spent.push(voxels.pool().spent_at(place));

@@ -139,6 +139,8 @@ pub(super) struct SpentPool {
     table: Vec<u32>,
     /// Block of each slot in use, in the order of first touch.
     owners: Vec<u32>,
+    /// The slots in use by their blocks' numbers, so that nothing depends on which block was touched first.
+    by_block: Vec<u32>,
     segments: Vec<Segment>,
     /// Most blocks: those of the grid, or fewer if a test limits them.
     capacity: usize,
@@ -171,6 +173,7 @@ impl SpentPool {
             block_dims,
             table: vec![UNTOUCHED; blocks],
             owners: Vec::with_capacity(capacity),
+            by_block: Vec::with_capacity(capacity),
             segments: Vec::with_capacity(capacity.div_ceil(SEGMENT_BLOCKS)),
             capacity,
             reserve: 0,
@@ -259,7 +262,10 @@ impl SpentPool {
             if used == self.capacity || (used == self.segments.len() * SEGMENT_BLOCKS && !self.grow()) {
                 return None;
             }
-            self.table[block] = self.owners.len() as u32;
+            let owners = &self.owners;
+            let at = self.by_block.partition_point(|slot| owners[*slot as usize] < block as u32);
+            self.by_block.insert(at, used as u32);
+            self.table[block] = used as u32;
             self.owners.push(block as u32);
         }
         Some(self.table[block] as usize)
@@ -359,9 +365,12 @@ impl SpentPool {
         }
     }
 
-    /// The blocks in use, in order of first touch: number and fractions, `BLOCK_VOXELS` each.
-    fn contents(&self) -> impl ExactSizeIterator<Item = (u32, &[f64])> {
-        self.owners.iter().enumerate().map(|(slot, owner)| (*owner, self.fractions(slot)))
+    /// The blocks in use by number: slot, number and fractions, `BLOCK_VOXELS` each.
+    fn contents(&self) -> impl ExactSizeIterator<Item = (usize, u32, &[f64])> {
+        self.by_block.iter().map(|slot| {
+            let slot = *slot as usize;
+            (slot, self.owners[slot], self.fractions(slot))
+        })
     }
 
     /// The fractions of a slot in use.
@@ -370,9 +379,9 @@ impl SpentPool {
         &self.segments[slot / SEGMENT_BLOCKS].spent[first..first + BLOCK_VOXELS]
     }
 
-    /// What has changed since a start, in order of first touch: every block that the start did not use, and those of its blocks that differ.
+    /// What has changed since a start, by the blocks' numbers: every block that the start did not use, and those of its blocks that differ.
     pub fn changes<'p>(&'p self, start: &'p Self) -> impl Iterator<Item = BlockChange<'p>> {
-        self.contents().filter_map(|(number, spent)| {
+        self.contents().filter_map(|(_, number, spent)| {
             let before = match start.table[number as usize] {
                 UNTOUCHED => None,
                 slot => Some(start.fractions(slot as usize)),
@@ -387,10 +396,10 @@ impl SpentPool {
         })
     }
 
-    /// Calls `visit` with the spent fraction of every grid voxel in the blocks in use, block by block in order of first touch, x fastest
+    /// Calls `visit` with the spent fraction of every grid voxel in the blocks in use, block by block in the order of their numbers, x fastest
     /// within a block.
     pub fn for_each(&self, mut visit: impl FnMut([usize; 3], f64)) {
-        for (slot, (_, fractions)) in self.contents().enumerate() {
+        for (slot, _, fractions) in self.contents() {
             for (offset, spent) in fractions.iter().enumerate() {
                 if let Some(voxel) = self.voxel_of(slot, offset) {
                     visit(voxel, *spent);
@@ -435,6 +444,7 @@ impl SpentPool {
             self.table[*block as usize] = UNTOUCHED;
         }
         self.owners.clear();
+        self.by_block.clear();
     }
 
     /// Makes another pool's [`Self::changes`] to a pool that has that one's start; false if they do not fit.

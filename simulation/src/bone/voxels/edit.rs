@@ -1,21 +1,16 @@
 //! Changes voxels: every function that does so is in this file and records the change in the journal.
 
-use super::journal::{Ball, Region};
+use super::journal::Region;
 use super::{BoneSnapshot, Voxels};
 use crate::bone::BoneError;
 use crate::bone::drilling::{GONE, is_ended};
 use crate::bone::grid::VoxelIndex;
-use crate::bone::occupancy::VoxelBox;
 use crate::bone::strength::Place;
 
 /// One tick of drilling. On drop it records in the journal what changed.
 pub(in crate::bone) struct Drilling<'v> {
     voxels: &'v mut Voxels,
-    /// Where voxels may be cut, and whether any was.
-    ball: Ball,
-    cut: bool,
-    /// What has changed outside the ball.
-    changed: VoxelBox,
+    changed: Region,
 }
 
 impl core::ops::Deref for Drilling<'_> {
@@ -28,8 +23,7 @@ impl core::ops::Deref for Drilling<'_> {
 
 impl Drop for Drilling<'_> {
     fn drop(&mut self) {
-        let ball = self.cut.then_some(self.ball);
-        self.voxels.journal.end(Region { ball, voxels: self.changed });
+        self.voxels.journal.end(self.changed);
     }
 }
 
@@ -39,10 +33,10 @@ impl Drilling<'_> {
         self.voxels.pool.claim(self.voxels.geometry.voxel(voxel))
     }
 
-    /// Sets the spent fraction of a voxel whose box meets the edit's ball; returns what was set.
+    /// Sets the spent fraction of a voxel, given by number and by its place along each axis; returns what was set.
     #[inline]
-    pub fn cut(&mut self, voxel: VoxelIndex, place: Place, spent: f64) -> f64 {
-        self.cut = true;
+    pub fn cut(&mut self, voxel: VoxelIndex, at: [i64; 3], place: Place, spent: f64) -> f64 {
+        self.changed.cut = self.changed.cut.with(at);
         self.set(voxel, place, spent)
     }
 
@@ -55,7 +49,8 @@ impl Drilling<'_> {
     pub fn crush(&mut self, voxel: VoxelIndex, spent: f64) -> bool {
         let Some(place) = self.claim(voxel) else { return false };
         self.set(voxel, place, spent);
-        self.note(voxel);
+        let at = self.voxels.geometry.voxel(voxel).map(|x| x as i64);
+        self.changed.crushed = self.changed.crushed.with(at);
         true
     }
 
@@ -100,20 +95,15 @@ impl Drilling<'_> {
             self.voxels.journal.note_first_cut(voxel.map(|x| x as i64));
         }
     }
-
-    fn note(&mut self, voxel: VoxelIndex) {
-        let voxel = self.voxels.geometry.voxel(voxel).map(|x| x as i64);
-        self.changed = self.changed.with(voxel);
-    }
 }
 
 impl Voxels {
-    /// Begins a tick of drilling that cuts voxels whose boxes meet `ball`.
-    pub(in crate::bone) fn drill(&mut self, ball: Ball) -> Drilling<'_> {
+    /// Begins a tick of drilling.
+    pub(in crate::bone) fn drill(&mut self) -> Drilling<'_> {
         self.journal.begin(self.pool.used());
         self.removed.clear();
         self.emptied.clear();
-        Drilling { voxels: self, ball, cut: false, changed: VoxelBox::NOTHING }
+        Drilling { voxels: self, changed: Region::NOTHING }
     }
 
     /// Removes a fraction of a voxel from the bone permanently, or what is left of that fraction; false if there is no memory for it.
@@ -129,9 +119,9 @@ impl Voxels {
             self.pilot_voxels += 1.0 - before;
             return true;
         }
-        let (Some(pilot), Some(place)) = (self.pilot.claim(voxel), self.pool.claim(voxel)) else {
-            return false;
-        };
+        // The pool's block first: the pilot's blocks are always among those of the pool.
+        let Some(place) = self.pool.claim(voxel) else { return false };
+        let Some(pilot) = self.pilot.claim(voxel) else { return false };
         self.pilot.set(pilot, spent.max(self.pilot.spent_at(pilot)));
         self.pool.set(place, spent.max(self.pool.spent_at(place)));
         self.whole.empty(voxel);

@@ -18,7 +18,7 @@ use super::reach;
 use super::strength::{BLOCK_EDGE, ChangedBlock, SpentPool};
 
 pub(super) use edit::Drilling;
-pub(super) use journal::{Ball, Journal};
+pub(super) use journal::Journal;
 
 /// Bone of one CT: which voxels are bone, and how much of each remains.
 #[derive(Debug)]
