@@ -58,7 +58,7 @@ const GOLDEN: [Golden; 3] = [
         in_bone: true,
         command: feed,
         ticks: 1000,
-        hash: "af9cb064e89bfdb41e36dd01bef7fa61",
+        hash: "205b800f3118d92fe880b4a637ae4eda",
     },
     Golden {
         scene: BODIES,

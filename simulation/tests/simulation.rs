@@ -33,12 +33,31 @@ fn latched(tick: u64, start: &State) -> Latched {
     latched
 }
 
+/// A tunnel like that of [`TUNNEL`] in the CT itself, of whole voxels.
+const WHOLE_VOXELS: &str = r#"
+name = "tight_tunnel"
+run = { mode = "lockstep", duration_s = 3.0 }
+volume = { phantom = "block" }
+"#;
+
 /// Bug: planes beyond 96 were dropped, and with them those of the burr, which stands last; it then cut nothing, and the
 /// arm pressed with hundreds of newtons.
+///
+/// The tunnel is one of the CT: its whole voxels touch a sphere on all sides with the corners of their staircase. The wall of a pilot hole is
+/// round, and a tube with 0.3 mm of play has planes within the margin of 0.03 mm only up to 26 degrees about the line it rests on
+/// (0.3 (1 - cos 26°) = 0.03): 61 in all, which is right there and too few to fill 96.
 #[test]
 fn the_burr_cuts_in_a_tunnel_in_which_every_sphere_has_several_planes() {
-    let scene = scene(TUNNEL);
-    let (geometry, hu) = bone();
+    let scene = scene(WHOLE_VOXELS);
+    let (geometry, mut hu) = bone();
+    for (number, hu) in hu.iter_mut().enumerate() {
+        let [nx, ny, _] = geometry.dims;
+        let centre = geometry.voxel_centre_world_m(number % nx, number / nx % ny, number / (nx * ny));
+        let beyond_end_m = centre.z.max(0.0);
+        if Vector3::new(centre.x, centre.y, beyond_end_m).norm() < 3.3e-3 {
+            *hu = -1000;
+        }
+    }
     let mut simulation = Simulation::new(&scene, Some(CtView { geometry, hu: &hu })).unwrap();
     let start = *simulation.state();
     let (mut most, mut force_n) = (0, 0.0_f64);

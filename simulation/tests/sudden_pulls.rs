@@ -1,4 +1,6 @@
 //! Bug: the planes of a tick were those within reach of the speed at its start, so a suddenly pulled tool passed through bone.
+//! Bug: a burr that jumped met only the planes of the last place that it had come to, went to and fro between two places, and one of 60
+//! pulls ended 1.9 mm in the wall.
 
 #![allow(clippy::unwrap_used, reason = "a scene that cannot be built is a failed test")]
 
@@ -24,7 +26,7 @@ fn a_suddenly_pulled_tool_stays_in_its_hole() {
     let (geometry, hu) = bone();
     let mut draw = Draw(26);
     let (mut out, mut farthest) = (0, 0.0f64);
-    const PULLS: usize = 60;
+    const PULLS: usize = 300;
     for pull in 0..PULLS {
         let dt_ms = [0.2, 1.0, 2.0, 5.0, 10.0][pull % 5];
         let hole_mm = 8.0 + 4.0 * draw.next();

@@ -17,18 +17,11 @@ pub struct CuttingLaw {
     pub reach_m: f64,
     /// Maximum feed per revolution in metres: the depth of the teeth.
     pub feed_per_revolution_max_m: f64,
-    /// Partly cut voxels beside the path fall off when less than this fraction is left; 0 keeps them.
-    pub sliver_fraction: f64,
 }
 
 impl Default for CuttingLaw {
     fn default() -> Self {
-        Self {
-            cutting_friction: 0.3,
-            reach_m: 1.0e-4,
-            feed_per_revolution_max_m: 2.0e-4,
-            sliver_fraction: 0.5,
-        }
+        Self { cutting_friction: 0.3, reach_m: 1.0e-4, feed_per_revolution_max_m: 2.0e-4 }
     }
 }
 
@@ -65,10 +58,6 @@ impl CuttingLaw {
             if !(value.is_finite() && value > 0.0) {
                 return Err(BoneError::Parameter { name, value, expected: "a finite number above 0" });
             }
-        }
-        let value = self.sliver_fraction;
-        if !(0.0..=1.0).contains(&value) {
-            return Err(BoneError::Parameter { name: "sliver_fraction", value, expected: "0 to 1" });
         }
         Ok(())
     }

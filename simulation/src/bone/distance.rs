@@ -40,7 +40,7 @@ impl Voxels {
             }
             for_each_of_shell(centre, radius, dims, |voxel| {
                 let inside = (0..3).all(|a| (0..dims[a]).contains(&voxel[a]));
-                let bone = inside && self.is_solid(voxel[0] as usize, voxel[1] as usize, voxel[2] as usize);
+                let bone = inside && self.is_mostly_solid(voxel);
                 if bone == (matter == Matter::Bone) {
                     nearest_m2 = nearest_m2.min(beyond_m2(voxel));
                 }

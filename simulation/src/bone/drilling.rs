@@ -1,4 +1,4 @@
-//! Drilling: the burr's cutting energy goes into the voxels that it presses on, and a voxel is removed once its energy is spent.
+//! Drilling: the burr's cutting energy goes into the voxels that it presses on, and their surfaces recede as it is spent.
 //!
 //! **Energy.** In one tick the burr (radius r, speed omega) cuts with `E = mu_cut omega dt x sum of F r_eff` over its contacts with bone, F
 //! being a contact's normal force (Preston 1927: wear is proportional to pressure times sliding speed). The lever r_eff is the mean
@@ -27,8 +27,9 @@
 //! The removed volume is therefore E / u, and the depth depends neither on voxel size nor on dt. Weights and shares do not depend on the
 //! order of the voxels; the order of summation is fixed, for bit-exact replay.
 //!
-//! **Slivers.** Voxels beside the path are only partly cut. Once the burr has withdrawn from a voxel by `reach_m`, the rest of it falls
-//! off if less than `sliver_fraction` remains. The hole in the voxels then has the burr's size on average.
+//! **Partly cut voxels.** A voxel beside the path keeps what the burr did not reach, so that the wall of a hole lies where the burr cut
+//! it, wherever the voxels lie. An image knows whole voxels only: a voxel is *gone* from it, and in the list of removed voxels, as soon
+//! as less than half of it is left ([`GONE`]). The hole in the voxels then has the burr's size on average.
 
 use nalgebra::Vector3;
 use pulp::Arch;
@@ -52,9 +53,9 @@ const FIRST_CRUSHED: usize = 4096;
 /// Result of one tick of drilling.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct GrindReport {
-    /// Voxels removed in this tick.
+    /// Voxels of which less than half is left since this tick.
     pub removed_count: usize,
-    /// Spent voxels that did not fit into this tick's list of removed voxels and wait for the next tick.
+    /// Such voxels that did not fit into this tick's list and wait for the next tick.
     pub waiting_count: usize,
     /// Voxels that absorbed energy.
     pub cut_count: usize,
@@ -68,8 +69,6 @@ pub struct GrindReport {
     pub energy_used_j: f64,
     /// What the tool's spheres crushed.
     pub crushed: CrushReport,
-    /// Energy in J that slivers would still have needed when they fell off; the burr did not spend it.
-    pub energy_shed_j: f64,
 }
 
 /// Working memory of a tick, sized for the largest burr.
@@ -170,6 +169,9 @@ impl pulp::WithSimd for Share<'_> {
     }
 }
 
+/// A voxel of which more than this fraction is spent is gone from images and from the list of bone.
+pub(super) const GONE: f64 = 0.5;
+
 /// Rounding of spent + (1 - spent): a voxel within 1e-12 of its end counts as spent.
 pub(super) fn is_ended(spent: f64) -> bool {
     spent > 1.0 - 1e-12
@@ -212,7 +214,7 @@ impl DrillCache {
         }
         let press = Press::new(voxels, burr, dt_s);
         let energy_j = parameters.cutting.power_of_contacts_w(burr, contacts) * dt_s;
-        let mut edit = voxels.drill(press.cut_ball(voxels.geometry()));
+        let mut edit = voxels.drill();
         self.seen = edit.journal().edits();
         let mut report = GrindReport::default();
         for indentation in indentations {
@@ -221,12 +223,11 @@ impl DrillCache {
         if report.crushed.crushed_count > 0 {
             self.reached.forget();
         }
-        let any_sliver = energy_j > 0.0 && self.reached.bring(&edit, arch, hu, &press);
+        if energy_j > 0.0 {
+            self.reached.bring(&edit, arch, hu, &press);
+        }
         let mut tick = DrillTick { reached: &mut self.reached, scratch: &mut self.scratch, edit, report };
         if energy_j > 0.0 {
-            if any_sliver {
-                tick.shed_slivers(&press);
-            }
             tick.collect();
             match parameters.removal {
                 Removal::Energy if parameters.material.edge_pressure_ref_pa > 0.0 => {
@@ -290,7 +291,7 @@ impl DrillTick<'_> {
         for voxel in (0..self.reached.index.len()).filter(|voxel| self.reached.depth[*voxel] > 0.0) {
             let index = self.reached.index[voxel];
             let offset = self.reached.offset(voxel, centre);
-            let at = geometry.voxel(index).map(|x| x as i64);
+            let at = self.reached.at[voxel];
             let mut area_m2 = 0.0;
             for axis in 0..3 {
                 let up = offset[axis] >= 0.0;
@@ -305,22 +306,12 @@ impl DrillTick<'_> {
         edge_n
     }
 
-    /// Removes slivers that the burr has left behind.
-    fn shed_slivers(&mut self, press: &Press) {
-        let sliver_fraction = self.edit.parameters().cutting.sliver_fraction;
-        for voxel in 0..self.reached.index.len() {
-            if self.reached.is_sliver(voxel, press, sliver_fraction) && self.edit.has_room() {
-                self.report.energy_shed_j += (1.0 - self.reached.spent[voxel]) * self.reached.full_j[voxel];
-                self.reached.spent[voxel] = 1.0;
-                self.edit.shed(self.reached.index[voxel], self.reached.place[voxel]);
-            }
-        }
-    }
-
     /// Sets the spent fraction of a voxel in reach that has a place.
+    #[inline]
     pub(super) fn set_spent(&mut self, voxel: usize, spent: f64) {
-        self.reached.spent[voxel] = spent;
-        self.edit.set_spent(self.reached.place[voxel], spent);
+        let ReachedVoxels { index, at, place, .. } = &*self.reached;
+        let set = self.edit.cut(index[voxel], at[voxel], place[voxel], spent);
+        self.reached.spent[voxel] = set;
     }
 
     /// Shares the energy among the voxels, records what they absorb, and queues the spent ones.
@@ -329,32 +320,17 @@ impl DrillTick<'_> {
         self.report.energy_offered_j = energy_j;
         self.report.energy_used_j = level.taken_j;
         self.report.cut_count = self.scratch.count;
-        let mut any_ended = false;
-        let reached = self.reached.spend(arch, level.level_j);
-        for ((place, spent), depth) in reached.place.iter().zip(&reached.spent).zip(&reached.depth) {
-            if *depth > 0.0 {
-                self.edit.set_spent(*place, *spent);
-                any_ended |= is_ended(*spent);
-            }
-        }
-        if !any_ended {
-            return;
-        }
+        self.reached.spend(arch, level.level_j);
         for voxel in 0..self.reached.index.len() {
-            if self.reached.depth[voxel] > 0.0 && is_ended(self.reached.spent[voxel]) {
-                let waits = self.edit.has_room();
-                if waits {
-                    self.edit.queue(self.reached.index[voxel]);
-                }
-                // If even the queue is full, the voxel keeps a trace of strength and ends in a later tick.
-                self.set_spent(voxel, if waits { 1.0 } else { 1.0 - 1e-9 });
+            if self.reached.depth[voxel] > 0.0 {
+                self.set_spent(voxel, self.reached.spent[voxel]);
             }
         }
     }
 
-    /// Removes spent voxels from the bone, as many as the tick's list holds.
+    /// Lists the voxels that are gone, as many as the tick's list holds.
     fn finish(mut self) -> GrindReport {
-        self.edit.remove_queued();
+        self.edit.list_queued();
         self.report.removed_count = self.edit.removed_this_tick().len();
         self.report.waiting_count = self.edit.waiting_count();
         self.report

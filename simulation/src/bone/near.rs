@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 
 use super::gather::{Sphere, outside};
 use super::grid::GridGeometry;
-use super::query::{ContactKind, VoxelEnd};
+use super::query::{ContactKind, Look, VoxelEnd};
 use super::strength::Place;
 use super::voxels::Voxels;
 
@@ -71,6 +71,8 @@ pub(super) struct NearVoxels {
     /// Where the pool stores each voxel's spent fraction.
     place: Vec<Place>,
     any_place: bool,
+    /// The fractions, once they are loaded.
+    spent: Vec<f64>,
     /// The voxels by their distance, once one more than there is room for has come.
     by_distance: BinaryHeap<Far>,
 }
@@ -84,6 +86,7 @@ impl NearVoxels {
             position: [numbers(), numbers(), numbers()],
             place: vec![Place::NONE; most],
             any_place: false,
+            spent: numbers(),
             by_distance: BinaryHeap::with_capacity(most),
         }
     }
@@ -134,6 +137,16 @@ impl NearVoxels {
         }
     }
 
+    /// Loads the spent fractions, for [`Voxels::see`].
+    #[inline]
+    pub fn load_spent(&mut self, voxels: &Voxels) {
+        if self.any_place {
+            for (spent, place) in self.spent.iter_mut().zip(&self.place[..self.count]) {
+                *spent = voxels.pool().spent_at(*place);
+            }
+        }
+    }
+
     #[inline]
     fn put(&mut self, voxel: usize, position: [f64; 3], place: Place) {
         for (along, position) in self.position.iter_mut().zip(position) {
@@ -180,8 +193,6 @@ pub(super) struct Candidates {
     length2: Vec<f64>,
     /// Infinite for voxels out of reach or dropped, and as padding from `count` up to a multiple of `LANES`.
     distance2: Vec<f64>,
-    /// Spent fractions.
-    spent: Vec<f64>,
     /// The surfaces that were looked at, for the planes after the first, and where each voxel's is; [`UNSEEN`] if it has none.
     surfaces: Vec<Surface>,
     surface_of: Vec<u16>,
@@ -198,7 +209,6 @@ impl Candidates {
             offset: Default::default(),
             length2: Vec::new(),
             distance2: Vec::new(),
-            spent: Vec::new(),
             surfaces: Vec::new(),
             surface_of: Vec::new(),
             order: Vec::new(),
@@ -209,22 +219,13 @@ impl Candidates {
     /// Makes room for `most` voxels.
     pub fn make_room(&mut self, most: usize) {
         if self.length2.len() < most {
-            let Self { offset: [x, y, z], length2, distance2, spent, .. } = self;
-            [x, y, z, length2, distance2, spent]
-                .into_iter()
-                .for_each(|list| list.resize(most, f64::INFINITY));
+            let Self { offset: [x, y, z], length2, distance2, .. } = self;
+            [x, y, z, length2, distance2].into_iter().for_each(|list| list.resize(most, f64::INFINITY));
             self.surface_of.resize(most, UNSEEN);
             self.surfaces.reserve(most);
             self.order.reserve(MOST_TRIED);
             self.saved.reserve(most);
         }
-    }
-
-    /// Loads the spent fractions of the near voxels, for [`Self::see_surfaces`].
-    #[inline(always)]
-    fn note_spent(&mut self, near: &NearVoxels, spent_at: impl Fn(Place) -> f64) {
-        let places = &near.place[..near.count];
-        self.spent.iter_mut().zip(places).for_each(|(spent, place)| *spent = spent_at(*place));
     }
 
     /// Distances to the voxels' surfaces; those at `sphere.reach` or beyond do not count. Returns true if the centre lies on a surface or
@@ -242,7 +243,7 @@ impl Candidates {
         let [to_x, to_y, to_z] = &mut self.offset;
         let (to_x, to_y, to_z) = (&mut to_x[..count], &mut to_y[..count], &mut to_z[..count]);
         let (length2, distance2) = (&mut self.length2[..count], &mut self.distance2[..count]);
-        let spent = &self.spent[..count];
+        let spent = &near.spent[..count];
         let reach2 = sphere.reach * sphere.reach;
         let mut touching = 0_u64;
         for voxel in 0..count {
@@ -290,18 +291,20 @@ impl Candidates {
         self.distance2[voxel] = seed.distance2;
     }
 
-    /// Keeps the voxels that count, in their order.
+    /// Keeps the voxels that count, in their order. Most do not: the surface of a cut voxel is farther than its box.
     #[inline(always)]
     fn compact(&mut self) {
+        let count = self.count;
+        let [x, y, z] = &mut self.offset;
+        let (x, y, z) = (&mut x[..count], &mut y[..count], &mut z[..count]);
+        let (length2, distance2) = (&mut self.length2[..count], &mut self.distance2[..count]);
         let mut kept = 0;
-        for voxel in 0..self.count {
-            for along in &mut self.offset {
-                along[kept] = along[voxel];
+        for voxel in 0..count {
+            if distance2[voxel] < f64::INFINITY && kept < count {
+                (x[kept], y[kept], z[kept]) = (x[voxel], y[voxel], z[voxel]);
+                (length2[kept], distance2[kept]) = (length2[voxel], distance2[voxel]);
+                kept += 1;
             }
-            self.length2[kept] = self.length2[voxel];
-            let distance2 = self.distance2[voxel];
-            self.distance2[kept] = distance2;
-            kept += usize::from(distance2 < f64::INFINITY);
         }
         self.count = kept;
         self.surface_of[..kept].fill(UNSEEN);
@@ -341,25 +344,33 @@ impl Candidates {
     /// The nearest surface among the candidates; `look` finds that at a voxel, which is never nearer than the voxel itself. The first one
     /// in case of a tie.
     #[inline(always)]
-    pub fn nearest_surface(&mut self, mut look: impl FnMut(&Seed) -> Surface) -> Option<Surface> {
+    pub fn nearest_surface(&mut self, look: &mut impl Look) -> Option<Surface> {
         let nearest = self.nearest()?;
-        let mut best = self.surface_at(nearest, &mut look);
-        let reach2 = best.distance_m * best.distance_m;
-        if reach2 <= self.distance2[nearest] {
-            return Some(best);
-        }
-        self.list_nearer_than(reach2, nearest);
-        for place in 0..self.order.len() {
-            let (distance2, voxel) = self.order[place];
-            if distance2 >= best.distance_m * best.distance_m {
-                break;
+        let mut best: Option<Surface> = None;
+        let (mut voxel, mut place) = (nearest, 0);
+        loop {
+            let surface = self.surface_at(voxel, look);
+            let nearer = match &best {
+                Some(best) if surface.distance_m >= best.distance_m => *best,
+                Some(_) => surface,
+                None => {
+                    let reach2 = surface.distance_m * surface.distance_m;
+                    if reach2 <= self.distance2[nearest] {
+                        return Some(surface);
+                    }
+                    self.list_nearer_than(reach2, nearest);
+                    surface
+                }
+            };
+            best = Some(nearer);
+            match self.order.get(place) {
+                Some((distance2, next)) if *distance2 < nearer.distance_m * nearer.distance_m => {
+                    voxel = *next
+                }
+                _ => return best,
             }
-            let surface = self.surface_at(voxel, &mut look);
-            if surface.distance_m < best.distance_m {
-                best = surface;
-            }
+            place += 1;
         }
-        Some(best)
     }
 
     /// Lists the candidates nearer than this but one, nearest first, at most [`MOST_TRIED`].
@@ -380,11 +391,11 @@ impl Candidates {
     }
 
     #[inline(always)]
-    fn surface_at(&mut self, voxel: usize, look: &mut impl FnMut(&Seed) -> Surface) -> Surface {
+    fn surface_at(&mut self, voxel: usize, look: &mut impl Look) -> Surface {
         if let Some(surface) = self.surfaces.get(usize::from(self.surface_of[voxel])) {
             return *surface;
         }
-        let surface = look(&self.seed(voxel));
+        let surface = look.surface(&self.seed(voxel));
         if self.surfaces.len() < usize::from(UNSEEN) {
             self.surface_of[voxel] = self.surfaces.len() as u16;
             self.surfaces.push(surface);
@@ -417,7 +428,7 @@ impl Candidates {
 }
 
 impl Voxels {
-    /// Distances of the near voxels' surfaces from a sphere; those out of its reach do not count.
+    /// Distances of the near voxels' surfaces from a sphere; those out of its reach do not count. The spent fractions are loaded.
     #[inline(always)]
     pub(super) fn see(&self, near: &NearVoxels, sphere: &Sphere, candidates: &mut Candidates) {
         let spacing = self.geometry().spacing_m;
@@ -429,7 +440,6 @@ impl Voxels {
             return;
         }
         let touching = if near.any_place {
-            candidates.note_spent(near, |place| self.pool().spent_at(place));
             candidates.see_surfaces::<true>(near, sphere, spacing)
         } else {
             candidates.see_surfaces::<false>(near, sphere, spacing)

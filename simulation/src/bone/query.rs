@@ -102,6 +102,19 @@ impl ContactBuffer {
         &mut self.planes
     }
 
+    /// Drops those planes from number `first` on for which `keep`, given the planes before it that stay, is false.
+    pub fn keep_from(&mut self, first: usize, keep: impl Fn(&[ContactPlane], &ContactPlane) -> bool) {
+        let mut kept = first;
+        for place in first..self.planes.len() {
+            let plane = self.planes[place];
+            if keep(&self.planes[..kept], &plane) {
+                self.planes[kept] = plane;
+                kept += 1;
+            }
+        }
+        self.planes.truncate(kept);
+    }
+
     /// Planes dropped for lack of room since the last [`Self::clear`].
     pub fn dropped(&self) -> usize {
         self.dropped
@@ -206,6 +219,7 @@ impl Voxels {
             let position = self.geometry().voxel_position(voxel);
             near.push_nearest(sphere, &self.geometry().spacing_m, position, place);
         });
+        near.load_spent(self);
         self.see(near, sphere, candidates);
         self.cluster(sphere, out, None);
     }
@@ -234,10 +248,10 @@ impl Voxels {
         &self,
         sphere: &Sphere,
         out: &mut ContactBuffer,
-        mut cells: Option<&mut RememberedCells>,
+        cells: Option<&mut RememberedCells>,
     ) {
         let Sphere { index: sphere_index, centre, radius_m, .. } = *sphere;
-        let tent = self.tent_sizes(radius_m);
+        let mut look = LookAt { voxels: self, sphere, tent: self.tent_sizes(radius_m), cells };
         let mut found = [Surface::NONE; MAX_PLANES];
         let mut count = 0;
         out.candidates.save();
@@ -249,11 +263,10 @@ impl Voxels {
                 }
             }
             for _ in 0..2 * most {
-                let look = |seed: &Seed| self.surface(sphere, seed, &tent, cells.as_deref_mut());
                 if count == most {
                     break;
                 }
-                let Some(surface) = out.candidates.nearest_surface(look) else { break };
+                let Some(surface) = out.candidates.nearest_surface(&mut look) else { break };
                 let Surface { direction, normal, distance_m } = surface;
                 if most == MAX_PLANES && distance_m > radius_m + NEAR_GAP_M {
                     break;
@@ -271,27 +284,6 @@ impl Voxels {
             let point = centre - *normal * *distance_m;
             out.push(self.world_plane(sphere_index, &point, normal, *distance_m - radius_m));
         }
-    }
-
-    /// The smoothed surface at a voxel.
-    #[inline(always)]
-    fn surface(
-        &self,
-        sphere: &Sphere,
-        seed: &Seed,
-        tent: &TentSizes,
-        cells: Option<&mut RememberedCells>,
-    ) -> Surface {
-        let direction = seed.offset * (1.0 / seed.length2.sqrt());
-        let distance_m = seed.distance2.sqrt();
-        let (normal, stands_out_m) = match self.parameters().contact {
-            ContactKind::Planes => {
-                let point = sphere.centre - direction * distance_m;
-                self.smoothed(&point, &direction, tent, cells)
-            }
-            ContactKind::VoxelBalls => (direction, 0.0),
-        };
-        Surface { direction, normal, distance_m: distance_m + stands_out_m }
     }
 
     /// Normal of the smoothed surface at a point, or `direction` where it is not trusted; and the point's protrusion from that surface.
@@ -316,5 +308,36 @@ impl Voxels {
         } else {
             (*direction, 0.0)
         }
+    }
+}
+
+/// Finds the smoothed surface at a voxel. A trait and not a closure, because a closure is compiled once, without the vector instructions
+/// of its caller.
+pub(super) trait Look {
+    /// The surface at a voxel, which is never nearer than the voxel itself.
+    fn surface(&mut self, seed: &Seed) -> Surface;
+}
+
+/// The smoothed surface as a sphere sees it; `cells` caches it for that sphere.
+struct LookAt<'a> {
+    voxels: &'a Voxels,
+    sphere: &'a Sphere,
+    tent: TentSizes,
+    cells: Option<&'a mut RememberedCells>,
+}
+
+impl Look for LookAt<'_> {
+    #[inline(always)]
+    fn surface(&mut self, seed: &Seed) -> Surface {
+        let direction = seed.offset * (1.0 / seed.length2.sqrt());
+        let distance_m = seed.distance2.sqrt();
+        let (normal, stands_out_m) = match self.voxels.parameters().contact {
+            ContactKind::Planes => {
+                let point = self.sphere.centre - direction * distance_m;
+                self.voxels.smoothed(&point, &direction, &self.tent, self.cells.as_deref_mut())
+            }
+            ContactKind::VoxelBalls => (direction, 0.0),
+        };
+        Surface { direction, normal, distance_m: distance_m + stands_out_m }
     }
 }

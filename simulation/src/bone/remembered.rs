@@ -58,10 +58,8 @@ impl RememberedCells {
     pub fn cell(&mut self, voxels: &Voxels, start: [i64; 3]) -> &SplineCell {
         let journal = voxels.journal();
         let cell = self.at(start);
-        let good = cell.start == start
-            && cell
-                .seen
-                .is_some_and(|seen| journal.cell_is_unchanged(seen, start, voxels.geometry().spacing_m));
+        let good =
+            cell.start == start && cell.seen.is_some_and(|seen| journal.cell_is_unchanged(seen, start));
         if !good {
             cell.start = start;
             cell.cell = voxels.spline_cell(start);

@@ -77,7 +77,6 @@ impl DrillTick<'_> {
                 return;
             }
             self.set_spent(voxel, 1.0);
-            self.edit.queue(self.reached.index[voxel]);
             self.report.cut_count += 1;
         }
     }
@@ -93,9 +92,6 @@ impl DrillTick<'_> {
             // The tolerance covers the rounding of a sum of equal doses.
             let ended = dose >= DOSE_SCALE * (1.0 - 1e-9) && self.edit.has_room();
             self.set_spent(voxel, if ended { 1.0 } else { dose });
-            if ended {
-                self.edit.queue(index);
-            }
             self.report.cut_count += 1;
         }
     }

@@ -6,11 +6,11 @@
 //! spent fractions are then subtracted from the coefficients. The coefficients remain valid as long as nothing changes in the seven
 //! voxels per axis and the point stays between the same faces ([`super::remembered`]).
 
-use core::ops::{Add, Mul, Range, Sub};
+use core::ops::{Add, Mul, Sub};
 
 use nalgebra::Vector3;
 
-use super::strength::{BLOCK_EDGE, BlocksAbout};
+use super::strength::{BLOCK_EDGE, Block, BlocksAbout};
 use super::surface::SurfaceSample;
 use super::voxels::Voxels;
 
@@ -20,9 +20,9 @@ pub(super) const SPLINE_VOXELS: usize = 7;
 /// (u+2)/3, (3-u)/3, (2-u)/3, (1-u)/3.
 const WEIGHT_18: [[i64; 3]; SPLINE_VOXELS] =
     [[0, 0, 1], [1, 2, 0], [3, 2, 0], [5, 2, -2], [5, -2, 0], [3, -2, 0], [1, -2, 1]];
-/// The same as floats, for sums with fractions.
-const WEIGHT_18_F64: [[f64; 3]; SPLINE_VOXELS] = {
-    let mut weights = [[0.0; 3]; SPLINE_VOXELS];
+/// The same as floats, for sums with fractions; four lanes, the last of which is unused.
+const WEIGHT_18_F64: [[f64; 4]; SPLINE_VOXELS] = {
+    let mut weights = [[0.0; 4]; SPLINE_VOXELS];
     let mut place = 0;
     while place < 3 * SPLINE_VOXELS {
         weights[place / 3][place % 3] = WEIGHT_18[place / 3][place % 3] as f64;
@@ -91,21 +91,19 @@ impl SplineCell {
     /// Air only.
     pub const AIR: Self = Self { coefficients: [[[0.0; 3]; 3]; 3] };
 
-    /// Subtracts sums for a power of u_y from those of u_z; `place` gives each voxel's position in a row, if it is there.
+    /// Subtracts sums along x, for a power of u_y, indexed by the power of u_z.
     #[inline(always)]
-    fn take_rows(
-        &mut self,
-        y_power: usize,
-        by_z: &[[f64; BLOCK_EDGE]; 3],
-        place: impl Fn(usize) -> Option<usize>,
-    ) {
-        for (voxel, weights) in WEIGHT_18_F64.iter().enumerate() {
-            let Some(place) = place(voxel).filter(|place| *place < BLOCK_EDGE) else { continue };
-            for (by_y, sums) in self.coefficients.iter_mut().zip(by_z) {
-                for (along_x, weight) in by_y[y_power].iter_mut().zip(weights) {
-                    *along_x -= weight * sums[place];
+    fn take_rows(&mut self, y_power: usize, by_z: &[[f64; BLOCK_EDGE]; 3]) {
+        for (by_y, sums) in self.coefficients.iter_mut().zip(by_z) {
+            let [one, u, u2] = by_y[y_power];
+            let mut along_x = [one, u, u2, 0.0];
+            for (weights, sum) in WEIGHT_18_F64.iter().zip(sums) {
+                for lane in 0..4 {
+                    along_x[lane] -= weights[lane] * sum;
                 }
             }
+            let [one, u, u2, _] = along_x;
+            by_y[y_power] = [one, u, u2];
         }
     }
 
@@ -143,7 +141,7 @@ impl Voxels {
         cell
     }
 
-    /// Subtracts the spent fractions from a cell, block by block of the pool, eight voxels at a time.
+    /// Subtracts the spent fractions from a cell, a row of seven voxels at a time.
     #[inline(always)]
     fn take_spent(
         &self,
@@ -153,59 +151,69 @@ impl Voxels {
         cell: &mut SplineCell,
     ) {
         let within = start.map(|x| (x & 7) as usize);
-        for side in 0..2 {
-            // Indexed by the power of u_y.
-            let mut slices = [[[0.0; BLOCK_EDGE]; SPLINE_VOXELS]; 3];
-            let mut any = false;
-            for slice in 0..SPLINE_VOXELS {
-                let z = within[2] + slice;
-                let mut counted_rows = [[0.0; BLOCK_EDGE]; SPLINE_VOXELS];
-                let mut any_in_slice = false;
-                for y_side in 0..2 {
-                    let Some(block) = self.pool().block(blocks, [side, y_side, z / BLOCK_EDGE]) else {
-                        continue;
-                    };
-                    for row in voxels_in_block(within[1], y_side) {
-                        let bone = u16::from(rows[slice][row] & 0x7f) << within[0] >> (BLOCK_EDGE * side);
-                        let (partial, spent) = block.row(within[1] + row, z);
-                        let counted = bone as u8 & partial;
-                        if counted != 0 {
-                            any_in_slice = true;
-                            set_where(counted, spent, &mut counted_rows[row]);
-                        }
-                    }
-                }
-                if any_in_slice {
-                    any = true;
-                    let [one, two, three] = &mut slices;
-                    combine_rows(&counted_rows, [&mut one[slice], &mut two[slice], &mut three[slice]]);
-                }
+        let pairs = [0, 1].map(|z| [0, 1].map(|y| [0, 1].map(|x| self.pool().block(blocks, [x, y, z]))));
+        // Indexed by the power of u_y.
+        let mut slices = [[[0.0; BLOCK_EDGE]; SPLINE_VOXELS]; 3];
+        let mut any = false;
+        for (slice, bones) in rows.iter().enumerate() {
+            let z = within[2] + slice;
+            let mut spent_rows = [[0.0; BLOCK_EDGE]; SPLINE_VOXELS];
+            let mut any_in_slice = false;
+            for (row, (bones, spent)) in bones.iter().zip(&mut spent_rows).enumerate() {
+                let y = within[1] + row;
+                let pair = &pairs[z / BLOCK_EDGE % 2][y / BLOCK_EDGE % 2];
+                any_in_slice |= spent_in_row(pair, [within[0], y, z], bones & 0x7f, spent);
             }
-            if any {
-                for (y_power, slices) in slices.iter().enumerate() {
-                    let [mut one, mut two, mut three] = [[0.0; BLOCK_EDGE]; 3];
-                    combine_rows(slices, [&mut one, &mut two, &mut three]);
-                    cell.take_rows(y_power, &[one, two, three], |voxel| {
-                        (voxel + within[0]).checked_sub(BLOCK_EDGE * side)
-                    });
-                }
+            if any_in_slice {
+                any = true;
+                let [one, two, three] = &mut slices;
+                combine_rows(&spent_rows, [&mut one[slice], &mut two[slice], &mut three[slice]]);
+            }
+        }
+        if any {
+            for (y_power, slices) in slices.iter().enumerate() {
+                let [mut one, mut two, mut three] = [[0.0; BLOCK_EDGE]; 3];
+                combine_rows(slices, [&mut one, &mut two, &mut three]);
+                cell.take_rows(y_power, &[one, two, three]);
             }
         }
     }
 }
 
-/// The voxels of an axis that lie in its first or second block, given that the first voxel is at `within` in the first block.
+/// The spent fractions of those voxels of a row that are bone, from up to two blocks; the first voxel is at (x, y, z) within the first
+/// block. False if there are none.
 #[inline(always)]
-fn voxels_in_block(within: usize, side: usize) -> Range<usize> {
-    let border = (BLOCK_EDGE - within).min(SPLINE_VOXELS);
-    if side == 0 { 0..border } else { border..SPLINE_VOXELS }
+fn spent_in_row(
+    pair: &[Option<Block>; 2],
+    [x, y, z]: [usize; 3],
+    bones: u8,
+    out: &mut [f64; BLOCK_EDGE],
+) -> bool {
+    let bones = u16::from(bones) << x;
+    let mut both = [0.0; 2 * BLOCK_EDGE];
+    let mut any = 0;
+    for (side, block) in pair.iter().enumerate() {
+        let Some(block) = block else { continue };
+        let (partial, spent) = block.row(y, z);
+        let counted = (bones >> (BLOCK_EDGE * side)) as u8 & partial;
+        if counted != 0 {
+            any |= counted;
+            set_where(counted, spent, &mut both, BLOCK_EDGE * side);
+        }
+    }
+    if any != 0
+        && let Some(spent) = both.get(x..).and_then(|spent| spent.first_chunk())
+    {
+        *out = *spent;
+    }
+    any != 0
 }
 
-/// The values whose bit is set, 0 for the others.
+/// The values whose bit is set, 0 for the others, from a place on.
 #[inline(always)]
-fn set_where(bits: u8, numbers: &[f64; BLOCK_EDGE], out: &mut [f64; BLOCK_EDGE]) {
+fn set_where(bits: u8, numbers: &[f64; BLOCK_EDGE], out: &mut [f64; 2 * BLOCK_EDGE], first: usize) {
     for lane in 0..BLOCK_EDGE {
-        out[lane] = if u64::from(bits) & (1 << lane) != 0 { numbers[lane] } else { 0.0 };
+        out[first + lane] = if u64::from(bits) & (1 << lane) != 0 { numbers[lane] } else { 0.0 };
     }
 }
 

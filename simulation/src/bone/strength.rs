@@ -90,6 +90,46 @@ fn zeroed<T: Copy, const N: usize>(zero: T) -> Option<Box<[T; N]>> {
     numbers.into_boxed_slice().try_into().ok()
 }
 
+/// Words of one bit per voxel of a block.
+pub(super) const BLOCK_WORDS: usize = BLOCK_VOXELS / 64;
+
+/// Where a block differs from what it was at the start of the run.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct BlockChange<'p> {
+    /// Number of the block in the grid.
+    pub number: u32,
+    /// Bit b of word w stands for voxel 64 w + b: set where the fraction differs.
+    pub changed: [u64; BLOCK_WORDS],
+    /// The fractions of all its voxels.
+    spent: &'p [f64],
+}
+
+impl BlockChange<'_> {
+    /// The fractions that differ, in order.
+    pub fn fractions(&self) -> impl Iterator<Item = f64> + '_ {
+        (0..BLOCK_VOXELS).filter(|voxel| bit(&self.changed, *voxel)).map(|voxel| self.spent[voxel])
+    }
+
+    /// The same with memory of its own.
+    pub fn to_owned(self) -> ChangedBlock {
+        ChangedBlock { number: self.number, changed: self.changed, spent: self.fractions().collect() }
+    }
+}
+
+/// A [`BlockChange`] that owns its fractions: those that differ, in order.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct ChangedBlock {
+    pub number: u32,
+    pub changed: [u64; BLOCK_WORDS],
+    pub spent: Vec<f64>,
+}
+
+/// The bit of a voxel of a block.
+#[inline]
+pub(super) fn bit(words: &[u64; BLOCK_WORDS], voxel: usize) -> bool {
+    words[voxel / 64] >> (voxel % 64) & 1 == 1
+}
+
 /// The spent fraction of every touched voxel: 0 whole, 1 gone.
 #[derive(Debug, Clone)]
 pub(super) struct SpentPool {
@@ -99,6 +139,8 @@ pub(super) struct SpentPool {
     table: Vec<u32>,
     /// Block of each slot in use, in the order of first touch.
     owners: Vec<u32>,
+    /// The slots in use by their blocks' numbers, so that nothing depends on which block was touched first.
+    by_block: Vec<u32>,
     segments: Vec<Segment>,
     /// Most blocks: those of the grid, or fewer if a test limits them.
     capacity: usize,
@@ -112,24 +154,30 @@ impl SpentPool {
     /// # Errors
     /// [`BoneError::Memory`].
     pub fn new(dims: [usize; 3], most: usize, per_tick: usize) -> Result<Self, BoneError> {
-        let block_dims = dims.map(|n| n.div_ceil(BLOCK_EDGE));
-        let blocks = block_dims[0] * block_dims[1] * block_dims[2];
-        // A grid never uses more slots than it has blocks.
-        let capacity = most.min(blocks);
-        let mut pool = Self {
-            dims,
-            block_dims,
-            table: vec![UNTOUCHED; blocks],
-            owners: Vec::with_capacity(capacity),
-            segments: Vec::with_capacity(capacity.div_ceil(SEGMENT_BLOCKS)),
-            capacity,
-            reserve: FIRST_BLOCKS.max(per_tick),
-        };
+        let mut pool = Self { reserve: FIRST_BLOCKS.max(per_tick), ..Self::empty(dims, most) };
         if !pool.make_room() {
             return Err(BoneError::Memory { bytes: pool.reserve * BLOCK_VOXELS * size_of::<f64>() });
         }
         pool.reserve = per_tick;
         Ok(pool)
+    }
+
+    /// A pool without memory yet, of at most `most` blocks.
+    pub fn empty(dims: [usize; 3], most: usize) -> Self {
+        let block_dims = dims.map(|n| n.div_ceil(BLOCK_EDGE));
+        let blocks = block_dims[0] * block_dims[1] * block_dims[2];
+        // A grid never uses more slots than it has blocks.
+        let capacity = most.min(blocks);
+        Self {
+            dims,
+            block_dims,
+            table: vec![UNTOUCHED; blocks],
+            owners: Vec::with_capacity(capacity),
+            by_block: Vec::with_capacity(capacity),
+            segments: Vec::with_capacity(capacity.div_ceil(SEGMENT_BLOCKS)),
+            capacity,
+            reserve: 0,
+        }
     }
 
     /// Takes memory until a tick finds as many free blocks as it can take; false if the system gives none.
@@ -204,15 +252,23 @@ impl SpentPool {
     /// Where the voxel's fraction is stored, taking a block if needed; `None` if there are no more.
     pub fn claim(&mut self, [i, j, k]: [usize; 3]) -> Option<Place> {
         let (block, offset) = self.locate(i, j, k);
+        self.claim_block(block).map(|slot| Place(slot * BLOCK_VOXELS + offset))
+    }
+
+    /// Slot of a block, taking one if needed; `None` if there are no more.
+    fn claim_block(&mut self, block: usize) -> Option<usize> {
         if self.table[block] == UNTOUCHED {
             let used = self.owners.len();
             if used == self.capacity || (used == self.segments.len() * SEGMENT_BLOCKS && !self.grow()) {
                 return None;
             }
-            self.table[block] = self.owners.len() as u32;
+            let owners = &self.owners;
+            let at = self.by_block.partition_point(|slot| owners[*slot as usize] < block as u32);
+            self.by_block.insert(at, used as u32);
+            self.table[block] = used as u32;
             self.owners.push(block as u32);
         }
-        Some(Place(self.table[block] as usize * BLOCK_VOXELS + offset))
+        Some(self.table[block] as usize)
     }
 
     /// Sets the fraction at a place from [`Self::claim`]; true if the voxel was whole before.
@@ -301,14 +357,6 @@ impl SpentPool {
         Some(Block { spent, partial })
     }
 
-    /// [`Self::partial_window`] for `count` voxels, at most 64.
-    #[inline]
-    pub fn partial_bits(&self, start: i64, count: i64, j: usize, k: usize) -> u64 {
-        (0..count)
-            .step_by(BLOCK_EDGE)
-            .fold(0, |bits, offset| bits | u64::from(self.partial_window(start + offset, j, k)) << offset)
-    }
-
     /// Makes a voxel whole again.
     pub fn forget(&mut self, [i, j, k]: [usize; 3]) {
         let (block, offset) = self.locate(i, j, k);
@@ -317,18 +365,41 @@ impl SpentPool {
         }
     }
 
-    /// The blocks in use, in order of first touch: number and fractions, `BLOCK_VOXELS` each.
-    pub fn contents(&self) -> impl ExactSizeIterator<Item = (u32, &[f64])> {
-        self.owners.iter().enumerate().map(|(slot, owner)| {
-            let first = slot % SEGMENT_BLOCKS * BLOCK_VOXELS;
-            (*owner, &self.segments[slot / SEGMENT_BLOCKS].spent[first..first + BLOCK_VOXELS])
+    /// The blocks in use by number: slot, number and fractions, `BLOCK_VOXELS` each.
+    fn contents(&self) -> impl ExactSizeIterator<Item = (usize, u32, &[f64])> {
+        self.by_block.iter().map(|slot| {
+            let slot = *slot as usize;
+            (slot, self.owners[slot], self.fractions(slot))
         })
     }
 
-    /// Calls `visit` with the spent fraction of every grid voxel in the blocks in use, block by block in order of first touch, x fastest
+    /// The fractions of a slot in use.
+    fn fractions(&self, slot: usize) -> &[f64] {
+        let first = slot % SEGMENT_BLOCKS * BLOCK_VOXELS;
+        &self.segments[slot / SEGMENT_BLOCKS].spent[first..first + BLOCK_VOXELS]
+    }
+
+    /// What has changed since a start, by the blocks' numbers: every block that the start did not use, and those of its blocks that differ.
+    pub fn changes<'p>(&'p self, start: &'p Self) -> impl Iterator<Item = BlockChange<'p>> {
+        self.contents().filter_map(|(_, number, spent)| {
+            let before = match start.table[number as usize] {
+                UNTOUCHED => None,
+                slot => Some(start.fractions(slot as usize)),
+            };
+            let mut changed = [0; BLOCK_WORDS];
+            for (voxel, spent) in spent.iter().enumerate() {
+                let before = before.map_or(0.0, |before| before[voxel]);
+                changed[voxel / 64] |= u64::from(*spent != before) << (voxel % 64);
+            }
+            let differs = before.is_none() || changed != [0; BLOCK_WORDS];
+            differs.then_some(BlockChange { number, changed, spent })
+        })
+    }
+
+    /// Calls `visit` with the spent fraction of every grid voxel in the blocks in use, block by block in the order of their numbers, x fastest
     /// within a block.
     pub fn for_each(&self, mut visit: impl FnMut([usize; 3], f64)) {
-        for (slot, (_, fractions)) in self.contents().enumerate() {
+        for (slot, _, fractions) in self.contents() {
             for (offset, spent) in fractions.iter().enumerate() {
                 if let Some(voxel) = self.voxel_of(slot, offset) {
                     visit(voxel, *spent);
@@ -373,27 +444,21 @@ impl SpentPool {
             self.table[*block as usize] = UNTOUCHED;
         }
         self.owners.clear();
+        self.by_block.clear();
     }
 
-    /// Replaces the contents by another pool's [`Self::contents`]; false if they do not fit.
-    pub fn load(&mut self, owners: &[u32], spent: &[f64]) -> bool {
-        let fits = owners.len() <= self.capacity
-            && spent.len() == owners.len() * BLOCK_VOXELS
-            && owners.iter().all(|block| (*block as usize) < self.table.len());
-        if !fits {
-            return false;
-        }
-        self.clear();
-        self.owners.extend_from_slice(owners);
-        if !self.make_room() {
-            self.owners.clear();
-            return false;
-        }
-        for (slot, block) in owners.iter().enumerate() {
-            self.table[*block as usize] = slot as u32;
-        }
-        for (place, spent) in spent.iter().enumerate() {
-            self.set(Place(place), *spent);
+    /// Makes another pool's [`Self::changes`] to a pool that has that one's start; false if they do not fit.
+    pub fn load(&mut self, blocks: &[ChangedBlock]) -> bool {
+        for ChangedBlock { number, changed, spent } in blocks {
+            let known = (*number as usize) < self.table.len();
+            let Some(slot) = known.then(|| self.claim_block(*number as usize)).flatten() else {
+                return false;
+            };
+            let mut rest = spent.iter();
+            for voxel in (0..BLOCK_VOXELS).filter(|voxel| bit(changed, *voxel)) {
+                let Some(spent) = rest.next() else { return false };
+                self.set(Place(slot * BLOCK_VOXELS + voxel), *spent);
+            }
         }
         true
     }

@@ -9,6 +9,7 @@
 use pulp::Arch;
 
 use super::gather::{Sphere, outside, widening};
+use super::grid::GridGeometry;
 use super::near::{NearVoxels, most_near};
 use super::occupancy::VoxelBox;
 use super::query::ContactBuffer;
@@ -35,6 +36,8 @@ struct Track {
     /// The voxels searched.
     box_searched: VoxelBox,
     near: NearVoxels,
+    /// Number of changed regions that the voxels' spent fractions were loaded after; `None` if they were not.
+    spent_seen: Option<u64>,
     /// The smoothed surface at the nearest voxels.
     cells: RememberedCells,
 }
@@ -48,8 +51,8 @@ impl Track {
             && (sphere.centre - searched.centre).norm_squared() <= room * room
     }
 
-    /// Call for a removed voxel. Removal exposes only voxels that are no nearer to a sphere than the removed one, so a sphere that does
-    /// not reach that voxel sees no change.
+    /// Call for a voxel that is gone or cut for the first time. That exposes only voxels that are no nearer to a sphere than this one, so a
+    /// sphere that does not reach it sees no change.
     fn forget_near(&mut self, position: [f64; 3], spacing: [f64; 3]) {
         let reached = self.sphere.is_some_and(|sphere| {
             let to_box = [0, 1, 2].map(|a| outside(sphere.centre[a] - position[a], spacing[a]));
@@ -84,6 +87,7 @@ impl Track {
     /// The track with the voxels near a sphere; `None` if there is no room for them (scattered voxels have a lot of surface).
     fn bring(&mut self, voxels: &Voxels, sphere: &Sphere) -> Option<&mut Self> {
         if self.holds(sphere) {
+            self.load_spent(voxels);
             return Some(self);
         }
         let slack_m = SLACK_VOXELS * voxels.geometry().smallest_spacing_m();
@@ -98,7 +102,18 @@ impl Track {
         // Nothing ever changes outside the grid.
         self.box_searched = searched.unwrap_or(VoxelBox::NOTHING);
         self.sphere = fits.then_some(widened);
+        self.spent_seen = None;
+        self.load_spent(voxels);
         fits.then_some(self)
+    }
+
+    /// Loads the spent fractions unless they are loaded and unchanged.
+    fn load_spent(&mut self, voxels: &Voxels) {
+        let journal = voxels.journal();
+        if !self.spent_seen.is_some_and(|seen| journal.is_unchanged(seen, &self.box_searched)) {
+            self.near.load_spent(voxels);
+        }
+        self.spent_seen = Some(journal.regions());
     }
 }
 
@@ -118,6 +133,7 @@ impl ContactCache {
             sphere: None,
             box_searched: VoxelBox::NOTHING,
             near: NearVoxels::new(most),
+            spent_seen: None,
             cells: RememberedCells::new(),
         };
         Self { tracks: (0..TRACKED_SPHERES).map(|_| empty()).collect(), seen: voxels.journal().edits() }
@@ -161,13 +177,24 @@ impl ContactCache {
         }
         let geometry = voxels.geometry();
         // What these voxels hid.
-        let first_cut = voxels.journal().first_cut();
-        for track in self.tracks.iter_mut().filter(|track| track.box_searched.meets(first_cut)) {
-            track.forget_near_box(first_cut, geometry.spacing_m);
+        match voxels.journal().first_cuts() {
+            Ok(cut) => cut.iter().for_each(|voxel| self.forget_near(geometry, *voxel)),
+            Err(cut) => {
+                for track in self.tracks.iter_mut().filter(|track| track.box_searched.meets(cut)) {
+                    track.forget_near_box(cut, geometry.spacing_m);
+                }
+            }
         }
-        for removed in voxels.removed_this_tick() {
-            let position = geometry.voxel_position(geometry.voxel(*removed).map(|x| x as i64));
-            self.tracks.iter_mut().for_each(|track| track.forget_near(position, geometry.spacing_m));
+        for emptied in voxels.emptied_this_tick() {
+            self.forget_near(geometry, geometry.voxel(*emptied).map(|x| x as i64));
+        }
+    }
+
+    /// Drops the entries that a voxel which hides less than before invalidates.
+    fn forget_near(&mut self, geometry: &GridGeometry, voxel: [i64; 3]) {
+        let (position, own) = (geometry.voxel_position(voxel), VoxelBox { low: voxel, high: voxel });
+        for track in self.tracks.iter_mut().filter(|track| track.box_searched.meets(&own)) {
+            track.forget_near(position, geometry.spacing_m);
         }
     }
 }

@@ -32,8 +32,8 @@ use crate::contact_plane::ContactPlane;
 /// Thickness of the bone that carries a contact, m: the roughness of a surface that was crushed or cut. A sphere of 3 mm that touches a
 /// flat wall has a footprint of 0.5 mm2.
 pub const SHELL_M: f64 = 50.0e-6;
-/// Planes of a sphere: those of two places.
-pub const MOST_PLANES: usize = 2 * MAX_PLANES;
+/// Planes of a sphere: those of four places.
+pub const MOST_PLANES: usize = 4 * MAX_PLANES;
 /// Bone belongs to a plane if it is seen within this angle of its normal (cosine; 60 degrees), as in the search for planes.
 const SIDE_COSINE: f64 = 0.5;
 
@@ -114,7 +114,7 @@ impl Voxels {
         self.material().least_strength_pa() * edge_m * edge_m
     }
 
-    /// Strength of the contact with each of a sphere's planes, as found by [`Self::contact_planes`], at most eight, once the surface on its
+    /// Strength of the contact with each of a sphere's planes, as found by [`Self::contact_planes`], at most [`MOST_PLANES`], once the surface on its
     /// side has receded by `depth_m`, N. `hu` is the field's CT.
     pub fn strengths_n(
         &self,

@@ -278,7 +278,7 @@ impl<'v> Simulation<'v> {
         let was_solid = (0..).zip(&*bone.hu).filter(|(_, hu)| **hu >= threshold_hu);
         was_solid
             .map(|(number, _)| number)
-            .filter(|number| !voxels.is_solid_index(VoxelIndex::new(*number)))
+            .filter(|number| !voxels.is_listed_solid(VoxelIndex::new(*number)))
             .collect()
     }
 

@@ -7,6 +7,7 @@
 use nalgebra::Vector3;
 
 use super::{Simulation, SimulationError};
+use crate::bone::query::MAX_PLANES;
 use crate::bone::yielding::{MOST_PLANES, SHELL_M};
 use crate::bone::{Indentation, Voxels};
 use crate::contact_plane::ContactPlane;
@@ -24,8 +25,17 @@ const AT_STRENGTH: f64 = 1.0 - 1e-9;
 
 /// A sphere that moves this far in a tick, m, also meets the planes of where it comes to: from afar it sees only four.
 const JUMP_M: f64 = 1.0e-3;
+/// Places that a sphere has come to and whose planes it meets. With the last one alone a sphere went to and fro between two places,
+/// each without the planes of the other, and stayed in the wall where the attempts ended.
+const JUMPS: usize = 3;
 /// Planes of a sphere: those seen from where it starts and from where it comes to.
 pub(super) const PLANES_PER_SPHERE: usize = MOST_PLANES;
+const _: () = assert!(PLANES_PER_SPHERE == (1 + JUMPS) * MAX_PLANES, "planes of every place have room");
+/// A plane of a place that an earlier attempt came to counts only if the sphere starts before it, or behind it by less than this, m: it
+/// is the back of a plate otherwise.
+const BEHIND_M: f64 = 1.0e-4;
+/// Cosine of two planes of a sphere of which the farther one adds nothing (5 degrees).
+const SAME_COSINE: f64 = 0.996;
 /// Maximum steps of the tool in a tick, each with planes from farther away or stronger ones.
 const MAX_ATTEMPTS: usize = 16;
 /// A step is taken again if the bone at the depth it comes to bears this much more than was assumed.
@@ -43,8 +53,10 @@ pub(super) struct Reach {
     presses: bool,
     /// Motion in the tick after which the bone has that strength, m.
     expected_m: Vector3<f64>,
-    /// Motion of an earlier attempt at the end of which the sphere met planes that it had not met before, m.
-    jumped_m: Vector3<f64>,
+    /// Motions of earlier attempts at the end of which the sphere met planes that it had not met before, m; the oldest gives way.
+    jumps_m: [Vector3<f64>; JUMPS],
+    /// Such motions so far.
+    jump_count: usize,
 }
 
 impl Reach {
@@ -55,8 +67,27 @@ impl Reach {
             margin_m: 0.0,
             presses: false,
             expected_m: Vector3::zeros(),
-            jumped_m: Vector3::zeros(),
+            jumps_m: [Vector3::zeros(); JUMPS],
+            jump_count: 0,
         }
+    }
+
+    /// The motions that are kept, and whether each is the last one.
+    fn jumps(&self) -> impl Iterator<Item = (&Vector3<f64>, bool)> {
+        let last = self.jump_count.saturating_sub(1) % JUMPS;
+        let kept = self.jumps_m.iter().take(self.jump_count).enumerate();
+        kept.map(move |(place, jump_m)| (jump_m, place == last))
+    }
+
+    /// Notes a motion that is farther than [`JUMP_M`] from the start and from those that are kept; true if it is.
+    fn note_jump(&mut self, moved_m: &Vector3<f64>) -> bool {
+        let is_new =
+            moved_m.norm() > JUMP_M && self.jumps().all(|(jump_m, _)| (moved_m - jump_m).norm() > JUMP_M);
+        if is_new {
+            self.jumps_m[self.jump_count % JUMPS] = *moved_m;
+            self.jump_count += 1;
+        }
+        is_new
     }
 }
 
@@ -67,7 +98,7 @@ impl Simulation<'_> {
         for (reach, sphere) in self.reach.iter_mut().zip(self.manipulator.proxy_spheres()) {
             reach.from_m = sphere.centre_m;
             reach.margin_m = CONTACT_MARGIN_M + sphere.velocity_m_per_s.norm() * self.dt_s;
-            (reach.presses, reach.expected_m, reach.jumped_m) = (false, Vector3::zeros(), Vector3::zeros());
+            (reach.presses, reach.expected_m, reach.jump_count) = (false, Vector3::zeros(), 0);
         }
         self.note_pressing();
         self.find_contacts();
@@ -101,14 +132,14 @@ impl Simulation<'_> {
         let mut farther = false;
         for (reach, sphere) in self.reach.iter_mut().zip(self.manipulator.proxy_spheres()) {
             let moved_m = sphere.centre_m - reach.from_m;
-            if moved_m.norm() > reach.margin_m && moved_m.iter().all(|x| x.is_finite()) {
+            if !moved_m.iter().all(|x| x.is_finite()) {
+                continue;
+            }
+            if moved_m.norm() > reach.margin_m {
                 reach.margin_m = (moved_m.norm() + CONTACT_MARGIN_M).min(MAX_REACH_M);
                 farther = true;
             }
-            if (moved_m - reach.jumped_m).norm() > JUMP_M && moved_m.iter().all(|x| x.is_finite()) {
-                reach.jumped_m = moved_m;
-                farther = true;
-            }
+            farther |= reach.note_jump(&moved_m);
         }
         farther && self.bone.is_some()
     }
@@ -194,6 +225,7 @@ impl Simulation<'_> {
             let spheres = self.manipulator.proxy_spheres().iter().zip(&self.reach);
             for (index, (sphere, reach)) in spheres.enumerate() {
                 let (centre, radius_m) = (&sphere.centre_m, sphere.radius_m);
+                let own = bone.contacts.planes().len();
                 bone.field.contact_planes_tracked(
                     index,
                     centre,
@@ -201,13 +233,19 @@ impl Simulation<'_> {
                     reach.margin_m,
                     &mut bone.contacts,
                 );
-                if reach.jumped_m != Vector3::zeros() {
-                    let (voxels, to_m) = (bone.field.voxels(), centre + reach.jumped_m);
+                for (jump_m, is_last) in reach.jumps() {
+                    let (voxels, to_m) = (bone.field.voxels(), centre + jump_m);
                     let first = bone.contacts.planes().len();
                     voxels.contact_planes(index, &to_m, radius_m, CONTACT_MARGIN_M, &mut bone.contacts);
                     for plane in bone.contacts.planes_mut().get_mut(first..).unwrap_or_default() {
-                        plane.gap_m -= plane.normal.dot(&reach.jumped_m);
+                        plane.gap_m -= plane.normal.dot(jump_m);
                     }
+                    bone.contacts.keep_from(first, |before, plane| {
+                        let same = |other: &ContactPlane| {
+                            other.normal.dot(&plane.normal) > SAME_COSINE && other.gap_m <= plane.gap_m
+                        };
+                        (is_last || plane.gap_m > -BEHIND_M) && !before[own..].iter().any(same)
+                    });
                 }
             }
             self.planes.extend_from_slice(bone.contacts.planes());

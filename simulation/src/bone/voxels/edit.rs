@@ -1,21 +1,16 @@
 //! Changes voxels: every function that does so is in this file and records the change in the journal.
 
-use super::journal::{Ball, Region};
+use super::journal::Region;
 use super::{BoneSnapshot, Voxels};
 use crate::bone::BoneError;
-use crate::bone::drilling::is_ended;
+use crate::bone::drilling::{GONE, is_ended};
 use crate::bone::grid::VoxelIndex;
-use crate::bone::occupancy::VoxelBox;
 use crate::bone::strength::Place;
 
 /// One tick of drilling. On drop it records in the journal what changed.
 pub(in crate::bone) struct Drilling<'v> {
     voxels: &'v mut Voxels,
-    /// Where voxels may be cut, and whether any was.
-    ball: Ball,
-    cut: bool,
-    /// What has changed outside the ball.
-    changed: VoxelBox,
+    changed: Region,
 }
 
 impl core::ops::Deref for Drilling<'_> {
@@ -28,8 +23,7 @@ impl core::ops::Deref for Drilling<'_> {
 
 impl Drop for Drilling<'_> {
     fn drop(&mut self) {
-        let ball = self.cut.then_some(self.ball);
-        self.voxels.journal.end(Region { ball, voxels: self.changed });
+        self.voxels.journal.end(self.changed);
     }
 }
 
@@ -39,63 +33,59 @@ impl Drilling<'_> {
         self.voxels.pool.claim(self.voxels.geometry.voxel(voxel))
     }
 
-    /// Sets the spent fraction of a voxel whose box meets the edit's ball.
+    /// Sets the spent fraction of a voxel, given by number and by its place along each axis; returns what was set.
     #[inline]
-    pub fn set_spent(&mut self, place: Place, spent: f64) {
-        self.cut = true;
-        self.set(place, spent);
+    pub fn cut(&mut self, voxel: VoxelIndex, at: [i64; 3], place: Place, spent: f64) -> f64 {
+        self.changed.cut = self.changed.cut.with(at);
+        self.set(voxel, place, spent)
     }
 
-    /// True if another voxel may be queued for removal.
+    /// True if another voxel may be queued for the list of removed voxels.
     pub fn has_room(&self) -> bool {
         self.voxels.waiting.len() < self.voxels.waiting_limit
     }
 
-    /// Queues a spent voxel for removal, if [`Self::has_room`].
-    pub fn queue(&mut self, voxel: VoxelIndex) {
-        self.voxels.waiting.push(voxel);
-    }
-
-    /// Spends the rest of a voxel, whether or not it meets the ball, and queues it for removal.
-    pub fn shed(&mut self, voxel: VoxelIndex, place: Place) {
-        self.set(place, 1.0);
-        self.queue(voxel);
-        self.note(voxel);
-    }
-
-    /// Sets the spent fraction of a voxel anywhere, and queues it for removal if all of it is spent; false if there is no memory for it.
+    /// Sets the spent fraction of a voxel anywhere; false if there is no memory for it.
     pub fn crush(&mut self, voxel: VoxelIndex, spent: f64) -> bool {
         let Some(place) = self.claim(voxel) else { return false };
-        let ended = is_ended(spent);
-        let queued = ended && self.has_room();
-        // If the queue is full, the voxel keeps a trace of strength and ends in a later tick.
-        let spent = if queued { 1.0 } else { spent.min(1.0 - 1e-9) };
-        self.set(place, spent);
-        if queued {
-            self.queue(voxel);
-        }
-        self.note(voxel);
+        self.set(voxel, place, spent);
+        let at = self.voxels.geometry.voxel(voxel).map(|x| x as i64);
+        self.changed.crushed = self.changed.crushed.with(at);
         true
     }
 
-    /// Removes queued voxels, up to the tick's limit.
-    pub fn remove_queued(&mut self) {
-        let count = self.voxels.waiting.len().min(self.voxels.parameters.removed_per_tick);
-        for place in 0..count {
-            let voxel = self.voxels.waiting[place];
-            self.voxels.occupancy.empty(self.voxels.geometry.voxel(voxel));
-            self.note(voxel);
-            self.voxels.removed.push(voxel);
-        }
-        self.voxels.waiting.drain(..count);
-        self.voxels.removed_total += count as u64;
+    /// Moves queued voxels to the list of removed ones, up to the tick's limit.
+    pub fn list_queued(&mut self) {
+        let Voxels { waiting, removed, parameters, removed_total, .. } = &mut *self.voxels;
+        let count = waiting.len().min(parameters.removed_per_tick);
+        removed.extend(waiting.drain(..count));
+        *removed_total += count as u64;
     }
 
     #[inline(always)]
-    fn set(&mut self, place: Place, spent: f64) {
+    fn set(&mut self, voxel: VoxelIndex, place: Place, spent: f64) -> f64 {
+        let spent = if spent > GONE { self.pass(voxel, place, spent) } else { spent };
         if self.voxels.pool.set(place, spent) {
             self.note_first_cut(place);
         }
+        spent
+    }
+
+    /// Queues a voxel that is gone now, and empties one of which all is spent. Returns the fraction to set: if the queue is full, the voxel
+    /// keeps its half and goes in a later tick.
+    fn pass(&mut self, voxel: VoxelIndex, place: Place, spent: f64) -> f64 {
+        if self.voxels.pool.spent_at(place) <= GONE {
+            if !self.has_room() {
+                return GONE;
+            }
+            self.voxels.waiting.push(voxel);
+        }
+        if !is_ended(spent) {
+            return spent;
+        }
+        self.voxels.occupancy.empty(self.voxels.geometry.voxel(voxel));
+        self.voxels.emptied.push(voxel);
+        1.0
     }
 
     #[cold]
@@ -105,29 +95,43 @@ impl Drilling<'_> {
             self.voxels.journal.note_first_cut(voxel.map(|x| x as i64));
         }
     }
-
-    fn note(&mut self, voxel: VoxelIndex) {
-        let voxel = self.voxels.geometry.voxel(voxel).map(|x| x as i64);
-        self.changed = self.changed.with(voxel);
-    }
 }
 
 impl Voxels {
-    /// Begins a tick of drilling that cuts voxels whose boxes meet `ball`.
-    pub(in crate::bone) fn drill(&mut self, ball: Ball) -> Drilling<'_> {
+    /// Begins a tick of drilling.
+    pub(in crate::bone) fn drill(&mut self) -> Drilling<'_> {
         self.journal.begin(self.pool.used());
         self.removed.clear();
-        Drilling { voxels: self, ball, cut: false, changed: VoxelBox::NOTHING }
+        self.emptied.clear();
+        Drilling { voxels: self, changed: Region::NOTHING }
     }
 
-    /// Removes voxels from the bone permanently.
-    pub(super) fn take_out(&mut self, voxels: &[[usize; 3]]) {
-        for voxel in voxels {
-            self.occupancy.empty(*voxel);
-            self.whole.empty(*voxel);
-            self.pool.forget(*voxel);
+    /// Removes a fraction of a voxel from the bone permanently, or what is left of that fraction; false if there is no memory for it.
+    pub(super) fn take_out(&mut self, voxel: [usize; 3], spent: f64) -> bool {
+        let [i, j, k] = voxel;
+        let before = self.pilot.spent(i, j, k);
+        if spent >= 1.0 {
+            self.occupancy.empty(voxel);
+            self.whole.empty(voxel);
+            self.pool.forget(voxel);
+            self.pilot.forget(voxel);
+            self.pilot_count += 1;
+            self.pilot_voxels += 1.0 - before;
+            return true;
         }
-        self.predrilled_count += voxels.len() as u64;
+        // The pool's block first: the pilot's blocks are always among those of the pool.
+        let Some(place) = self.pool.claim(voxel) else { return false };
+        let Some(pilot) = self.pilot.claim(voxel) else { return false };
+        self.pilot.set(pilot, spent.max(self.pilot.spent_at(pilot)));
+        self.pool.set(place, spent.max(self.pool.spent_at(place)));
+        self.whole.empty(voxel);
+        self.pilot_count += 1;
+        self.pilot_voxels += (spent - before).max(0.0);
+        true
+    }
+
+    /// Call after [`Self::take_out`].
+    pub(super) fn end_taking_out(&mut self) {
         self.journal.note_everything();
     }
 
@@ -138,7 +142,7 @@ impl Voxels {
 
     /// Undoes all drilling: voxels and their strength, back to the start of the run. Pilot holes stay.
     pub(in crate::bone) fn reset(&mut self) {
-        let Self { pool, occupancy, whole, .. } = self;
+        let Self { pool, pilot, occupancy, whole, .. } = self;
         // Only bone absorbs energy, so every voxel with a spent fraction was bone.
         pool.for_each(|voxel, spent| {
             if spent > 0.0 {
@@ -146,8 +150,15 @@ impl Voxels {
                 whole.fill(voxel);
             }
         });
-        self.pool.clear();
+        pool.clear();
+        pilot.for_each(|voxel, spent| {
+            if let Some(place) = pool.claim(voxel).filter(|_| spent > 0.0) {
+                pool.set(place, spent);
+                whole.empty(voxel);
+            }
+        });
         self.removed.clear();
+        self.emptied.clear();
         self.waiting.clear();
         self.removed_total = 0;
         self.journal.note_everything();
@@ -158,7 +169,7 @@ impl Voxels {
         if snapshot.voxel_count != self.geometry.voxel_count() {
             return Err(BoneError::Snapshot { reason: "it has another number of voxels" });
         }
-        if snapshot.predrilled_count != self.predrilled_count {
+        if snapshot.pilot_count != self.pilot_count {
             return Err(BoneError::Snapshot { reason: "it has other pilot holes" });
         }
         if snapshot.removed.len() > self.parameters.removed_per_tick
@@ -167,7 +178,7 @@ impl Voxels {
             return Err(BoneError::Snapshot { reason: "its removed voxels exceed this field's capacity" });
         }
         self.reset();
-        if !self.pool.load(&snapshot.blocks, &snapshot.spent) {
+        if !self.pool.load(&snapshot.blocks) {
             return Err(BoneError::Snapshot { reason: "its partly cut blocks exceed this field's pool" });
         }
         self.removed.extend_from_slice(&snapshot.removed);
@@ -182,9 +193,6 @@ impl Voxels {
                 occupancy.empty(voxel);
             }
         });
-        for voxel in &self.waiting {
-            self.occupancy.fill(self.geometry.voxel(*voxel));
-        }
         Ok(())
     }
 }

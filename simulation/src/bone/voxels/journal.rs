@@ -3,47 +3,32 @@
 //! A cache stores the number of edits it has seen ([`Journal::edits`]). The journal tells it what changed since then; if the journal no
 //! longer goes back that far, the cache drops everything. A cache therefore cannot miss a change: it asks, and nobody has to notify it.
 
-use nalgebra::Vector3;
-
 use crate::bone::occupancy::VoxelBox;
 use crate::bone::spline::SPLINE_VOXELS;
+
+/// First cuts of an edit that are kept one by one.
+const KEPT_FIRST_CUTS: usize = 128;
 
 /// Number of regions kept. Few are enough, because a sphere that rests on bone asks in every tick.
 const KEPT_REGIONS: usize = 8;
 
-/// Where one tick of drilling may have changed bone: voxels that intersect the ball, and voxels in the box.
+/// Around the voxels that one tick of drilling has changed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::bone) struct Region {
-    pub ball: Option<Ball>,
-    pub voxels: VoxelBox,
-}
-
-/// A ball in the grid's metric frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::bone) struct Ball {
-    pub centre_m: Vector3<f64>,
-    pub radius_m: f64,
+    /// By the burr.
+    pub cut: VoxelBox,
+    /// By the rest of the tool, which may press elsewhere.
+    pub crushed: VoxelBox,
 }
 
 impl Region {
     /// No voxel.
-    pub const NOTHING: Self = Self { ball: None, voxels: VoxelBox::NOTHING };
+    pub const NOTHING: Self = Self { cut: VoxelBox::NOTHING, crushed: VoxelBox::NOTHING };
 
-    /// True if the region may overlap one of the voxels `start..start + 7` per axis.
-    fn meets_cell(&self, start: [i64; 3], spacing_m: [f64; 3]) -> bool {
-        let last = start.map(|x| x + SPLINE_VOXELS as i64 - 1);
-        if self.voxels.meets(&VoxelBox { low: start, high: last }) {
-            return true;
-        }
-        let Some(ball) = &self.ball else { return false };
-        let mut distance2 = 0.0;
-        for axis in 0..3 {
-            let low = (start[axis] as f64 - 0.5) * spacing_m[axis] - ball.centre_m[axis];
-            let high = ball.centre_m[axis] - (last[axis] as f64 + 0.5) * spacing_m[axis];
-            let outside = low.max(high).max(0.0);
-            distance2 += outside * outside;
-        }
-        distance2 <= ball.radius_m * ball.radius_m
+    /// True if the region overlaps the box.
+    #[inline]
+    fn meets(&self, voxels: &VoxelBox) -> bool {
+        self.cut.meets(voxels) || self.crushed.meets(voxels)
     }
 }
 
@@ -57,8 +42,10 @@ pub(in crate::bone) struct Journal {
     regions: u64,
     /// Blocks of the pool that were in use before the last edit.
     blocks_before: usize,
-    /// Around the voxels that the last edit cut for the first time.
-    first_cut: VoxelBox,
+    /// The voxels that the last edit cut for the first time, as many as are kept, their number, and around all of them.
+    first_cuts: [[i64; 3]; KEPT_FIRST_CUTS],
+    first_cut_count: usize,
+    first_cut_box: VoxelBox,
 }
 
 impl Journal {
@@ -68,7 +55,9 @@ impl Journal {
             newest: [Region::NOTHING; KEPT_REGIONS],
             regions: 0,
             blocks_before: 0,
-            first_cut: VoxelBox::NOTHING,
+            first_cuts: [[0; 3]; KEPT_FIRST_CUTS],
+            first_cut_count: 0,
+            first_cut_box: VoxelBox::NOTHING,
         }
     }
 
@@ -76,17 +65,22 @@ impl Journal {
     pub(super) fn begin(&mut self, blocks_in_use: usize) {
         self.edits += 1;
         self.blocks_before = blocks_in_use;
-        self.first_cut = VoxelBox::NOTHING;
+        self.first_cut_count = 0;
+        self.first_cut_box = VoxelBox::NOTHING;
     }
 
     /// Records that the edit cuts a voxel that was whole.
     pub(super) fn note_first_cut(&mut self, voxel: [i64; 3]) {
-        self.first_cut = self.first_cut.with(voxel);
+        if let Some(kept) = self.first_cuts.get_mut(self.first_cut_count) {
+            *kept = voxel;
+        }
+        self.first_cut_count += 1;
+        self.first_cut_box = self.first_cut_box.with(voxel);
     }
 
-    /// Around the voxels that the last edit cut for the first time.
-    pub fn first_cut(&self) -> &VoxelBox {
-        &self.first_cut
+    /// The voxels that the last edit cut for the first time, one by one; or around them if there are too many.
+    pub fn first_cuts(&self) -> Result<&[[i64; 3]], &VoxelBox> {
+        self.first_cuts.get(..self.first_cut_count).ok_or(&self.first_cut_box)
     }
 
     /// Ends the edit, which changed voxels in this region.
@@ -110,7 +104,7 @@ impl Journal {
         self.edits
     }
 
-    /// Number of regions so far, for [`Self::cell_is_unchanged`].
+    /// Number of regions so far, for [`Self::is_unchanged`].
     #[inline]
     pub fn regions(&self) -> u64 {
         self.regions
@@ -121,11 +115,18 @@ impl Journal {
         self.blocks_before
     }
 
-    /// True if no region from number `seen` on can overlap the voxels `start..start + 7` per axis.
+    /// True if no region from number `seen` on overlaps the voxels `start..start + 7` per axis.
     #[inline]
-    pub fn cell_is_unchanged(&self, seen: u64, start: [i64; 3], spacing_m: [f64; 3]) -> bool {
+    pub fn cell_is_unchanged(&self, seen: u64, start: [i64; 3]) -> bool {
+        let high = start.map(|x| x + SPLINE_VOXELS as i64 - 1);
+        self.is_unchanged(seen, &VoxelBox { low: start, high })
+    }
+
+    /// True if no region from number `seen` on overlaps the box.
+    #[inline]
+    pub fn is_unchanged(&self, seen: u64, voxels: &VoxelBox) -> bool {
         let place = |number: u64| (number % KEPT_REGIONS as u64) as usize;
         self.regions - seen <= KEPT_REGIONS as u64
-            && !(seen..self.regions).any(|number| self.newest[place(number)].meets_cell(start, spacing_m))
+            && !(seen..self.regions).any(|number| self.newest[place(number)].meets(voxels))
     }
 }

@@ -9,15 +9,16 @@ mod predrill;
 mod saved;
 
 use super::BoneError;
+use super::drilling::GONE;
 use super::grid::{GridGeometry, VoxelIndex};
 use super::material::MaterialTable;
 use super::occupancy::Occupancy;
 use super::parameters::BoneParameters;
 use super::reach;
-use super::strength::{BLOCK_EDGE, SpentPool};
+use super::strength::{BLOCK_EDGE, ChangedBlock, SpentPool};
 
 pub(super) use edit::Drilling;
-pub(super) use journal::{Ball, Journal};
+pub(super) use journal::Journal;
 
 /// Bone of one CT: which voxels are bone, and how much of each remains.
 #[derive(Debug)]
@@ -25,15 +26,21 @@ pub struct Voxels {
     geometry: GridGeometry,
     parameters: BoneParameters,
     material: MaterialTable,
+    /// Bone of which anything is left.
     occupancy: Occupancy,
     /// Bone of which nothing is spent.
     whole: Occupancy,
     pool: SpentPool,
-    /// Voxels removed before the run; a reset does not restore them.
-    predrilled_count: u64,
-    /// Voxels removed in this tick.
+    /// What pilot holes have left of voxels: the fractions that a reset returns to.
+    pilot: SpentPool,
+    /// Voxels that pilot holes have cut, wholly or partly; a reset does not restore them.
+    pilot_count: u64,
+    /// Bone that pilot holes have removed, in volumes of a voxel.
+    pilot_voxels: f64,
+    /// Voxels that are gone since this tick, and those of which the tick spent the rest.
     removed: Vec<VoxelIndex>,
-    /// Voxels spent but not yet removed, in FIFO order; at most `waiting_limit`.
+    emptied: Vec<VoxelIndex>,
+    /// Voxels that are gone but not yet listed as removed, in FIFO order; at most `waiting_limit`.
     waiting: Vec<VoxelIndex>,
     waiting_limit: usize,
     removed_total: u64,
@@ -44,9 +51,9 @@ pub struct Voxels {
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoneSnapshot {
     voxel_count: usize,
-    predrilled_count: u64,
-    blocks: Vec<u32>,
-    spent: Vec<f64>,
+    pilot_count: u64,
+    /// Fractions that are not those of the start.
+    blocks: Vec<ChangedBlock>,
     removed: Vec<VoxelIndex>,
     waiting: Vec<VoxelIndex>,
     removed_total: u64,
@@ -73,8 +80,11 @@ impl Voxels {
             whole: occupancy.clone(),
             occupancy,
             pool: SpentPool::new(geometry.dims, parameters.pool_blocks, blocks_per_tick)?,
-            predrilled_count: 0,
+            pilot: SpentPool::empty(geometry.dims, parameters.pool_blocks),
+            pilot_count: 0,
+            pilot_voxels: 0.0,
             removed: Vec::with_capacity(parameters.removed_per_tick.min(waiting_limit)),
+            emptied: Vec::with_capacity(waiting_limit),
             waiting: Vec::with_capacity(waiting_limit),
             waiting_limit,
             removed_total: 0,
@@ -115,12 +125,17 @@ impl Voxels {
         &self.journal
     }
 
-    /// True if voxel (i, j, k) is bone; false outside the grid.
+    /// True if voxel (i, j, k) is bone in an image: at least half of it is left. False outside the grid.
     pub fn is_solid(&self, i: usize, j: usize, k: usize) -> bool {
-        self.occupancy.is_solid_at([i as i64, j as i64, k as i64])
+        self.is_mostly_solid([i as i64, j as i64, k as i64])
     }
 
-    /// True if the voxel with this index is bone.
+    /// True if the voxel is bone in an image, or not listed as removed yet. Searches the voxels that wait for it.
+    pub fn is_listed_solid(&self, voxel: VoxelIndex) -> bool {
+        self.is_solid_index(voxel) || self.waiting.contains(&voxel)
+    }
+
+    /// [`Self::is_solid`] of the voxel with this index.
     pub fn is_solid_index(&self, voxel: VoxelIndex) -> bool {
         let [i, j, k] = self.geometry.voxel(voxel);
         self.is_solid(i, j, k)
@@ -130,34 +145,39 @@ impl Voxels {
     #[inline]
     pub(super) fn is_mostly_solid(&self, voxel: [i64; 3]) -> bool {
         self.occupancy.is_solid_at(voxel)
-            && self.pool.spent(voxel[0] as usize, voxel[1] as usize, voxel[2] as usize) <= 0.5
+            && self.pool.spent(voxel[0] as usize, voxel[1] as usize, voxel[2] as usize) <= GONE
     }
 
-    /// Number of voxels that are bone.
+    /// Number of voxels of which any bone is left.
     pub fn solid_count(&self) -> usize {
         self.occupancy.solid_count()
     }
 
     /// Fraction of the voxel's strength that remains: 1 for whole bone, 0 for removed or no bone.
     pub fn remaining_strength(&self, i: usize, j: usize, k: usize) -> f64 {
-        if self.is_solid(i, j, k) {
+        if self.occupancy.is_solid_at([i as i64, j as i64, k as i64]) {
             self.parameters.removal.strength_left(self.pool.spent(i, j, k))
         } else {
             0.0
         }
     }
 
-    /// The voxels removed by the last tick of drilling, in no particular order.
+    /// The voxels that are gone since the last tick of drilling: less than half of each is left. In no particular order.
     pub fn removed_this_tick(&self) -> &[VoxelIndex] {
         &self.removed
     }
 
-    /// Number of spent voxels waiting for removal.
+    /// The voxels of which the last tick spent the rest.
+    pub(super) fn emptied_this_tick(&self) -> &[VoxelIndex] {
+        &self.emptied
+    }
+
+    /// Number of voxels that are gone and wait for the list of removed ones.
     pub(super) fn waiting_count(&self) -> usize {
         self.waiting.len()
     }
 
-    /// Number of voxels removed by drilling since construction or reset.
+    /// Number of voxels listed as removed since construction or reset.
     pub fn removed_total(&self) -> u64 {
         self.removed_total
     }
@@ -183,8 +203,19 @@ impl Voxels {
         &self.material
     }
 
-    /// Energy in J that bone has absorbed from drilling so far (removed and partly cut voxels), recomputed from the pool. Shed slivers
-    /// ([`CuttingLaw::sliver_fraction`](super::CuttingLaw::sliver_fraction)) count as fully absorbed.
+    /// Volume in m³ that drilling has removed so far, of whole and of partly cut voxels, recomputed from the pool.
+    pub fn removed_m3(&self) -> f64 {
+        let mut sum = 0.0;
+        self.pool.for_each(|[i, j, k], spent| sum += spent - self.pilot.spent(i, j, k));
+        sum * self.geometry.voxel_volume_m3()
+    }
+
+    /// Volume in m³ that pilot holes have removed.
+    pub fn pilot_m3(&self) -> f64 {
+        self.pilot_voxels * self.geometry.voxel_volume_m3()
+    }
+
+    /// Energy in J that bone has absorbed from drilling so far (removed and partly cut voxels), recomputed from the pool.
     ///
     /// # Errors
     /// `hu` does not have one value per voxel.
@@ -195,6 +226,7 @@ impl Voxels {
         self.pool.for_each(|[i, j, k], spent| {
             if spent > 0.0 {
                 let hu = hu[self.geometry.linear_index(i, j, k)];
+                let spent = spent - self.pilot.spent(i, j, k);
                 sum_j += spent * volume * self.material.specific_energy_j_m3(hu);
             }
         });
@@ -203,12 +235,10 @@ impl Voxels {
 
     /// What drilling has changed so far. Allocates; not for the real-time loop.
     pub fn snapshot(&self) -> BoneSnapshot {
-        let contents = self.pool.contents();
         BoneSnapshot {
             voxel_count: self.geometry.voxel_count(),
-            predrilled_count: self.predrilled_count,
-            blocks: self.pool.contents().map(|(number, _)| number).collect(),
-            spent: contents.flat_map(|(_, spent)| spent).copied().collect(),
+            pilot_count: self.pilot_count,
+            blocks: self.pool.changes(&self.pilot).map(|change| change.to_owned()).collect(),
             removed: self.removed.clone(),
             waiting: self.waiting.clone(),
             removed_total: self.removed_total,
