@@ -23,7 +23,9 @@ pub fn tool_of(state: &State, radii: &ToolRadii, notch: Option<&SceneNotch>) -> 
         let material = Material::Nitinol;
         parts.push(match cut {
             // A solid rod.
-            _ if inner_radius_m == 0.0 => ToolPart::Cylinder { start_m, end_m, radius_m: outer_radius_m, material },
+            _ if inner_radius_m == 0.0 => {
+                ToolPart::Cylinder { start_m, end_m, radius_m: outer_radius_m, material }
+            }
             None => ToolPart::HollowCylinder { start_m, end_m, outer_radius_m, inner_radius_m, material },
             Some(notch) => {
                 ToolPart::NotchedTube { start_m, end_m, outer_radius_m, inner_radius_m, notch, material }
