@@ -29,7 +29,7 @@ pub struct ToolDescription {
     /// The rigid part in front of the first flexure.
     #[serde(default)]
     pub shaft: ToolShaft,
-    /// Where the tool bends, from the flange to the tip. As many as a state has joints, groups counted out.
+    /// Where the tool bends, from the flange to the tip. At most 32 in all, groups counted out: as many as a state has joints.
     #[schemars(length(max = MAX_JOINTS))]
     pub flexure: Vec<ToolFlexure>,
     /// How far a flexure bends.

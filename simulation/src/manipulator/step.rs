@@ -144,7 +144,7 @@ impl Manipulator {
         report: &mut StepReport,
     ) -> Generalised {
         let (q, v) = (self.positions(), self.velocities());
-        self.pressed.collect(&self.parameters, dt, &self.from_rest(&q), &self.state.stop_torque_nm);
+        self.pressed.collect(&self.parameters, dt, &self.deflection(&q), &self.state.stop_torque_nm);
         let mut d = self.stage((&q, &v), dt, input, frame, Stage::Start);
         let (mut round, mut expected) = (1, v);
         let after = loop {
@@ -343,11 +343,11 @@ impl Manipulator {
 
     fn near_stop(&self, q: &Generalised) -> bool {
         let reach = FREE_SHARE * self.parameters.joint_limit_rad;
-        self.from_rest(q).iter().any(|q| q.abs() > reach)
+        self.deflection(q).iter().any(|q| q.abs() > reach)
     }
 
     /// Joint angles from those without load, rad.
-    fn from_rest(&self, q: &Generalised) -> [f64; MAX_JOINTS] {
+    fn deflection(&self, q: &Generalised) -> [f64; MAX_JOINTS] {
         core::array::from_fn(|i| q.joint[i] - self.rest[i])
     }
 

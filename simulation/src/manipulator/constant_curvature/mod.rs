@@ -301,11 +301,11 @@ impl ConstantCurvature {
 
     /// Length of tendon `t` taken up by the bent tool, from its rest shape, m.
     fn take_up_m(&self, t: usize) -> f64 {
-        self.channels.offset_m[t][0] * self.from_rest()[3]
+        self.channels.offset_m[t][0] * self.deflection()[3]
     }
 
     /// Mount displacement, and the bend from that without load.
-    fn from_rest(&self) -> Vector4<f64> {
+    fn deflection(&self) -> Vector4<f64> {
         let mut q = self.state.position;
         q[3] -= self.rest_rad;
         q
@@ -333,7 +333,7 @@ impl ConstantCurvature {
 
     /// Kinetic energy relative to the base plus elastic energy of bend and mount, J.
     pub fn energy_j(&self) -> f64 {
-        let (bend, from_rest, v) = (self.state.position[3], self.from_rest(), &self.state.velocity);
+        let (bend, from_rest, v) = (self.state.position[3], self.deflection(), &self.state.velocity);
         let elastic = from_rest.component_mul(&self.stiffness).dot(&from_rest);
         0.5 * (elastic + v.dot(&(mass_matrix(&self.lumps, &self.arc, bend) * v)))
     }

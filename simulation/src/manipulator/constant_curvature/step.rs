@@ -69,7 +69,7 @@ impl ConstantCurvature {
         }
         // Positive definite, because all masses are positive and no stiffness is negative.
         let inverse = operator.try_inverse().unwrap_or_else(Matrix4::zeros);
-        let elastic = -self.stiffness.component_mul(&self.from_rest())
+        let elastic = -self.stiffness.component_mul(&self.deflection())
             - self.damping.component_mul(before)
             - stiffness.component_mul(&(before * dt))
             + Vector4::new(0.0, 0.0, 0.0, tendon.torque_nm);
