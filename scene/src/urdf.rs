@@ -3,7 +3,7 @@
 //! The joints between base and tip are put into the scene's table as `arm.joint` before it is parsed, so a [`Scene`](crate::Scene) holds
 //! numbers only, and so does its copy in the session and in the log.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use foreign_text::{foreign, foreign_path};
@@ -83,8 +83,8 @@ fn joints_of(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Vec<Va
     }
     let tree = Tree::new(robot)?;
     let base = tree.end(base, "base_link", |link| !tree.parents.contains_key(link))?;
-    let is_parent = |link: &str| tree.parents.values().any(|joint| joint.parent == link);
-    let tip = tree.end(tip, "tip_link", |link| !is_parent(link))?;
+    let above: BTreeSet<&str> = tree.parents.values().map(|joint| joint.parent).collect();
+    let tip = tree.end(tip, "tip_link", |link| !above.contains(link))?;
     tree.chain(base, tip)?.into_iter().map(UrdfJoint::table).collect()
 }
 
@@ -97,21 +97,21 @@ struct UrdfJoint<'a> {
 
 /// All links, and the joint above each.
 struct Tree<'a> {
-    links: Vec<&'a str>,
+    links: BTreeSet<&'a str>,
     parents: BTreeMap<&'a str, UrdfJoint<'a>>,
 }
 
 impl<'a> Tree<'a> {
     fn new(robot: Node<'a, 'a>) -> Result<Self, String> {
         let named = |tag: &'static str| robot.children().filter(move |node| node.has_tag_name(tag));
-        let links: Vec<&str> = named("link").filter_map(|node| node.attribute("name")).collect();
+        let links: BTreeSet<&str> = named("link").filter_map(|node| node.attribute("name")).collect();
         let mut parents = BTreeMap::new();
         for node in named("joint") {
             let name = node.attribute("name").ok_or("a joint has no name")?;
             let link_of = |tag: &str| {
                 let link = child(node, tag).and_then(|node| node.attribute("link"));
                 let link = link.ok_or_else(|| format!("joint `{}` has no {tag} link", foreign(name)))?;
-                match links.contains(&link) {
+                match links.contains(link) {
                     true => Ok(link),
                     false => Err(format!(
                         "joint `{}` has the {tag} link `{}`, which the file does not have",
@@ -136,16 +136,15 @@ impl<'a> Tree<'a> {
 
     /// The link that a key names, or the only one that could be meant.
     fn end(&self, named: Option<&str>, key: &str, is_end: impl Fn(&str) -> bool) -> Result<&'a str, String> {
-        let listed = |links: &[&str]| {
-            links.iter().take(20).map(|link| foreign(link).to_string()).collect::<Vec<_>>().join(", ")
+        let listed = |links: &mut dyn Iterator<Item = &&str>| {
+            links.take(20).map(|link| foreign(link).to_string()).collect::<Vec<_>>().join(", ")
         };
         if let Some(named) = named {
-            let found = self.links.iter().find(|link| **link == named);
-            return found.copied().ok_or_else(|| {
+            return self.links.get(named).copied().ok_or_else(|| {
                 format!(
                     "has no link `{}` (`arm.{key}`); expected one of {}",
                     foreign(named),
-                    listed(&self.links)
+                    listed(&mut self.links.iter())
                 )
             });
         }
@@ -153,7 +152,7 @@ impl<'a> Tree<'a> {
         match ends.as_slice() {
             [one] => Ok(one),
             [] => Err(format!("has no link to be `arm.{key}`: its joints form a loop")),
-            several => Err(format!("expected `arm.{key}` to be one of {}", listed(several))),
+            several => Err(format!("expected `arm.{key}` to be one of {}", listed(&mut several.iter()))),
         }
     }
 
