@@ -60,11 +60,9 @@ fn with_tool(from: &str, to: &str) -> Scene {
         assert!(text.contains(from), "{from}");
         Ok(text.replacen(from, to, 1))
     };
-    let text = format!(
-        "name = \"tool\"\nrun = {{ mode = \"lockstep\", duration_s = 0.1 }}\nmanipulator = {{ file = \"two_segments.toml\" }}\n\
-         tool = {{ burr_start_mm = [0.0, 0.0, 0.0], direction = [0.0, 0.0, 1.0], bend_toward = [1.0, 0.0, 0.0] }}\n"
-    );
-    Scene::parse_with(&text, &folder.join("scene.toml"), &read).unwrap()
+    let text = "name = \"tool\"\nrun = { mode = \"lockstep\", duration_s = 0.1 }\nmanipulator = { file = \"two_segments.toml\" }\n\
+         tool = { burr_start_mm = [0.0, 0.0, 0.0], direction = [0.0, 0.0, 1.0], bend_toward = [1.0, 0.0, 0.0] }\n";
+    Scene::parse_with(text, &folder.join("scene.toml"), &read).unwrap()
 }
 
 /// What each of them takes from one line of a tool file: physics, X-ray, viewer, exported surface, robot description.
