@@ -29,6 +29,10 @@ impl ModelError {
     fn by(scene: &Scene, rows: &[Row]) -> Option<ModelError> {
         scene.volume.as_ref()?;
         let manipulator = &scene.manipulator;
+        // Measured with the standard tool.
+        if manipulator.tool.is_some() {
+            return None;
+        }
         let settings = Settings {
             rung: rung(manipulator.model.unwrap_or_default()),
             links: manipulator.links.unwrap_or(OWN_LINKS),
@@ -72,6 +76,8 @@ impl fmt::Display for ModelError {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
+    use std::path::Path;
+
     use ipc_types::scene::{ContactVoxels, Integrator, ManipulatorRung};
 
     use super::*;
@@ -122,5 +128,12 @@ mod tests {
         assert!(arc.contains(&figure), "{arc}, expected {figure}");
         assert_eq!(known(&|scene| scene.manipulator.model = Some(ManipulatorRung::Full)), None);
         assert_eq!(known(&|scene| scene.volume = None), None, "measured in bone only");
+        let rod = include_str!("../../configs/tools/rigid_drill.toml");
+        let rod = ipc_types::scene::ToolDescription::parse(rod, Path::new("rigid_drill.toml")).unwrap();
+        assert_eq!(
+            known(&|scene| scene.manipulator.tool = Some(rod.clone())),
+            None,
+            "of the standard tool only"
+        );
     }
 }
