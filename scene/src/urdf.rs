@@ -21,11 +21,11 @@ const MOST_JOINTS: usize = 64;
 /// Farthest that a joint may stand from the one before it.
 const FARTHEST_M: f64 = 10.0;
 /// Greatest angle of a limit or an orientation: two turns.
-const MOST_RAD: f64 = 4.0 * core::f64::consts::PI;
+const GREATEST_RAD: f64 = 4.0 * core::f64::consts::PI;
 /// Range of a joint that turns without end, as of a wrist of Universal Robots.
 const CONTINUOUS_RAD: f64 = 2.0 * core::f64::consts::PI;
 /// Fastest turn that a file may give, 10 turns a second.
-const MOST_RAD_PER_S: f64 = 20.0 * core::f64::consts::PI;
+const FASTEST_RAD_PER_S: f64 = 20.0 * core::f64::consts::PI;
 
 /// Puts the joints of the file that `arm.urdf` names into a scene's table, and takes the keys of the file out. `false`: it names none.
 ///
@@ -189,7 +189,10 @@ impl UrdfJoint<'_> {
         let mut table = Table::new();
         table.insert("name".to_owned(), Value::String(self.name.to_owned()));
         table.insert("position_mm".to_owned(), numbers(place("xyz", FARTHEST_M)?.map(|m| m * 1e3)));
-        table.insert("roll_pitch_yaw_deg".to_owned(), numbers(place("rpy", MOST_RAD)?.map(f64::to_degrees)));
+        table.insert(
+            "roll_pitch_yaw_deg".to_owned(),
+            numbers(place("rpy", GREATEST_RAD)?.map(f64::to_degrees)),
+        );
         let kind = self.node.attribute("type").unwrap_or_default();
         match kind {
             "fixed" => {}
@@ -222,9 +225,12 @@ impl UrdfJoint<'_> {
         };
         let [lower, upper] = match is_endless {
             true => [-CONTINUOUS_RAD, CONTINUOUS_RAD],
-            false => [limit_of("lower", -MOST_RAD, MOST_RAD)?, limit_of("upper", -MOST_RAD, MOST_RAD)?],
+            false => [
+                limit_of("lower", -GREATEST_RAD, GREATEST_RAD)?,
+                limit_of("upper", -GREATEST_RAD, GREATEST_RAD)?,
+            ],
         };
-        let rate = limit_of("velocity", 1e-3, MOST_RAD_PER_S)?;
+        let rate = limit_of("velocity", 1e-3, FASTEST_RAD_PER_S)?;
         table.insert("axis".to_owned(), numbers(axis));
         for (key, value) in [("lower_deg", lower), ("upper_deg", upper), ("max_speed_deg_per_s", rate)] {
             table.insert(key.to_owned(), Value::Float(value.to_degrees()));

@@ -68,6 +68,18 @@ fn an_arm_follows_from_its_file_and_the_scene_names_none() {
     assert_eq!(Scene::parse(&text, Path::new("/elsewhere/a.toml")).unwrap().arm, scene.arm);
 }
 
+/// Universal Robots' own description ends its ranges at 6.28318530718, which is 360.00000000002 degrees.
+#[test]
+fn a_range_that_ends_just_beyond_a_turn_is_taken() {
+    let wide =
+        six().replace("lower=\"-1.5\" upper=\"2.5\"", "lower=\"-6.28318530718\" upper=\"6.28318530718\"");
+    let joints = parse(TIP, &wide).unwrap().arm.joint.unwrap();
+    assert!(joints[0].upper_deg.unwrap() > 360.0);
+    let error =
+        parse(&format!("{TIP}upper_joints_deg = [400.0, 1.0, 1.0, 1.0, 1.0, 1.0]\n"), &wide).unwrap_err();
+    assert!(error.to_string().contains("400, allowed is -360 to 360"), "{error}");
+}
+
 #[test]
 fn a_joint_that_turns_without_end_has_a_turn_each_way() {
     let endless = six().replacen("type=\"revolute\"", "type=\"continuous\"", 1);

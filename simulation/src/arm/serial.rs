@@ -8,7 +8,7 @@ use super::kinematics::{Joints, LinkFrames};
 use nalgebra::{Isometry3, Matrix3, Matrix6, Rotation3, UnitQuaternion, Vector3, Vector6};
 
 /// Iterations from one start; Newton's method needs some five near a solution.
-const MOST_ITERATIONS: usize = 60;
+const ITERATIONS: usize = 60;
 /// Starts besides the reference, where that leads nowhere.
 const OTHER_STARTS: usize = 12;
 /// A pose is reached to this (m and rad together); rounding leaves some 1e-15.
@@ -16,7 +16,7 @@ const REACHED: f64 = 1e-12;
 /// Least damping, m² or rad²: it keeps the equations solvable at a singularity and is far below any square of a regular arm's Jacobian.
 const LEAST_DAMPING: f64 = 1e-16;
 /// Largest change of a joint in an iteration.
-const MOST_STEP_RAD: f64 = 0.5;
+const LARGEST_STEP_RAD: f64 = 0.5;
 
 /// A constant part of the chain.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -148,7 +148,7 @@ impl SerialGeometry {
         let mut frames = self.frames(&q_rad);
         let mut missed = goal.missed(&frames);
         let mut caution = 1.0;
-        for _ in 0..MOST_ITERATIONS {
+        for _ in 0..ITERATIONS {
             let squared = missed.norm_squared();
             // A tenth of what counts as reached, so that the last iterations reach rounding.
             if squared <= 0.01 * REACHED * REACHED {
@@ -220,7 +220,7 @@ impl Goal<'_> {
             match blocked {
                 Some(joint) => jacobian.set_column(joint, &Vector6::zeros()),
                 None => {
-                    let scale = (MOST_STEP_RAD / step.amax()).min(1.0);
+                    let scale = (LARGEST_STEP_RAD / step.amax()).min(1.0);
                     return Some(self.within(&std::array::from_fn(|i| q_rad[i] + step[i] * scale)));
                 }
             }
