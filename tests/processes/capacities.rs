@@ -11,7 +11,7 @@ use zerocopy::FromBytes;
 use crate::common::logs::assert_replays;
 use crate::common::program::Place;
 
-/// 39 spheres (32 links) of 6 mm between four walls and in a hole that is hardly wider: 156 contacts with the walls, and about 300 with the
+/// 39 spheres (32 links) of 6 mm between four walls and in a hole that is no wider: 156 contacts with the walls, and about 300 with the
 /// bone. The planar solver has room for 410.
 const CROWDED: &str = "
 name = \"crowded\"
@@ -27,7 +27,7 @@ spacing_mm = 0.5
 [[predrill]]
 from_mm = [0.0, 0.0, -90.0]
 to_mm = [0.0, 0.0, 0.0]
-diameter_mm = 6.2
+diameter_mm = 6.0
 
 [manipulator]
 links = 32
