@@ -168,12 +168,16 @@ mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
 
+    /// Another tool, by a file or a table: what is drawn are changes of the standard one.
+    const DESCRIBED: [&str; 2] = ["file", "tool"];
+
     /// A key of another kind than the generator knows would be left out without a word.
     #[test]
     fn every_key_of_the_drawn_tables_is_drawn_and_reaches_both_ends() {
         let schema = scene::json_schema();
         for (definition, _, _) in TABLES {
-            for (key, property) in schema["definitions"][definition]["properties"].as_object().unwrap() {
+            let properties = schema["definitions"][definition]["properties"].as_object().unwrap();
+            for (key, property) in properties.iter().filter(|(key, _)| !DESCRIBED.contains(&key.as_str())) {
                 let random = &mut 1;
                 let values: Vec<String> = (0..200)
                     .map(|_| value_of(&schema, property, random).unwrap_or_else(|| panic!("{key}")))

@@ -5,11 +5,9 @@ use core::f64::consts::PI;
 use scene::{FlexurePlace, ToolDescription, ToolFlexure};
 
 use crate::manipulator::{
-    ManipulatorParameters, Notch, Section, StiffnessRatios, TendonParameters, TendonReach, TendonRoute,
+    MAX_SHAFT_SPHERES, ManipulatorParameters, Notch, Section, StiffnessRatios, TendonParameters, TendonReach,
+    TendonRoute,
 };
-
-/// Contact spheres that a shaft may have.
-const MOST_SHAFT_SPHERES: usize = crate::manipulator::MAX_SHAFT_SPHERES;
 
 /// The parameters of a described tool. What the description does not say, such as the contact model, is that of the standard tool.
 ///
@@ -82,10 +80,10 @@ struct Spheres {
 fn shaft_spheres(tool: &ToolDescription, first_m: f64) -> Spheres {
     let diameter_m = tool.tube.outer_diameter_mm / 1e3;
     let to_m = tool.shaft.contact_to_mm.map_or(first_m, |to_mm| to_mm / 1e3);
-    let longest_m = (MOST_SHAFT_SPHERES - 1) as f64 * diameter_m;
+    let longest_m = (MAX_SHAFT_SPHERES - 1) as f64 * diameter_m;
     let from_m = tool.shaft.contact_from_mm.map_or((to_m - longest_m).max(0.0), |from_mm| from_mm / 1e3);
     let count = libm::round((to_m - from_m) / diameter_m).max(1.0);
-    Spheres { count: (count as usize).min(MOST_SHAFT_SPHERES), span_m: [from_m, to_m] }
+    Spheres { count: (count as usize).min(MAX_SHAFT_SPHERES), span_m: [from_m, to_m] }
 }
 
 /// What a flexure's stiffness follows from.
