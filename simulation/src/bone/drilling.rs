@@ -29,7 +29,7 @@
 //!
 //! **Partly cut voxels.** A voxel beside the path keeps what the burr did not reach, so that the wall of a hole lies where the burr cut
 //! it, wherever the voxels lie. An image knows whole voxels only: a voxel is *gone* from it, and in the list of removed voxels, as soon
-//! as less than half of it is left ([`GONE`]). The hole in the voxels then has the burr's size on average.
+//! as less than half of it is left (`GONE`). The hole in the voxels then has the burr's size on average.
 
 use nalgebra::Vector3;
 use pulp::Arch;
