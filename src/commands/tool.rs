@@ -60,13 +60,18 @@ fn text(dimensions: &[Dimension], response: &Response) -> String {
         text,
         "\n\nat rest in free space; mm from the flange\ntendon   tension_n  bend_deg  toward_mm  across_mm  along_mm"
     );
-    for Shape { tendon, tension_n, bend_deg, toward_mm, across_mm, along_mm, stopped } in &response.shapes {
+    for Shape { tendon, tension_n, bend_deg, toward_mm, across_mm, along_mm, stopped, settled } in
+        &response.shapes
+    {
         let tendon = tendon.map_or("none".to_owned(), |tendon| tendon.to_string());
         let [bend, toward, across, along] =
             [bend_deg, toward_mm, across_mm, along_mm].map(|value| rounded(*value));
         let _ = write!(text, "\n{tendon:<8} {tension_n:>9}  {bend:>8}  {toward:>9}  {across:>9}  {along:>8}");
         if *stopped > 0 {
             let _ = write!(text, "  {stopped} on their stops");
+        }
+        if !settled {
+            text.push_str("  does not settle");
         }
     }
     let _ = write!(text, "\n\na step in free space on this machine\nmodel               step_us");

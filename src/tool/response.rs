@@ -41,6 +41,8 @@ pub struct Shape {
     pub along_mm: f64,
     /// Flexures on their stops.
     pub stopped: usize,
+    /// Whether the tool has come to rest; if not, its last shape is given, whose numbers may have overflowed.
+    pub settled: bool,
 }
 
 /// What a step of a rung costs.
@@ -113,9 +115,11 @@ fn shape(
     let damped = ManipulatorParameters { damping_ratio: 1.0, ..parameters.clone() };
     let mut tool = new(rung, &damped).map_err(Failure::bad_input)?;
     let input = pulled(tendon, tension_n);
+    let mut settled = false;
     for _ in 0..MOST_STEPS {
         tool.step(STEP_S, &input).map_err(|cause| Failure::failed(cause.to_string()))?;
-        if tool.joint_velocities_rad_per_s().iter().all(|rate| rate.abs() < SETTLED_RAD_PER_S) {
+        settled = tool.joint_velocities_rad_per_s().iter().all(|rate| rate.abs() < SETTLED_RAD_PER_S);
+        if settled {
             break;
         }
     }
@@ -128,6 +132,7 @@ fn shape(
         across_mm: 1e3 * burr_m.y,
         along_mm: 1e3 * burr_m.z,
         stopped: tool.last_report().stopped_joint_count,
+        settled,
     })
 }
 
@@ -154,4 +159,32 @@ fn cost(rung: Rung, parameters: &ManipulatorParameters) -> Cost {
     }
     times_us.sort_by(f64::total_cmp);
     Cost { rung: rung.name(), step_us: Some(times_us[TIMED_STEPS / 2]), refused: None }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+    use std::path::Path;
+
+    use ipc_types::scene::ToolDescription;
+
+    use super::*;
+    use crate::scenes::BuiltIn;
+
+    /// Bug: numbers that had overflowed were printed as a shape, without a word. A pull of newtons on flexures of a micronewton metre.
+    #[test]
+    fn a_tool_that_does_not_settle_is_said_not_to() {
+        let text = "name = \"limp\"\ntube = { outer_diameter_mm = 6.2, inner_diameter_mm = 3.1, linear_density_kg_per_m = 0.0001 }\n\
+                    stop = { angle_deg = 0.01, stiffness_nm_per_rad = 0.001 }\n\
+                    burr = { diameter_mm = 20.0, offset_mm = 500.0, mass_g = 0.0 }\n\
+                    tendon_cable = { stiffness_n_per_m = 1e9, friction = 1.0, gap_mm = 100.0 }\n[[tendon]]\ntoward_mm = 2.5\n\
+                    [[flexure]]\nat_mm = 0.01\ncount = 32\npitch_mm = 0.01\nstiffness_nm_per_deg = 1e-6\nrest_deg = 45.0\n";
+        let mut scene = BuiltIn::FreeSpace.scene().unwrap();
+        let settled = |scene: &Scene| -> Vec<bool> {
+            response(scene).unwrap().shapes.iter().map(|shape| shape.settled).collect()
+        };
+        assert!(settled(&scene).iter().all(|settled| *settled), "the standard tool");
+        scene.manipulator.tool = Some(ToolDescription::parse(text, Path::new("limp.toml")).unwrap());
+        assert_eq!(settled(&scene), [true, false, false, false]);
+    }
 }
