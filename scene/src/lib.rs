@@ -36,6 +36,7 @@ mod check;
 mod declaration;
 mod error;
 mod model;
+mod named_file;
 mod place;
 pub mod plan;
 mod planned_path;
@@ -48,7 +49,7 @@ mod urdf;
 
 pub use error::SceneError;
 pub use model::*;
-pub use plan::ReadText;
+pub use named_file::ReadText;
 pub use planned_path::planned_path_mm;
 pub use schema::json_schema;
 pub use tool::{FlexurePlace, STANDARD_RADII, ToolRadii};

@@ -3,17 +3,15 @@
 //! The keys that follow from the plan are put into the scene's table before it is parsed, so a [`Scene`](crate::Scene) holds numbers only,
 //! and so does its copy in the session and in the log.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use markups::{Plan, read};
 use toml::{Table, Value};
 
 use crate::check::Checker;
 use crate::error::SceneError;
+use crate::named_file::{ReadText, numbers, take_text};
 use crate::tool::STANDARD_RADII;
-
-/// Returns the text of a file that a scene names; this crate opens no files itself.
-pub type ReadText<'a> = dyn Fn(&Path) -> std::io::Result<String> + 'a;
 
 /// How much wider than the burr the pilot hole is, mm: as in the scenes of `configs/`, 7 mm for a burr of 6.5 mm.
 const PILOT_PLAY_MM: f64 = 0.5;
@@ -31,15 +29,8 @@ pub(crate) fn put_in(
     checker: &Checker,
 ) -> Result<bool, SceneError> {
     let Some(Value::Table(tool)) = scene.get_mut("tool") else { return Ok(false) };
-    let named = match tool.get("plan") {
-        None => return Ok(false),
-        Some(Value::String(named)) => PathBuf::from(named),
-        Some(other) => {
-            return Err(checker.invalid("tool.plan", format!("is {other}, expected a path as text")));
-        }
-    };
-    tool.remove("plan");
-    let plan = load(&folder.join(&named), read).map_err(|problem| checker.invalid("tool.plan", problem))?;
+    let Some(named) = take_text(tool, ["tool", "plan"], "a path", checker)? else { return Ok(false) };
+    let plan = load(&folder.join(named), read).map_err(|problem| checker.invalid("tool.plan", problem))?;
     for key in PLACES.into_iter().chain(plan.is_curved().then_some("bend_toward")) {
         if tool.contains_key(key) {
             return Err(stands_twice(checker, &format!("tool.{key}")));
@@ -131,8 +122,4 @@ fn tables<'t>(scene: &'t mut Table, key: &str) -> impl Iterator<Item = &'t mut T
         Value::Table(table) => Some(table),
         _ => None,
     })
-}
-
-pub(crate) fn numbers(place: [f64; 3]) -> Value {
-    Value::Array(place.map(Value::Float).to_vec())
 }

@@ -3,14 +3,14 @@
 //! It is put into the scene's table as `[manipulator.tool]` before the scene is parsed, so a [`Scene`](crate::Scene) holds the tool itself,
 //! and so does its copy in the session and in the log.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use toml::{Table, Value};
 
 use crate::check::{self, Checker};
 use crate::declaration::TOOL;
 use crate::error::SceneError;
-use crate::plan::ReadText;
+use crate::named_file::{ReadText, take_text};
 use crate::{ToolDescription, malformed, ranges};
 
 impl ToolDescription {
@@ -40,13 +40,10 @@ pub(crate) fn put_in(
     checker: &Checker,
 ) -> Result<bool, SceneError> {
     let Some(Value::Table(manipulator)) = scene.get_mut("manipulator") else { return Ok(false) };
-    let file = match manipulator.remove("file") {
-        None => return Ok(false),
-        Some(Value::String(named)) => folder.join(PathBuf::from(named)),
-        Some(other) => {
-            return Err(checker.invalid("manipulator.file", format!("is {other}, expected a path as text")));
-        }
+    let Some(named) = take_text(manipulator, ["manipulator", "file"], "a path", checker)? else {
+        return Ok(false);
     };
+    let file = folder.join(named);
     if manipulator.contains_key("tool") {
         let problem = "stands beside `manipulator.tool`; expected one of the two";
         return Err(checker.invalid("manipulator.file", problem));

@@ -4,7 +4,7 @@
 //! numbers only, and so does its copy in the session and in the log.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use foreign_text::{foreign, foreign_path};
 use roxmltree::{Document, Node, ParsingOptions};
@@ -12,7 +12,7 @@ use toml::{Table, Value};
 
 use crate::check::Checker;
 use crate::error::SceneError;
-use crate::plan::{ReadText, numbers};
+use crate::named_file::{ReadText, numbers, take_text};
 
 /// Elements and texts of a file, at most: files of whole robots have some thousands.
 const MOST_NODES: u32 = 200_000;
@@ -38,35 +38,19 @@ pub(crate) fn put_in(
     checker: &Checker,
 ) -> Result<bool, SceneError> {
     let Some(Value::Table(arm)) = scene.get_mut("arm") else { return Ok(false) };
-    let Some(file) = taken(arm, "urdf", "a path", checker)? else { return Ok(false) };
+    let Some(file) = take_text(arm, ["arm", "urdf"], "a path", checker)? else { return Ok(false) };
     if arm.contains_key("joint") {
         return Err(checker.invalid("arm.joint", "stands beside `arm.urdf`; expected one of the two"));
     }
-    let base = taken(arm, "base_link", "a link's name", checker)?;
-    let tip = taken(arm, "tip_link", "a link's name", checker)?;
-    let file = folder.join(PathBuf::from(file));
+    let base = take_text(arm, ["arm", "base_link"], "a link's name", checker)?;
+    let tip = take_text(arm, ["arm", "tip_link"], "a link's name", checker)?;
+    let file = folder.join(file);
     let joints = read(&file)
         .map_err(|cause| format!("cannot be read ({cause})"))
         .and_then(|text| joints_of(&text, base.as_deref(), tip.as_deref()))
         .map_err(|problem| checker.invalid("arm.urdf", format!("{}: {problem}", foreign_path(&file))))?;
     arm.insert("joint".to_owned(), Value::Array(joints));
     Ok(true)
-}
-
-/// Takes a text out of a table.
-fn taken(
-    table: &mut Table,
-    key: &str,
-    expected: &str,
-    checker: &Checker,
-) -> Result<Option<String>, SceneError> {
-    match table.remove(key) {
-        None => Ok(None),
-        Some(Value::String(text)) => Ok(Some(text)),
-        Some(other) => {
-            Err(checker.invalid(&format!("arm.{key}"), format!("is {other}, expected {expected} as text")))
-        }
-    }
 }
 
 /// The joints from base to tip, each as a table of `arm.joint`.

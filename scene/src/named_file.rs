@@ -1,0 +1,36 @@
+//! Files that a scene names: what follows from them is put into the scene's table before it is parsed.
+
+use std::path::Path;
+
+use toml::{Table, Value};
+
+use crate::check::Checker;
+use crate::error::SceneError;
+
+/// Returns the text of a file that a scene names; this crate opens no files itself.
+pub type ReadText<'a> = dyn Fn(&Path) -> std::io::Result<String> + 'a;
+
+/// Takes a text out of the table `[above]` of a scene; `None` if the key is not there.
+///
+/// # Errors
+/// The value is no text; `expected` says what it should be.
+pub(crate) fn take_text(
+    table: &mut Table,
+    [above, key]: [&str; 2],
+    expected: &str,
+    checker: &Checker,
+) -> Result<Option<String>, SceneError> {
+    match table.remove(key) {
+        None => Ok(None),
+        Some(Value::String(text)) => Ok(Some(text)),
+        Some(other) => {
+            Err(checker
+                .invalid(&format!("{above}.{key}"), format!("is {other}, expected {expected} as text")))
+        }
+    }
+}
+
+/// Three numbers as a value of a scene.
+pub(crate) fn numbers(place: [f64; 3]) -> Value {
+    Value::Array(place.map(Value::Float).to_vec())
+}
