@@ -10,6 +10,7 @@ use scene::{ArmModel, Scene};
 use simulation::arm::{ArmGeometry, ArmParameters, Joints};
 use test_support::limited::{COMMAND_LIMIT, limited_output_of};
 use test_support::python;
+use test_support::scenes::TOOL;
 
 mod common;
 use common::arm::Uniform;
@@ -26,16 +27,6 @@ const FILES: [[&str; 3]; 5] = [
     ["z1_description/urdf/z1.urdf", "link00", "link06"],
 ];
 
-const SCENE: &str = "name = \"a\"
-[run]
-mode = \"lockstep\"
-duration_s = 1.0
-[tool]
-burr_start_mm = [0.0, 0.0, 0.0]
-direction = [1.0, 0.0, 0.0]
-bend_toward = [0.0, 0.0, 1.0]
-";
-
 /// The arm of a URDF file, by way of a scene.
 fn of_file(text: &str, base: &str, tip: &str) -> ArmParameters {
     // A start within every arm's ranges is not asked for here: the ranges are opened.
@@ -44,7 +35,8 @@ fn of_file(text: &str, base: &str, tip: &str) -> ArmParameters {
          lower_joints_deg = [-360.0, -360.0, -360.0, -360.0, -360.0, -360.0]\nupper_joints_deg = [360.0, 360.0, 360.0, 360.0, 360.0, 360.0]\n"
     );
     let read = |_: &Path| Ok(text.to_owned());
-    let scene = Scene::parse_with(&format!("{SCENE}{keys}"), Path::new("a.toml"), &read).unwrap();
+    let run = "name = \"a\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\n";
+    let scene = Scene::parse_with(&format!("{run}{TOOL}{keys}"), Path::new("a.toml"), &read).unwrap();
     ArmParameters::of(&scene.arm, 1e-3)
 }
 

@@ -7,7 +7,7 @@ use super::run_lane::RunLane;
 use super::timing_lane::TimingLane;
 use crate::plan::ModelError;
 
-/// A normal force greater than the weight of the arm's rated payload is named.
+/// Turns the arm's rated payload into the force above which a normal force is named.
 const GRAVITY_M_PER_S2: f64 = 9.81;
 /// A tip that has stayed within this of its start has not moved.
 const STILL_M: f64 = 1e-5;

@@ -55,6 +55,7 @@ pub use error::ManipulatorError;
 pub use flexure::{Notch, StiffnessRatios, UnitStiffness};
 pub use geometry::SphereKind;
 pub use model::{AnyManipulator, AnyManipulatorState, ManipulatorModel, Rung};
+pub(crate) use parameters::pitch_m;
 pub use parameters::{
     ContactParameters, Integrator, ManipulatorParameters, Section, TendonParameters, TendonReach, TendonRoute,
 };

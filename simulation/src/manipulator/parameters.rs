@@ -194,6 +194,13 @@ const JHU_STIFFNESS_NM_PER_DEG: [f64; 27] = [
     0.005336815,
 ];
 
+/// Mean distance of a flexure from its neighbours, m; 0 for the only one. `joints_m`: places of all of them.
+pub(crate) fn pitch_m(joints_m: &[f64], index: usize) -> f64 {
+    let last = joints_m.len().saturating_sub(1);
+    let (from, to) = (index.saturating_sub(1), (index + 1).min(last));
+    (joints_m[to] - joints_m[from]) / (to - from).max(1) as f64
+}
+
 /// The ratios of flexures at `joints_m` between notches; the pitch of a flexure is the mean of those on either side.
 fn notched(
     notch: &Notch,
@@ -201,13 +208,8 @@ fn notched(
     tube_radii_m: [f64; 2],
     poisson_ratio: f64,
 ) -> Vec<StiffnessRatios> {
-    let last = joints_m.len().saturating_sub(1);
-    let pitch_m = |i: usize| {
-        let (from, to) = (i.saturating_sub(1), (i + 1).min(last));
-        (joints_m[to] - joints_m[from]) / (to - from).max(1) as f64
-    };
     (0..joints_m.len())
-        .map(|i| notch.unit_stiffness(pitch_m(i), tube_radii_m, poisson_ratio).ratios())
+        .map(|i| notch.unit_stiffness(pitch_m(joints_m, i), tube_radii_m, poisson_ratio).ratios())
         .collect()
 }
 

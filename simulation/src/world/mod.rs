@@ -18,13 +18,14 @@ mod keyframe;
 mod lost;
 mod message;
 mod move_tool;
+mod plant;
 mod setup;
 mod tendon_drive;
 mod tool;
 
 use std::sync::Arc;
 
-use messages::{ControllerIndex, Latched, Plant, Refusal, State, Volume};
+use messages::{ControllerIndex, Latched, Refusal, State, Volume};
 use nalgebra::{Matrix3, Vector3};
 use scene::Scene;
 use thiserror::Error;
@@ -449,50 +450,6 @@ impl<'v> Simulation<'v> {
         self.state.tick = tick;
         self.state.hash = hash;
         restored
-    }
-}
-
-impl Plant for Simulation<'_> {
-    type Error = SimulationError;
-
-    fn state(&self) -> &State {
-        self.state()
-    }
-
-    fn step(&mut self, latched: &Latched) -> Result<(), SimulationError> {
-        self.step(latched)
-    }
-
-    fn removed(&self) -> &[u32] {
-        self.removed()
-    }
-
-    fn predrilled(&self) -> &[u32] {
-        self.predrilled()
-    }
-
-    fn refusals(&self) -> &[Refusal] {
-        self.refusals()
-    }
-
-    fn uncut_voxels(&self) -> usize {
-        self.uncut_voxels()
-    }
-
-    fn left_out_contacts(&self) -> usize {
-        self.left_out_contacts
-    }
-
-    fn make_room(&mut self) {
-        self.make_room();
-    }
-
-    fn write_keyframe(&self, buffer: &mut [u8]) -> Result<usize, SimulationError> {
-        Ok(self.write_keyframe(buffer)?)
-    }
-
-    fn restore_keyframe(&mut self, keyframe: &[u8]) -> Result<(), SimulationError> {
-        self.restore_keyframe(keyframe)
     }
 }
 

@@ -6,7 +6,7 @@ use scene::{FlexurePlace, ToolDescription, ToolFlexure};
 
 use crate::manipulator::{
     MAX_SHAFT_SPHERES, ManipulatorParameters, Notch, Section, StiffnessRatios, TendonParameters, TendonReach,
-    TendonRoute,
+    TendonRoute, pitch_m,
 };
 
 /// The parameters of a described tool. What the description does not say, such as the contact model, is that of the standard tool.
@@ -18,10 +18,7 @@ pub(super) fn described(tool: &ToolDescription) -> ManipulatorParameters {
     let places = tool.flexures();
     let radii = tool.radii();
     let tube_radii_m = [radii.tube_outer_m, radii.tube_inner_m];
-    let per_flexure = |of: &dyn Fn(usize, &FlexurePlace) -> f64| -> Vec<f64> {
-        places.iter().enumerate().map(|(index, place)| of(index, place)).collect()
-    };
-    let joints_m = per_flexure(&|_, place| place.at_mm * 1e-3);
+    let joints_m: Vec<f64> = places.iter().map(|place| place.at_mm * 1e-3).collect();
     let first_m = joints_m.first().copied().unwrap_or(0.0);
     let material = Material {
         tube_radii_m,
@@ -29,12 +26,14 @@ pub(super) fn described(tool: &ToolDescription) -> ManipulatorParameters {
         youngs_modulus_pa: tool.tube.youngs_modulus_gpa.map_or(0.0, |modulus| modulus * 1e9),
     };
     let density = tool.tube.linear_density_kg_per_m;
-    let rest = per_flexure(&|_, place| place.flexure.rest_deg * PI / 180.0);
+    let rest: Vec<f64> = places.iter().map(|place| place.flexure.rest_deg * PI / 180.0).collect();
+    let (joint_stiffness_nm_per_rad, ratios) =
+        (0..places.len()).map(|index| material.flexure(&places, &joints_m, index)).unzip();
     let spheres = shaft_spheres(tool, first_m);
     ManipulatorParameters {
-        joint_stiffness_nm_per_rad: per_flexure(&|index, place| material.stiffness(&places, index, place)),
+        joint_stiffness_nm_per_rad,
         joint_rest_rad: if rest.iter().all(|angle| *angle == 0.0) { Vec::new() } else { rest },
-        section: Section::Ratios(material.ratios(&places)),
+        section: Section::Ratios(ratios),
         poisson_ratio: tool.tube.poisson_ratio,
         joint_limit_rad: tool.stop.angle_deg * PI / 180.0,
         joint_stop_stiffness_nm_per_rad: tool.stop.stiffness_nm_per_rad,
@@ -99,34 +98,22 @@ impl Material {
         Some(Notch { width_m: width_mm * 1e-3, past_axis_m: past_axis_mm * 1e-3 })
     }
 
-    /// Bending stiffness, N m/rad.
-    fn stiffness(&self, places: &[FlexurePlace], index: usize, place: &FlexurePlace) -> f64 {
-        if let Some(own) = place.flexure.stiffness_nm_per_deg {
-            return own * (180.0 / PI);
-        }
-        if let Some(notch) = Material::notch(place.flexure) {
-            let unit = notch.unit_stiffness(pitch_m(places, index), self.tube_radii_m, self.poisson_ratio);
-            return self.youngs_modulus_pa * unit.bending_nm_per_rad;
-        }
-        let [outer, inner] = self.tube_radii_m.map(|r| r * r * r * r);
-        let length_m = ToolDescription::length_mm(places, index).unwrap_or(f64::INFINITY) * 1e-3;
-        self.youngs_modulus_pa * 0.25 * PI * (outer - inner) / length_m
-    }
-
-    fn ratios(&self, places: &[FlexurePlace]) -> Vec<StiffnessRatios> {
-        let tube = || StiffnessRatios::tube(self.tube_radii_m, self.poisson_ratio);
-        let own = |(index, place): (usize, &FlexurePlace)| {
-            let notch = Material::notch(place.flexure)?;
-            let unit = notch.unit_stiffness(pitch_m(places, index), self.tube_radii_m, self.poisson_ratio);
-            Some(unit.ratios())
+    /// Bending stiffness of a flexure, N m/rad, and the ratios of its other freedoms to it.
+    fn flexure(&self, places: &[FlexurePlace], joints_m: &[f64], index: usize) -> (f64, StiffnessRatios) {
+        let flexure = places[index].flexure;
+        let notched = Material::notch(flexure).map(|notch| {
+            notch.unit_stiffness(pitch_m(joints_m, index), self.tube_radii_m, self.poisson_ratio)
+        });
+        let stiffness_nm_per_rad = match (flexure.stiffness_nm_per_deg, &notched) {
+            (Some(own), _) => own * (180.0 / PI),
+            (None, Some(unit)) => self.youngs_modulus_pa * unit.bending_nm_per_rad,
+            (None, None) => {
+                let [outer, inner] = self.tube_radii_m.map(|r| r * r * r * r);
+                let length_m = ToolDescription::length_mm(places, index).unwrap_or(f64::INFINITY) * 1e-3;
+                self.youngs_modulus_pa * 0.25 * PI * (outer - inner) / length_m
+            }
         };
-        places.iter().enumerate().map(|it| own(it).unwrap_or_else(tube)).collect()
+        let tube = || StiffnessRatios::tube(self.tube_radii_m, self.poisson_ratio);
+        (stiffness_nm_per_rad, notched.map_or_else(tube, |unit| unit.ratios()))
     }
-}
-
-/// Mean distance of a flexure from its neighbours, m.
-fn pitch_m(places: &[FlexurePlace], index: usize) -> f64 {
-    let last = places.len().saturating_sub(1);
-    let (from, to) = (index.saturating_sub(1), (index + 1).min(last));
-    (places[to].at_mm * 1e-3 - places[from].at_mm * 1e-3) / (to - from).max(1) as f64
 }
