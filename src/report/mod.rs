@@ -36,6 +36,7 @@ mod tests;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use inputs::failure::Failure;
 use output_file::OutputError;
 
 pub use live::{LiveSnapshot, LiveStats, progress_line};
@@ -129,6 +130,15 @@ pub enum ReportError {
         /// The encoder's reason.
         source: serde_json::Error,
     },
+}
+
+impl From<ReportError> for Failure {
+    fn from(error: ReportError) -> Failure {
+        match error {
+            ReportError::Output(error) => Failure::from(error),
+            other => Failure::failed(other.to_string()),
+        }
+    }
 }
 
 /// A run's report, and which of its files could not be written.

@@ -13,7 +13,7 @@ use simulation::Simulation;
 use volume_io::Volume;
 
 use crate::failure::Failure;
-use crate::launcher::volume_source::{self, VolumeFiles};
+use crate::volume_source::{self, VolumeFiles};
 
 /// What the user substitutes for the log's own values.
 #[derive(Debug, Clone, Default)]

@@ -15,5 +15,20 @@ pub use load::{GENTLE_N, Load, MOST_TENDON_FRICTION, Pull, RAMPED_N};
 pub use model_error::ModelError;
 pub use table::{Row, Settings, write};
 
+use ipc_types::scene::Scene;
+
+use crate::failure::Failure;
+use crate::scenes::SceneSource;
+
 /// The measured table of this build.
 pub const TABLE: &str = include_str!("table.csv");
+
+/// Loads a scene and resolves its tolerance; also returns the choice as text.
+///
+/// # Errors
+/// Bad input: an invalid scene, or a tolerance that no settings meet.
+pub fn load_scene(source: &SceneSource) -> Result<(Scene, Option<String>), Failure> {
+    let mut scene = source.load()?;
+    let choice = resolve(&mut scene, &source.text()?)?;
+    Ok((scene, choice.map(|choice| choice.text())))
+}

@@ -8,8 +8,6 @@ use run_log::LogError;
 use rustix::io::Errno;
 use volume_io::VolumeError;
 
-use crate::report::ReportError;
-
 /// Why a command did not succeed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{message}")]
@@ -73,15 +71,6 @@ impl From<VolumeError> for Failure {
                 Failure::failed(error.to_string())
             }
             other => Failure::bad_input(other),
-        }
-    }
-}
-
-impl From<ReportError> for Failure {
-    fn from(error: ReportError) -> Failure {
-        match error {
-            ReportError::Output(error) => Failure::from(error),
-            other => Failure::failed(other.to_string()),
         }
     }
 }

@@ -39,9 +39,9 @@ impl BuiltIn {
     /// The scene's text.
     pub fn text(self) -> &'static str {
         match self {
-            BuiltIn::Femur => include_str!("../configs/femur_curved_drilling.toml"),
-            BuiltIn::FreeSpace => include_str!("../configs/free_space.toml"),
-            BuiltIn::TensionSweep => include_str!("../configs/tension_sweep.toml"),
+            BuiltIn::Femur => include_str!("../../configs/femur_curved_drilling.toml"),
+            BuiltIn::FreeSpace => include_str!("../../configs/free_space.toml"),
+            BuiltIn::TensionSweep => include_str!("../../configs/tension_sweep.toml"),
         }
     }
 

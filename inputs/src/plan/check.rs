@@ -8,8 +8,8 @@ use ipc_types::scene::Scene;
 
 use super::reference::Reference;
 use crate::failure::Failure;
-use crate::launcher::volume_source;
-use crate::replay::{OpenedLog, Overrides};
+use crate::log::{OpenedLog, Overrides};
+use crate::volume_source;
 
 /// Result of the check.
 #[derive(Debug, Clone, PartialEq)]

@@ -8,7 +8,7 @@ use simulation::{Verdict, findings};
 use volume_io::Volume;
 
 use crate::failure::Failure;
-use crate::launcher::volume_source;
+use crate::volume_source;
 
 /// Checks a scene with its volume; without one, what does not depend on bone. Returns a warning for everything unlikely. `source` names the
 /// scene in messages.

@@ -40,8 +40,16 @@ pub struct Made {
     pub volume: Volume,
     /// Its hash.
     pub sha256: [u8; 32],
-    /// What its reader assumed or changed.
+    /// What its reader assumed or changed, and what was wrong with the cache.
     pub notes: Vec<String>,
+}
+
+impl Made {
+    /// With a note about the cache, which is not kept with the volume.
+    fn with_note(mut self, note: Option<String>) -> Made {
+        self.notes.extend(note);
+        self
+    }
 }
 
 /// The cache folder of this user, by the environment; none without a home.
@@ -64,10 +72,9 @@ pub fn through(
     match opened {
         Some(Ok(cache)) => through_folder(&cache, key, make),
         Some(Err((path, cause))) => {
-            if !matches!(cause, Unfit::System(_) | Unfit::Missing) {
-                tell!("trabecula: {}: not used as a cache: {cause}", path.display());
-            }
-            fresh(make)
+            let is_to_say = !matches!(cause, Unfit::System(_) | Unfit::Missing);
+            let note = is_to_say.then(|| format!("{}: not used as a cache: {cause}", path.display()));
+            Ok(fresh(make)?.with_note(note))
         }
         None => fresh(make),
     }
@@ -87,21 +94,21 @@ fn through_folder(
     key: &Key,
     make: impl FnOnce() -> Result<(Volume, Vec<String>), VolumeError>,
 ) -> Result<Made, VolumeError> {
-    match cache.find(key) {
+    let note = match cache.find(key) {
         Ok(Some(made)) => return Ok(made),
-        Ok(None) => {}
+        Ok(None) => None,
         Err(damage) => {
-            tell!("trabecula: {}: {damage}; it is made anew", cache.file(key).display());
             cache.remove(&key.name());
+            Some(format!("{}: {damage}; it is made anew", cache.file(key).display()))
         }
-    }
+    };
     let began = Instant::now();
     let made = fresh(make)?;
     if began.elapsed() >= WORTH_KEEPING && key.is_current() {
         // A cache that cannot be written costs time only.
         let _ = cache.keep(key, &made);
     }
-    Ok(made)
+    Ok(made.with_note(note))
 }
 
 /// The cache folder, open.

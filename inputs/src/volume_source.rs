@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use super::suspicions;
 use crate::cache::key::Key;
 use crate::cache::{self, Made};
 use crate::failure::Failure;
+use crate::suspicions;
 use foreign_text::foreign_path;
 use ipc_types::layout::Message;
 use ipc_types::messages::Volume as VolumeMessage;

@@ -24,7 +24,7 @@ use zerocopy::{FromBytes, IntoBytes};
 
 use super::Made;
 use super::key::Key;
-use crate::launcher::volume_source;
+use crate::volume_source;
 
 const MAGIC: &[u8; 16] = b"trabecula cache1";
 /// Most bytes of notes: a reader makes a few lines.

@@ -112,7 +112,7 @@ mod tests {
         let figure = format!("{standard:.2} mm r.m.s.");
         let said = known(&|_| {}).unwrap();
         assert!(said.starts_with("`planar` bends in one plane: ") && said.contains(&figure), "{said}");
-        for page in [include_str!("../../README.md"), include_str!("../../docs/accuracy-plan.md")] {
+        for page in [include_str!("../../../README.md"), include_str!("../../../docs/accuracy-plan.md")] {
             assert!(page.contains(&figure), "a page does not say {figure}");
         }
         // This step was not measured: the range over those that were.
@@ -128,7 +128,7 @@ mod tests {
         assert!(arc.contains(&figure), "{arc}, expected {figure}");
         assert_eq!(known(&|scene| scene.manipulator.model = Some(ManipulatorRung::Full)), None);
         assert_eq!(known(&|scene| scene.volume = None), None, "measured in bone only");
-        let rod = include_str!("../../configs/tools/rigid_drill.toml");
+        let rod = include_str!("../../../configs/tools/rigid_drill.toml");
         let rod = ipc_types::scene::ToolDescription::parse(rod, Path::new("rigid_drill.toml")).unwrap();
         assert_eq!(
             known(&|scene| scene.manipulator.tool = Some(rod.clone())),
