@@ -24,6 +24,7 @@ mod redirect_file;
 pub mod replay;
 pub mod report;
 pub mod scene_picture;
+pub mod sweep;
 pub mod tool;
 pub mod x_ray;
 

@@ -10,7 +10,7 @@ use serde_json::Value;
 use test_support::limited::Limited;
 
 /// Each core and its folder.
-const CORES: [(&str, &str); 13] = [
+const CORES: [(&str, &str); 14] = [
     ("foreign_text", "foreign_text"),
     ("openigtlink", "openigtlink"),
     ("markups", "markups"),
@@ -22,6 +22,7 @@ const CORES: [(&str, &str); 13] = [
     ("controllers", "controllers"),
     ("run_log", "run_log"),
     ("xray", "xray"),
+    ("sweep", "sweep"),
     ("hub", "hub"),
     ("hub_simulator", "hub/simulator"),
 ];

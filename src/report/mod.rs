@@ -41,7 +41,7 @@ use inputs::failure::Failure;
 use output_file::OutputError;
 
 pub use live::{LiveSnapshot, LiveStats, progress_line};
-pub use summary::{MissSummary, NOT_SHARED, Summary};
+pub use summary::{DrillingSummary, MissSummary, NOT_SHARED, Summary, ToolSummary};
 pub use table::{History, json_line};
 
 use page::Picture;
