@@ -1,5 +1,6 @@
 //! `trabecula sweep`: runs a scene many times with other values, and says what its results depend on.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -154,9 +155,9 @@ fn run_points(arguments: &RunArguments) -> Result<(), Failure> {
         )));
     }
     let shard = arguments.shard.unwrap_or(Shard { index: 0, of: 1 });
-    let points = match arguments.point.is_empty() {
+    let points: Vec<u64> = match arguments.point.is_empty() {
         true => shard.points(count).collect(),
-        false => arguments.point.clone(),
+        false => arguments.point.iter().copied().collect::<BTreeSet<u64>>().into_iter().collect(),
     };
     let cores = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let jobs = arguments.jobs.map_or_else(cores, |jobs| jobs as usize);

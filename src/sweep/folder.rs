@@ -99,16 +99,17 @@ impl Folder {
     /// Bad input: the folder is of another study or build, or holds something else; it cannot be written.
     pub fn take(path: &Path, study: &OpenedStudy) -> Result<Folder, Failure> {
         let identity = path.join("study.json");
-        let found = std::fs::read_dir(path).map(|mut entries| entries.next().is_some());
-        if found.unwrap_or(false) && !identity.exists() {
+        // Another worker may be writing `study.json`, or may have been killed while it did.
+        let is_draft = |name: &std::ffi::OsStr| name.to_string_lossy().starts_with(output_file::DRAFT_PREFIX);
+        let others = std::fs::read_dir(path)
+            .map(|entries| entries.flatten().filter(|entry| !is_draft(&entry.file_name())).count());
+        if others.unwrap_or(0) > 0 && !identity.exists() {
             return Err(Failure::bad_input(format!(
                 "--output {}: is not empty and no sweep's folder, expected a new folder or that of this sweep",
                 foreign_path(path)
             )));
         }
-        for below in [path.to_owned(), path.join("rows"), path.join("runs"), path.join("table")] {
-            output_file::create_folder(&below).map_err(Failure::folder(&below))?;
-        }
+        output_file::create_folder(path).map_err(Failure::folder(path))?;
         let text = serde_json::to_vec_pretty(&study.identity).map_err(|e| Failure::failed(e.to_string()))?;
         match output_file::write(&identity, text) {
             // Of this sweep, or of another worker of it that has just begun.
@@ -128,8 +129,15 @@ impl Folder {
                 "--output {}: holds rows of another {what}, which cannot stand in one table with this sweep's; take another folder",
                 foreign_path(path)
             ))),
-            None => Ok(folder),
+            None => folder.with_subfolders(),
         }
+    }
+
+    fn with_subfolders(self) -> Result<Folder, Failure> {
+        for below in ["rows", "runs", "table"].map(|name| self.path.join(name)) {
+            output_file::create_folder(&below).map_err(Failure::folder(&below))?;
+        }
+        Ok(self)
     }
 
     /// Opens a folder with rows.
@@ -181,9 +189,23 @@ impl Folder {
         self.path.join("rows").join(format!("{point:07}.json"))
     }
 
-    /// The folder of a run's log, from the sweep's.
-    pub fn run_folder(point: u64) -> PathBuf {
-        Path::new("runs").join(format!("{point:07}"))
+    /// Makes a folder for a run's log, from the sweep's. A run that was killed may have left one, and another worker may be making the same
+    /// run: nobody gets a folder twice.
+    ///
+    /// # Errors
+    /// It cannot be created.
+    pub fn claim_run(&self, point: u64) -> Result<PathBuf, Failure> {
+        let first = format!("{point:07}");
+        let names = std::iter::once(first.clone()).chain((2_u32..).map(|number| format!("{first}-{number}")));
+        for run in names.map(|name| Path::new("runs").join(name)) {
+            let folder = self.path.join(&run);
+            match std::fs::create_dir(&folder) {
+                Ok(()) => return Ok(run),
+                Err(cause) if cause.kind() == ErrorKind::AlreadyExists => {}
+                Err(cause) => return Err(Failure::folder(&folder)(cause)),
+            }
+        }
+        Err(Failure::failed(format!("{}: no name left for a run's folder", foreign_path(&self.path))))
     }
 
     /// A point's row, if its run has ended.
@@ -197,12 +219,17 @@ impl Folder {
             Err(cause) if cause.kind() == ErrorKind::NotFound => return Ok(None),
             Err(cause) => return Err(Failure::failed(format!("{}: {cause}", foreign_path(&file)))),
         };
-        let row: Row = serde_json::from_slice(&text).map_err(|cause| {
+        let no_row = |cause: String| {
             Failure::failed(format!(
-                "{}: is no row of a sweep ({cause}); remove it, and its run is made again",
+                "{}: is no row of this sweep ({cause}); remove it, and its run is made again",
                 foreign_path(&file)
             ))
-        })?;
+        };
+        let row: Row = serde_json::from_slice(&text).map_err(|cause| no_row(cause.to_string()))?;
+        let keys = row.parameters.iter().map(|(key, _)| key);
+        if row.point != point || !keys.eq(self.keys()) {
+            return Err(no_row("it is of another point or has other parameters".to_owned()));
+        }
         Ok(Some(row))
     }
 

@@ -40,7 +40,7 @@ pub fn run(
         }
     }
     row.ticks = course.ticks;
-    row.simulated_s = course.ticks as f64 * shared.scene().dt_s();
+    row.simulated_s = (course.ticks * shared.scene().dt_ns()) as f64 * 1e-9;
     row.final_hash = course.last.as_ref().map(|state| hash_text(state.hash));
     (row.tool, row.drilling) = (course.tool(), course.drilling());
     Ran::Ended(Box::new(row))

@@ -1,7 +1,5 @@
 //! Runs the points of a sweep that have no row yet, several at a time.
 
-use std::ops::Range;
-use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
@@ -87,17 +85,18 @@ pub fn run(
         }
     }
     let next = AtomicU64::new(0);
+    let first = Mutex::new(None);
     let progress = Mutex::new(progress);
     let failure: Mutex<Option<Failure>> = Mutex::new(None);
     let worker = || -> Result<(), Failure> {
-        let mut volume: Option<Arc<SharedScene>> = None;
+        let mut volumes = Volumes { own: None, first: &first };
         loop {
             let has_failed = failure.lock().unwrap_or_else(PoisonError::into_inner).is_some();
             let Some(&index) = left.get(next.fetch_add(1, Ordering::Relaxed) as usize) else { return Ok(()) };
             if has_failed || is_to_end() {
                 return Ok(());
             }
-            let Ran::Ended(row) = one(study, folder, index, &mut volume, is_to_end)? else { return Ok(()) };
+            let Ran::Ended(row) = one(study, folder, index, &mut volumes, is_to_end)? else { return Ok(()) };
             folder.keep(&row)?;
             let mut progress = progress.lock().unwrap_or_else(PoisonError::into_inner);
             progress.done += 1;
@@ -120,19 +119,47 @@ pub fn run(
     failure.into_inner().unwrap_or_else(PoisonError::into_inner).map_or(Ok(()), Err)
 }
 
-/// Runs a point. `volume` is a scene of this worker whose volume the next may share.
+/// A worker's scene whose volume its next one may share. The first of all workers' is shared by all, so that they do not all read it.
+struct Volumes<'a> {
+    own: Option<Arc<SharedScene>>,
+    first: &'a Mutex<Option<Arc<SharedScene>>>,
+}
+
+impl Volumes<'_> {
+    /// The scene of these settings.
+    ///
+    /// # Errors
+    /// The scene or its volume is refused.
+    fn load(&mut self, study: &OpenedStudy, settings: &[String]) -> Result<Arc<SharedScene>, SimError> {
+        let beside = |other: Option<&SharedScene>| {
+            SharedScene::load_beside(other, study.scene.as_deref(), settings, None)
+        };
+        let shared = match &self.own {
+            Some(own) => beside(Some(own))?,
+            None => {
+                let mut first = self.first.lock().unwrap_or_else(PoisonError::into_inner);
+                let shared = beside(first.as_deref())?;
+                first.get_or_insert_with(|| Arc::clone(&shared));
+                shared
+            }
+        };
+        self.own = Some(Arc::clone(&shared));
+        Ok(shared)
+    }
+}
+
+/// Runs a point.
 fn one(
     study: &OpenedStudy,
     folder: &Folder,
     index: u64,
-    volume: &mut Option<Arc<SharedScene>>,
+    volumes: &mut Volumes,
     is_to_end: &dyn Fn() -> bool,
 ) -> Result<Ran, Failure> {
     let point = study.study.point(index);
     let mut row = empty_row(study, &point)?;
     let settings = study.settings(&point);
-    let loaded = SharedScene::load_beside(volume.as_deref(), study.scene.as_deref(), &settings, None);
-    let shared = match loaded {
+    let shared = match volumes.load(study, &settings) {
         Ok(shared) => shared,
         Err(SimError::Input(failure)) if failure.code == EXIT_BAD_INPUT => {
             row.outcome = Ending::Refused;
@@ -141,7 +168,6 @@ fn one(
         }
         Err(other) => return Err(Failure::failed(other.to_string())),
     };
-    *volume = Some(Arc::clone(&shared));
     let controllers = &shared.scene().controller;
     if let Some(external) = controllers.iter().find(|controller| controller.external && !controller.optional)
     {
@@ -150,27 +176,21 @@ fn one(
             external.name
         )));
     }
-    if controllers.iter().any(|controller| controller.command.is_some()) {
-        let run_folder = free(folder, index);
-        let mut arguments: Vec<String> =
-            study.scene.iter().map(|scene| scene.display().to_string()).collect();
-        arguments.extend(["--mode".to_owned(), "lockstep".to_owned()]);
-        arguments.extend(settings.into_iter().flat_map(|setting| ["--set".to_owned(), setting]));
-        row.log = Some(run_folder.clone());
-        return launched::run(&arguments, row, &folder.path().join(run_folder), is_to_end);
+    let has_programs = controllers.iter().any(|controller| controller.command.is_some());
+    if has_programs || study.study.record == Record::All {
+        row.log = Some(folder.claim_run(index)?);
     }
-    let recorded = (study.study.record == Record::All).then(|| free(folder, index));
-    row.log.clone_from(&recorded);
-    Ok(in_process::run(&shared, row, recorded.map(|run| folder.path().join(run)), is_to_end))
-}
-
-/// A folder for a run's log that is not there yet: a run that was killed may have left one. From the sweep's folder.
-fn free(folder: &Folder, index: u64) -> PathBuf {
-    let first = Folder::run_folder(index);
-    let taken = |run: &Path| folder.path().join(run).symlink_metadata().is_ok();
-    let numbered = |number: Range<u32>| number.map(|n| PathBuf::from(format!("{}-{n}", first.display())));
-    let mut names = std::iter::once(first.clone()).chain(numbered(2..u32::MAX));
-    names.find(|run| !taken(run)).unwrap_or(first)
+    let run_folder = row.log.as_ref().map(|run| folder.path().join(run));
+    match run_folder {
+        Some(run_folder) if has_programs => {
+            let mut arguments: Vec<String> =
+                study.scene.iter().map(|scene| scene.display().to_string()).collect();
+            arguments.extend(["--mode".to_owned(), "lockstep".to_owned()]);
+            arguments.extend(settings.into_iter().flat_map(|setting| ["--set".to_owned(), setting]));
+            launched::run(&arguments, row, &run_folder, is_to_end)
+        }
+        run_folder => Ok(in_process::run(&shared, row, run_folder, is_to_end)),
+    }
 }
 
 fn empty_row(study: &OpenedStudy, point: &Point) -> Result<Row, Failure> {

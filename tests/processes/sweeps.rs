@@ -259,7 +259,15 @@ fn damaged_rows_and_folders_are_named() {
     fs::write(folder.join("rows/0000001.json"), "{\"point\": 1").unwrap();
     let done = run(&file, &folder, &[]);
     assert_eq!(done.code, Some(1));
-    assert!(done.err.contains("0000001.json: is no row of a sweep"), "{}", done.err);
+    assert!(done.err.contains("0000001.json: is no row of this sweep"), "{}", done.err);
+    let row = fs::read_to_string(folder.join("rows/0000000.json")).unwrap();
+    for other in
+        [row.replacen("\"point\":0", "\"point\":1000000000", 1), row.replace("tendon_friction", "gravity")]
+    {
+        fs::write(folder.join("rows/0000001.json"), other).unwrap();
+        let done = sweep(&[&"report", &folder, &"--of", &"bend_deg"]);
+        assert!(done.code == Some(1) && done.err.contains("it is of another point"), "{}", done.err);
+    }
     fs::write(folder.join("study.json"), "[]").unwrap();
     let done = sweep(&[&"report", &folder]);
     assert_eq!(done.code, Some(2), "{}", done.err);
