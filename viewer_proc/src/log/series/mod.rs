@@ -20,6 +20,15 @@ pub(super) use place::FieldPlace;
 
 /// Most fields kept of one log: 128 MiB.
 pub const MOST_FIELDS: usize = 32;
+/// What the page plots at first, so that the first pass over a log reads it already.
+const FIRST: [(&str, &str); 6] = [
+    ("/state", "tendon_tension_n[0]"),
+    ("/state", "tendon_tension_n[1]"),
+    ("/state", "bend_rad"),
+    ("/state", "burr_force_n"),
+    ("/state", "burr_speed_rad_per_s"),
+    ("/timing/tick", "step_ns"),
+];
 /// Most columns of a request.
 const MOST_COLUMNS: u32 = 8192;
 /// Most ticks read from the file for one request: 64 MB of states.
@@ -131,7 +140,13 @@ struct Answer {
 impl LogSeries {
     /// Nothing read yet of a log with these bounds.
     pub(super) fn new((begin_ns, end_ns): (u64, u64), dt_ns: u64) -> LogSeries {
-        LogSeries { begin_ns, end_ns: end_ns.max(begin_ns), dt_ns: dt_ns.max(1), found: Mutex::default() }
+        let found = Mutex::default();
+        let series = LogSeries { begin_ns, end_ns: end_ns.max(begin_ns), dt_ns: dt_ns.max(1), found };
+        for (topic, field) in FIRST {
+            // A field that a later version lacks is only not read in advance.
+            let _ = series.want(&FieldName { topic: topic.to_owned(), field: field.to_owned() });
+        }
+        series
     }
 
     /// First and last simulated time, ns.
