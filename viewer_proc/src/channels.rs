@@ -17,6 +17,8 @@ pub const PARTS: &str = "/view/parts";
 pub const PLAYBACK: &str = "/view/playback";
 /// The speed limit of a running session, or none (JSON; live only).
 pub const PACE: &str = "/view/pace";
+/// The state at the position on the time line, which a slow client gets less often but never late (logs only).
+pub const VIEW_STATE: &str = "/view/state";
 /// Notices for the user (JSON).
 pub const NOTICE: &str = "/view/notice";
 /// Comparison of two logs (JSON; logs only).
@@ -90,8 +92,14 @@ impl Channels {
         channels
     }
 
-    /// Adds the channels of a second log, shown beside the first under the prefix [`SECOND`].
-    pub fn add_second(&mut self) {
+    /// Adds the channels that only logs have: [`VIEW_STATE`], and those of a second log, shown beside the first under the prefix
+    /// [`SECOND`].
+    pub fn add_log(&mut self, has_second: bool) {
+        self.logged(VIEW_STATE, Topic::State.description(), Policy::Newest);
+        if !has_second {
+            return;
+        }
+        self.logged(&format!("{SECOND}{VIEW_STATE}"), Topic::State.description(), Policy::Newest);
         for topic in topics::RUN.into_iter().filter(|topic| SECOND_TOPICS.contains(topic)) {
             self.logged(&format!("{SECOND}{topic}"), topic.description(), policy_of(topic));
         }

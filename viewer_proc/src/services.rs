@@ -6,8 +6,12 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 use tokio::sync::oneshot;
 
+use crate::log::series::SeriesRequest;
+
 /// Service names; their numbers start at 1 in this order.
-pub const SERVICES: [&str; 4] = ["/control", "/drive", "/frame", "/playback"];
+pub const SERVICES: [&str; 5] = ["/control", "/drive", "/frame", "/playback", "/series"];
+/// Number of the service that only reads, so that it needs no token beyond the one for watching.
+const SERIES: u32 = 5;
 
 /// Actions of `/control`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -138,28 +142,42 @@ pub enum Request {
     Frame(CArm),
     /// Move on the time line.
     Playback(Playback),
+    /// Fields of a log over time.
+    Series(SeriesRequest),
 }
+
+/// Answer to a request that was executed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Reply {
+    /// Done; there is nothing more to say.
+    Done,
+    /// A JSON object with `"ok": true` and what was asked for.
+    Json(String),
+}
+
+/// What came of a request: an answer, or what is wrong.
+pub type Outcome = Result<Reply, String>;
 
 /// A request and the channel for its answer.
 #[derive(Debug)]
 pub struct Call {
     /// The request.
     pub request: Request,
-    /// Takes the answer: done, or what is wrong.
-    pub answer: oneshot::Sender<Result<(), String>>,
+    /// Takes the answer.
+    pub answer: oneshot::Sender<Outcome>,
 }
 
 /// Queue of calls to the source.
 pub type Calls = mpsc::Receiver<Call>;
 
-/// Parses a request; the token must be the server's.
+/// Parses a request. One that commands must have the server's token; to read, it is enough to be connected.
 ///
 /// # Errors
 /// What is wrong with it, for the user.
 pub fn read_request(service: u32, payload: &[u8], token: &str) -> Result<Request, String> {
     let value: Value = serde_json::from_slice(payload).map_err(|error| format!("not JSON: {error}"))?;
     let given = value.get("token").and_then(Value::as_str).unwrap_or("");
-    if !same(given, token) {
+    if service != SERIES && !same(given, token) {
         return Err(NO_TOKEN.to_owned());
     }
     let malformed = |error: serde_json::Error| format!("malformed request: {error}");
@@ -177,6 +195,7 @@ pub fn read_request(service: u32, payload: &[u8], token: &str) -> Result<Request
             Request::Frame(CArm { pose: frame.pose.or(frame.c_arm.pose), ..frame.c_arm })
         }
         4 => Request::Playback(serde_json::from_value(value).map_err(malformed)?),
+        SERIES => Request::Series(serde_json::from_value(value).map_err(malformed)?),
         other => return Err(format!("there is no service {other}")),
     };
     Ok(request)
@@ -193,13 +212,13 @@ pub(crate) fn same(given: &str, token: &str) -> bool {
 }
 
 /// The answer as JSON.
-pub fn response(outcome: &Result<(), String>) -> Vec<u8> {
-    match outcome {
-        Ok(()) => json!({"ok": true}),
-        Err(error) => json!({"ok": false, "error": error}),
-    }
-    .to_string()
-    .into_bytes()
+pub fn response(outcome: Outcome) -> Vec<u8> {
+    let text = match outcome {
+        Ok(Reply::Done) => json!({"ok": true}).to_string(),
+        Ok(Reply::Json(text)) => text,
+        Err(error) => json!({"ok": false, "error": error}).to_string(),
+    };
+    text.into_bytes()
 }
 
 #[cfg(test)]

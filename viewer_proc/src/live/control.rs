@@ -13,7 +13,7 @@ use tokio::sync::oneshot;
 
 use crate::board::Board;
 use crate::channels::PACE;
-use crate::services::{Action, Control as Request};
+use crate::services::{Action, Control as Request, Outcome, Reply};
 
 /// Most ticks in one step.
 const MAX_STEP_TICKS: u64 = 1_000_000;
@@ -24,7 +24,7 @@ const MAX_BACKLOG_STEPS: u32 = 10;
 /// Speed limit.
 const MAX_SPEED: f64 = 1000.0;
 
-type Answer = oneshot::Sender<Result<(), String>>;
+type Answer = oneshot::Sender<Outcome>;
 
 /// The session's run control.
 pub(super) struct Control {
@@ -173,8 +173,11 @@ impl Control {
                 let how = if reply.action() == Ok(ControlAction::Step) { "; pause first" } else { "" };
                 format!("refused at tick {}{how}", reply.tick)
             };
-            let _ =
-                answer.send(if reply.status() == Ok(ControlStatus::Done) { Ok(()) } else { Err(refused()) });
+            let _ = answer.send(if reply.status() == Ok(ControlStatus::Done) {
+                Ok(Reply::Done)
+            } else {
+                Err(refused())
+            });
         }
         self.waiting.retain(|_, answer| !answer.is_closed());
         let elapsed = self.paced.elapsed();
@@ -271,7 +274,7 @@ mod tests {
             .send(&RunControlReply { request_id, tick: 0, action, status: ControlStatus::Done.code() })
             .unwrap();
         control.poll(&board, 1_000_000).unwrap();
-        assert_eq!(answered.try_recv(), Ok(Ok(())));
+        assert_eq!(answered.try_recv(), Ok(Ok(Reply::Done)));
         // The queue is bounded until then.
         control.listens = false;
         let waiting: Vec<_> =

@@ -3,6 +3,7 @@
 mod bone;
 mod control;
 mod drive;
+mod frame_requests;
 mod parts;
 mod subscriptions;
 
@@ -135,7 +136,7 @@ impl Live {
         match call.request {
             Request::Control(request) => self.control.ask(&request, call.answer),
             Request::Drive(_) | Request::Frame(_) => self.driver.hand_over(call),
-            Request::Playback(_) => {
+            Request::Playback(_) | Request::Series(_) => {
                 // The client may have left.
                 let _ = call.answer.send(Err("a running session has no time line".to_owned()));
             }

@@ -14,6 +14,7 @@ use ipc_types::services;
 use ipc_types::session::{Session, SessionError};
 use run_log::topics::{self, Logged, Topic};
 
+use super::frame_requests::turns_the_c_arm;
 use super::parts::Parts;
 use crate::board::Board;
 use crate::channels::ASKED_FRAME;
@@ -35,7 +36,7 @@ pub(super) struct Subscriptions {
     progress: Subscriber<Progress>,
     commands: Vec<(String, Subscriber<Command>)>,
     others: Vec<Box<dyn Forward>>,
-    /// The viewer's index among the controllers.
+    /// The viewer's index among the controllers, if it asks for frames as one of them and not as an observer.
     own_index: Option<ControllerIndex>,
     /// Request numbers of the viewer's frames that have not arrived yet.
     asked: BTreeSet<u64>,
@@ -121,7 +122,9 @@ impl Subscriptions {
                 Forwarded::<RunControlReply>::open(session, &services::RUN_CONTROL_REPLY)?,
                 Forwarded::<DrrRequest>::open(session, &services::DRR_REQUEST)?,
             ],
-            own_index: ControllerIndex::first(names.len()).find(|index| names[index.slot()] == CONTROLLER),
+            own_index: ControllerIndex::first(names.len())
+                .find(|index| names[index.slot()] == CONTROLLER)
+                .filter(|_| turns_the_c_arm(scene)),
             asked: BTreeSet::new(),
             parts: Parts::new(scene, session),
             drawer: Drawer::new(tool),

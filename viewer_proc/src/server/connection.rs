@@ -20,7 +20,7 @@ use super::{MAX_CLIENTS, Shared};
 use crate::assets::asset;
 use crate::board::Client;
 use crate::protocol::{self, ClientText, Level};
-use crate::services::{Call, NO_TOKEN, SERVICES, read_request, response, same};
+use crate::services::{Call, NO_TOKEN, Outcome, SERVICES, read_request, response, same};
 
 /// Longest client message, bytes.
 pub const MAX_CLIENT_MESSAGE: usize = 64 << 10;
@@ -286,10 +286,10 @@ impl ClientSession<'_> {
                 }
             }
         };
-        say(socket, Message::binary(protocol::service_response(service, number, &response(&answer)))).await
+        say(socket, Message::binary(protocol::service_response(service, number, &response(answer)))).await
     }
 
-    fn answer_later(&self, service: u32, call: u32, answered: oneshot::Receiver<Result<(), String>>) {
+    fn answer_later(&self, service: u32, call: u32, answered: oneshot::Receiver<Outcome>) {
         let answers = self.answers.clone();
         tokio::task::spawn_local(async move {
             let outcome = match tokio::time::timeout(CALL_LIMIT, answered).await {
@@ -298,7 +298,7 @@ impl ClientSession<'_> {
             };
             // The client may have left.
             let _ =
-                answers.send(Message::binary(protocol::service_response(service, call, &response(&outcome))));
+                answers.send(Message::binary(protocol::service_response(service, call, &response(outcome))));
         });
     }
 }
