@@ -6,7 +6,7 @@ use std::sync::Arc;
 use controllers::{BuiltIn, Controller};
 use hub::command_check::check;
 use hub::latch::{Latch, Reset};
-use messages::{Command, ControllerIndex, State, Tick};
+use messages::{Command, ControllerIndex, SensorReading, State, Tick};
 use simulation::{Simulation, SimulationSnapshot};
 use xray::frame::Rendered;
 
@@ -139,6 +139,11 @@ impl Sim {
         self.plant.state()
     }
 
+    /// The readings of sensors that arrive with the present state.
+    pub fn readings(&self) -> &[SensorReading] {
+        self.plant.readings()
+    }
+
     /// Names of the controllers that the caller drives, in the scene's order.
     pub fn driven(&self) -> Vec<String> {
         let driven = self.drivers.iter().filter(|driver| driver.built_in.is_none());
@@ -196,6 +201,7 @@ impl Sim {
             }
             let mut command = driver.numbered(own.unwrap_or(&Command::zeroed()), tick);
             if let Some(built_in) = &mut driver.built_in {
+                self.plant.readings().iter().for_each(|reading| built_in.reading(reading));
                 built_in.step(state, &mut command);
             }
             self.latch.offer(index, &command, tick).map_err(|cause| SimError::Refused {

@@ -88,7 +88,7 @@ pub fn view(
     let first = outline(&path)?;
     let second = options.second.as_deref().map(|path| SecondLog::open(&log_path(path))).transpose()?;
     let scene = Scene::parse(&first.header.scene_toml, &path)?;
-    let mut channels = Channels::new(&first.header.controllers);
+    let mut channels = Channels::new(&first.header.controllers, &scene.sensor);
     if second.is_some() {
         channels.add_second();
     }
