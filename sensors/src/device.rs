@@ -52,7 +52,7 @@ struct Underway {
 }
 
 impl Device {
-    pub fn new(index: u32, sensor: &Sensor, dt_s: f64) -> Device {
+    pub fn new(index: u32, sensor: &Sensor, run_seed: u64, dt_s: f64) -> Device {
         let measure = Measure::new(sensor, dt_s);
         let state = DeviceState {
             drift: vec![0.0; measure.drifts()],
@@ -60,7 +60,7 @@ impl Device {
             underway: VecDeque::with_capacity(MAX_READINGS_UNDERWAY + 2),
             last_arrival: 0,
         };
-        let key = Key::of(sensor.seed).and(u64::from(index));
+        let key = Key::of(run_seed).and(sensor.seed).and(u64::from(index));
         Device {
             index,
             timing: Timing::new(sensor, dt_s),

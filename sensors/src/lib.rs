@@ -1,6 +1,6 @@
 //! Sensors: what measures the simulated tool, instead of the exact state.
 //!
-//! A reading is a function of the states up to its sample, its tick and the sensor's seed: noise, bias, jitter and drop-outs are
+//! A reading is a function of the states up to its sample, its tick and the seeds of run and sensor: noise, bias, jitter and drop-outs are
 //! counter-based random numbers, drift and the low-pass filter are kept in the state. [`SensorArray::see`] is given every state, in order,
 //! and says which readings arrive with it.
 //!
@@ -86,7 +86,7 @@ impl SensorArray {
     pub fn new(scene: &Scene) -> SensorArray {
         let devices: Vec<Device> = (0..)
             .zip(&scene.sensor)
-            .map(|(index, sensor)| Device::new(index, sensor, scene.dt_s()))
+            .map(|(index, sensor)| Device::new(index, sensor, scene.run.seed, scene.dt_s()))
             .collect();
         // All that wait may arrive at once, after a long jitter.
         let most = devices.len() * (MAX_READINGS_UNDERWAY + 2);

@@ -17,7 +17,7 @@ pub struct Controller {
     /// What it drives; no part has two drivers.
     pub drives: Vec<Drives>,
     /// Sensors that a built-in controller uses, by name: what they measure stands in the place of the exact state.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(default)]
     pub sensors: Vec<String>,
     /// The built-in curved drilling.
     pub curved_drilling: Option<CurvedDrilling>,

@@ -92,7 +92,7 @@ pub struct Scene {
     /// X-ray frames; absent: none.
     pub drr: Option<Drr>,
     /// What measures the tool; absent: nothing, and controllers see the exact state only.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(default)]
     #[schemars(length(max = MAX_SENSORS))]
     pub sensor: Vec<Sensor>,
     /// Who drives the tool.

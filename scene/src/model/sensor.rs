@@ -28,7 +28,7 @@ pub struct Sensor {
     #[serde(default)]
     #[schemars(range(min = 0.0, max = 1.0))]
     pub dropout: f64,
-    /// Seed of its noise, bias, drift, jitter and drop-outs; sensors of one seed differ by their place in the scene.
+    /// Seed of its noise, bias, drift, jitter and drop-outs, beside `run.seed` and its place in the scene.
     #[serde(default)]
     #[schemars(range(min = 0, max = 9_007_199_254_740_991_u64))]
     pub seed: u64,
