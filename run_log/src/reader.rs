@@ -14,7 +14,9 @@ use crate::stream::{LogMessage, MessageStream, ReadOptions};
 use crate::topics::Topic;
 
 /// Most readings of a tick: all that the sensors of a scene can have underway, and those of the tick.
-const MOST_READINGS: usize = messages::MAX_SENSORS * 258;
+const MOST_READINGS: usize = 2064;
+
+const _: () = assert!(MOST_READINGS == messages::MAX_SENSORS * 258);
 
 /// One complete tick.
 #[derive(Debug, Clone, PartialEq)]

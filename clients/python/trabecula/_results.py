@@ -128,9 +128,9 @@ class Reading(NamedTuple):
             message.tick,
             message.sample_tick,
             message.sensor_index,
-            g.SensorKind(message.kind),
+            message.kind,
             message.valid == 1,
-            np.array(message.value[: message.value_count]),
+            np.array(message.value),
         )
 
 
