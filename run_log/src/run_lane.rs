@@ -335,7 +335,9 @@ impl<W: Write> RunLog<W> {
 
     /// Writes the readings of states up to this one. Their channel is declared with the first, so that a log without sensors has none.
     fn write_readings(&mut self, tick: Tick) -> Result<(), LogError> {
-        while let Some(reading) = self.readings.pop_front_if(|reading| reading.tick <= tick.0) {
+        while self.readings.front().is_some_and(|reading| reading.tick <= tick.0)
+            && let Some(reading) = self.readings.pop_front()
+        {
             let missed = reading.sequence.saturating_sub(self.expected.reading_sequence);
             self.count_lost(Topic::Sensor, missed);
             self.expected.reading_sequence = reading.sequence.saturating_add(1);

@@ -154,6 +154,8 @@ impl Device {
     /// Forgets what had arrived by the last state.
     pub fn forget_arrived(&mut self, last: Option<u64>) {
         let Some(last) = last else { return };
-        while self.state.underway.pop_front_if(|sample| sample.arrival <= last).is_some() {}
+        while self.state.underway.front().is_some_and(|sample| sample.arrival <= last) {
+            self.state.underway.pop_front();
+        }
     }
 }

@@ -5,7 +5,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use controllers::{Controller, built_in};
+use controllers::built_in;
 use hub::in_process::{Answer, InProcess};
 use messages::{Latched, Reset, SensorReading};
 use recorder_proc::log_file::LogFile;
@@ -109,7 +109,7 @@ fn a_measured_run_is_the_same_in_a_simulation_in_the_hub_and_in_its_replay() {
     assert!(sim.close_recording().unwrap());
 
     let log = LogFile::at(&place.path().join("log/run.mcap"));
-    let mut logged = Vec::new();
+    let mut logged: Vec<SensorReading> = Vec::new();
     let mut stream = MessageStream::open(&log, ReadOptions::default()).unwrap();
     while let Some(message) = stream.next_message().unwrap() {
         if message.known == Some(Topic::Sensor) {
