@@ -9,7 +9,7 @@ use viewer_proc::channels::Channels;
 use viewer_proc::log::player::Player;
 use viewer_proc::protocol::{ClientText, service_call, service_failure};
 use viewer_proc::server::http::{Origins, Reach, parse, websocket_answer};
-use viewer_proc::services::{Request, read_request, response};
+use viewer_proc::services::{Reply, Request, read_request, response};
 
 const TOKEN: &str = "t";
 const ADDRESS: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8765);
@@ -47,7 +47,7 @@ fn request_head(data: &[u8]) {
 
 fn subscribe(text: ClientText) {
     BOARD.with(|board| {
-        let board = board.get_or_init(|| Board::new(Channels::new(&["a".to_owned()])));
+        let board = board.get_or_init(|| Board::new(Channels::new(&["a".to_owned()], &[])));
         let client = board.join();
         match text {
             ClientText::Subscribe { subscriptions } => {
@@ -71,10 +71,10 @@ fn obey(service: u32, payload: &[u8]) {
     let request = read_request(service, payload, TOKEN);
     if let Ok(Request::Playback(playback)) = &request {
         let mut player = Player::new(1_000, 9_000_000_000, 1_000_000, Vec::new());
-        let outcome = player.apply(playback);
+        let outcome = player.apply(playback).map(|()| Reply::Done);
         player.advance(Duration::from_millis(40));
         assert!((1_000..=9_000_000_000).contains(&player.time_ns()));
-        assert!(!response(&outcome).is_empty());
+        assert!(!response(outcome).is_empty());
     }
 }
 

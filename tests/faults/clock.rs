@@ -53,6 +53,8 @@ fn no_loop_reads_the_wall_clock() {
         "ipc_types/src",
         "volume_io/src",
         "voxel_grid/src",
+        "counter_random/src",
+        "sensors/src",
         "physics_proc/src",
         "xray/src",
         "drr_proc/src",

@@ -3,6 +3,7 @@
 use hub::viewer::Policy;
 use ipc_types::layout::{Description, Message};
 use ipc_types::messages::{Command, Frame};
+use ipc_types::scene::Sensor;
 use run_log::{Topic, topics};
 
 use crate::protocol::Advertisement;
@@ -57,14 +58,17 @@ struct Schema<'a> {
 }
 
 impl Channels {
-    /// All channels, including one command channel per controller.
-    pub fn new(controllers: &[String]) -> Channels {
+    /// All channels, including one command channel per controller, and that of readings if the scene has sensors.
+    pub fn new(controllers: &[String], sensors: &[Sensor]) -> Channels {
         let mut channels = Channels::default();
         for topic in topics::RUN {
             // Keyframes are the physics' internal format; there is nothing to show.
             if topic != Topic::Keyframe {
                 channels.logged(topic.name(), topic.description(), policy_of(topic));
             }
+        }
+        if !sensors.is_empty() {
+            channels.logged(Topic::Sensor.name(), Topic::Sensor.description(), policy_of(Topic::Sensor));
         }
         for topic in TIMING {
             channels.logged(topic.name(), topic.description(), Policy::Stream);

@@ -244,6 +244,7 @@ mod tests {
             controllers: Vec::new(),
             volume_bytes: 4096,
             frame_bytes: 0,
+            sensors: false,
             recorder: false,
             wait: Wait::Hybrid,
             policy: Policy::Other,
@@ -260,7 +261,7 @@ mod tests {
         let mut answered = ask(&mut control, Action::Speed);
         let physics = host.session.subscriber::<RunControl>(&services::RUN_CONTROL).unwrap();
         let replies = host.session.publisher::<RunControlReply>(&services::RUN_CONTROL_REPLY).unwrap();
-        let board = Board::new(Channels::new(&[]));
+        let board = Board::new(Channels::new(&[], &[]));
         control.poll(&board, 1_000_000).unwrap();
         assert!(physics.receive().unwrap().is_none(), "not before it is heard of");
         control.physics_listens().unwrap();

@@ -57,7 +57,7 @@ pub fn view(
     let _sweeper = HalfMadeSweeper::after_host(&options.session);
     let session = Session::join(&options.session)?;
     let scene = session_scene(&options.session)?;
-    let board = Arc::new(Board::new(Channels::new(&scene.controller_names())));
+    let board = Arc::new(Board::new(Channels::new(&scene.controller_names(), &scene.sensor)));
     let (calls, called) = mpsc::sync_channel(CALL_QUEUE);
     let over = Arc::new(AtomicBool::new(false));
     let name = options.session.display().to_string();

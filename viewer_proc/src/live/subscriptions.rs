@@ -6,7 +6,7 @@ use hub::viewer::Decimation;
 use ipc_types::layout::Message;
 use ipc_types::messages::{
     Command, ControllerIndex, DrrReply, DrrRequest, DrrStatus, Event, Frame, FrameTiming, Latched, Part,
-    Phase, Progress, Removed, RunControl, RunControlReply, RunStatus, State, TickTiming,
+    Phase, Progress, Removed, RunControl, RunControlReply, RunStatus, SensorReading, State, TickTiming,
 };
 use ipc_types::ports::{PortError, Received, Subscriber};
 use ipc_types::scene::Scene;
@@ -105,6 +105,9 @@ impl Subscriptions {
             .iter()
             .map(|name| Ok((name.clone(), session.command_subscriber(name)?)))
             .collect::<Result<_, SessionError>>()?;
+        let sensors =
+            (!scene.sensor.is_empty()).then(|| Forwarded::<SensorReading>::open(session, &services::SENSOR));
+        let sensors = sensors.transpose()?;
         Ok(Subscriptions {
             states: session.subscriber(&services::STATE)?,
             frames: scene.drr.as_ref().map(|_| session.subscriber(&services::FRAME)).transpose()?,
@@ -121,7 +124,10 @@ impl Subscriptions {
                 Forwarded::<RunControl>::open(session, &services::RUN_CONTROL)?,
                 Forwarded::<RunControlReply>::open(session, &services::RUN_CONTROL_REPLY)?,
                 Forwarded::<DrrRequest>::open(session, &services::DRR_REQUEST)?,
-            ],
+            ]
+            .into_iter()
+            .chain(sensors)
+            .collect(),
             own_index: ControllerIndex::first(names.len())
                 .find(|index| names[index.slot()] == CONTROLLER)
                 .filter(|_| turns_the_c_arm(scene)),
