@@ -35,6 +35,7 @@ extern "C" {
     "Command=c8d0cd083b5f99f6;" \
     "Latched=b309d74dc575e148;" \
     "Removed=5ce3babf608d61af;" \
+    "SensorReading=c28288800b91c249;" \
     "Keyframe=e1b9ba2b5a994f57;" \
     "Volume=c5a2aacd347a5ea0;" \
     "Frame=228045ff193eb24b;" \
@@ -55,7 +56,7 @@ extern "C" {
     "LatchedCommand=614dac6c95076e87;" \
     "CArmGeometry=7864e87c0e8671ed;" \
     "CArmProjection=46e6726030fe2f0e;" \
-    "Abi=fac1e6809e38c195"
+    "Abi=a16e5544816b9fdc"
 
 /* Status codes. */
 #define TRB_OK (0) /* Done. */
@@ -119,6 +120,11 @@ extern "C" {
 #define TRB_PHASE_RUNNING 1
 #define TRB_PHASE_PAUSED 2
 #define TRB_PHASE_ENDED 3
+#define TRB_SENSOR_FBG 1
+#define TRB_SENSOR_TRACKER 2
+#define TRB_SENSOR_ENCODERS 3
+#define TRB_SENSOR_LOAD_CELL 4
+#define TRB_SENSOR_FORCE_TORQUE 5
 #define TRB_SEVERITY_INFO 0
 #define TRB_SEVERITY_WARNING 1
 #define TRB_SEVERITY_ERROR 2
@@ -146,6 +152,8 @@ extern "C" {
 #define TRB_MAX_TENDONS 4
 #define TRB_ARM_JOINTS 6
 #define TRB_MAX_CONTROLLERS 4
+#define TRB_MAX_SENSORS 8
+#define TRB_MAX_SENSOR_VALUES 32
 
 /* Limits of the values in a command. */
 #define TRB_MAX_TENSION_N 60.0
@@ -463,6 +471,38 @@ TRB_ASSERT(offsetof(trb_removed, removed_total) == 16, "trb_removed.removed_tota
 TRB_ASSERT(offsetof(trb_removed, restore_first) == 24, "trb_removed.restore_first");
 TRB_ASSERT(offsetof(trb_removed, voxel_index_length) == 28, "trb_removed.voxel_index_length");
 TRB_ASSERT(sizeof(trb_removed) == 32, "trb_removed");
+
+/* One reading of a sensor that the scene names. Published before the state of the tick at which it
+ * arrives, and only in scenes with a `[[sensor]]`. What the values are, `kind` says; their order and
+ * units are in docs/sensors.md. */
+typedef struct trb_sensor_reading {
+    /* `State.tick` of the state with which the reading arrives. */
+    uint64_t tick;
+    /* `State.tick` of the state that it measures. */
+    uint64_t sample_tick;
+    /* Sequence number of the readings of all sensors: 1, 2, 3 and so on. */
+    uint64_t sequence;
+    /* The sensor, by its place in the scene, from 0. */
+    uint32_t sensor_index;
+    /* 1 fbg, 2 tracker, 3 encoders, 4 load_cell, 5 force_torque. */
+    uint32_t kind;
+    /* 1 if it measured, 0 if the reading dropped out or the tracker does not see its marker; the values
+     * are then 0. */
+    uint32_t valid;
+    /* Number of used entries of `value`. */
+    uint32_t value_count;
+    /* What was measured. */
+    double value[32];
+} trb_sensor_reading;
+TRB_ASSERT(offsetof(trb_sensor_reading, tick) == 0, "trb_sensor_reading.tick");
+TRB_ASSERT(offsetof(trb_sensor_reading, sample_tick) == 8, "trb_sensor_reading.sample_tick");
+TRB_ASSERT(offsetof(trb_sensor_reading, sequence) == 16, "trb_sensor_reading.sequence");
+TRB_ASSERT(offsetof(trb_sensor_reading, sensor_index) == 24, "trb_sensor_reading.sensor_index");
+TRB_ASSERT(offsetof(trb_sensor_reading, kind) == 28, "trb_sensor_reading.kind");
+TRB_ASSERT(offsetof(trb_sensor_reading, valid) == 32, "trb_sensor_reading.valid");
+TRB_ASSERT(offsetof(trb_sensor_reading, value_count) == 36, "trb_sensor_reading.value_count");
+TRB_ASSERT(offsetof(trb_sensor_reading, value) == 40, "trb_sensor_reading.value");
+TRB_ASSERT(sizeof(trb_sensor_reading) == 296, "trb_sensor_reading");
 
 /* One part of a keyframe. A keyframe saves everything that the physics keeps between ticks, so that a
  * replay can start there. The bytes are written by `simulation::Simulation::write_keyframe` and are
@@ -1106,6 +1146,12 @@ int32_t trb_remark(trb_client client, uint32_t severity, const char *text);
  * this client's first call on, at most 512. The memory that `view` points to stays valid until this
  * client's next call of trb_next_removed that returns TRB_OK, or trb_disconnect. */
 int32_t trb_next_removed(trb_client client, trb_removed_view *view);
+
+/* The oldest unread reading of any sensor of the scene; TRB_TIMEOUT if there is none. Readings are
+ * queued from trb_connect on, at most 1024; those that arrive with a state are there when the state
+ * is. `*reading` points into shared memory and stays valid and unchanged until this client's next call
+ * of trb_next_reading that returns TRB_OK, or trb_disconnect. */
+int32_t trb_next_reading(trb_client client, const trb_sensor_reading **reading);
 
 #ifdef __cplusplus
 }

@@ -17,6 +17,7 @@ LAYOUTS = (
     "Command=c8d0cd083b5f99f6;"
     "Latched=b309d74dc575e148;"
     "Removed=5ce3babf608d61af;"
+    "SensorReading=c28288800b91c249;"
     "Keyframe=e1b9ba2b5a994f57;"
     "Volume=c5a2aacd347a5ea0;"
     "Frame=228045ff193eb24b;"
@@ -37,7 +38,7 @@ LAYOUTS = (
     "LatchedCommand=614dac6c95076e87;"
     "CArmGeometry=7864e87c0e8671ed;"
     "CArmProjection=46e6726030fe2f0e;"
-    "Abi=fac1e6809e38c195"
+    "Abi=a16e5544816b9fdc"
 )
 
 OK = 0
@@ -70,6 +71,8 @@ MAX_BODIES = 4
 MAX_TENDONS = 4
 ARM_JOINTS = 6
 MAX_CONTROLLERS = 4
+MAX_SENSORS = 8
+MAX_SENSOR_VALUES = 32
 
 MAX_TENSION_N = 60.0
 MAX_DISPLACEMENT_M = 0.02
@@ -238,6 +241,23 @@ PHASE_CONNECTING = Phase.CONNECTING
 PHASE_RUNNING = Phase.RUNNING
 PHASE_PAUSED = Phase.PAUSED
 PHASE_ENDED = Phase.ENDED
+
+
+class SensorKind(IntEnum):
+    """What a `SensorReading` measures."""
+
+    FBG = 1
+    TRACKER = 2
+    ENCODERS = 3
+    LOAD_CELL = 4
+    FORCE_TORQUE = 5
+
+
+SENSOR_FBG = SensorKind.FBG
+SENSOR_TRACKER = SensorKind.TRACKER
+SENSOR_ENCODERS = SensorKind.ENCODERS
+SENSOR_LOAD_CELL = SensorKind.LOAD_CELL
+SENSOR_FORCE_TORQUE = SensorKind.FORCE_TORQUE
 
 
 class Severity(IntEnum):
@@ -524,6 +544,33 @@ class Removed(View):
     removed_total: int = field("<Q", 16, "Voxels drilled since the start or the last reset, including these.")
     restore_first: int = field("<I", 24, "1 after a reset: first restore all drilled voxels (not the predrilled ones), then remove these.")
     voxel_index_length: int = field("<I", 28, "Number of entries in `voxel_index`.")
+
+
+class SensorReading(View):
+    """One reading of a sensor that the scene names. Published before the state of the tick at
+    which it arrives, and only in scenes with a `[[sensor]]`. What the values are, `kind`
+    says; their order and units are in docs/sensors.md.
+    """
+
+    if not TYPE_CHECKING:
+        __slots__ = ()
+
+    dtype = np.dtype(
+        {
+            "names": ["tick", "sample_tick", "sequence", "sensor_index", "kind", "valid", "value_count", "value"],
+            "formats": ["<u8", "<u8", "<u8", "<u4", "<u4", "<u4", "<u4", ("<f8", (32,))],
+            "offsets": [0, 8, 16, 24, 28, 32, 36, 40],
+            "itemsize": 296,
+        }
+    )
+    tick: int = field("<Q", 0, "`State.tick` of the state with which the reading arrives.")
+    sample_tick: int = field("<Q", 8, "`State.tick` of the state that it measures.")
+    sequence: int = field("<Q", 16, "Sequence number of the readings of all sensors: 1, 2, 3 and so on.")
+    sensor_index: int = field("<I", 24, "The sensor, by its place in the scene, from 0.")
+    kind: SensorKind = field("<I", 28, "1 fbg, 2 tracker, 3 encoders, 4 load_cell, 5 force_torque.", SensorKind)
+    valid: int = field("<I", 32, "1 if it measured, 0 if the reading dropped out or the tracker does not see its marker; the values are then 0.")
+    value_count: int = field("<I", 36, "Number of used entries of `value`.")
+    value = ArrayField(np.float64, "What was measured.", "value_count")
 
 
 class Keyframe(View):
@@ -974,6 +1021,7 @@ FUNCTIONS: list[tuple[str, Any, list[Any]]] = [
     ("trb_next_event", ctypes.c_int32, [ctypes.c_uint64, ctypes.c_void_p]),
     ("trb_remark", ctypes.c_int32, [ctypes.c_uint64, ctypes.c_uint32, ctypes.c_char_p]),
     ("trb_next_removed", ctypes.c_int32, [ctypes.c_uint64, ctypes.c_void_p]),
+    ("trb_next_reading", ctypes.c_int32, [ctypes.c_uint64, ctypes.c_void_p]),
 ]
 
 __all__ = [
@@ -988,6 +1036,7 @@ __all__ = [
     "GeometryChoice",
     "DrrStatus",
     "Phase",
+    "SensorKind",
     "Severity",
     "EventCode",
     "Pose",
@@ -999,6 +1048,7 @@ __all__ = [
     "LatchedCommand",
     "Latched",
     "Removed",
+    "SensorReading",
     "Keyframe",
     "Volume",
     "CArmGeometry",
@@ -1070,6 +1120,11 @@ __all__ = [
     "PHASE_RUNNING",
     "PHASE_PAUSED",
     "PHASE_ENDED",
+    "SENSOR_FBG",
+    "SENSOR_TRACKER",
+    "SENSOR_ENCODERS",
+    "SENSOR_LOAD_CELL",
+    "SENSOR_FORCE_TORQUE",
     "SEVERITY_INFO",
     "SEVERITY_WARNING",
     "SEVERITY_ERROR",
@@ -1097,6 +1152,8 @@ __all__ = [
     "MAX_TENDONS",
     "ARM_JOINTS",
     "MAX_CONTROLLERS",
+    "MAX_SENSORS",
+    "MAX_SENSOR_VALUES",
     "MAX_TENSION_N",
     "MAX_DISPLACEMENT_M",
     "MAX_BURR_SPEED_RAD_PER_S",
