@@ -431,7 +431,7 @@ class Client:
         """Copies of the sensors' readings since the last call; queued from the connection on, at most 1024. Those that arrive with
         a state are there when the state is.
         """
-        readings = []
+        readings: list[Reading] = []
         address = ctypes.c_void_p()
         while True:
             status = _library.trb_next_reading(self._handle, _byref(address))
