@@ -5,6 +5,7 @@ import signal
 import time
 from pathlib import Path
 
+import slices
 from page import BURR_PIXELS, Page, count, is_burr, is_link
 from playwright.sync_api import Browser
 
@@ -246,7 +247,7 @@ def check(browser: Browser, url: str, victim: int, pictures: Path) -> None:
     """All checks on one page, in turn."""
     page = Page(browser, url)
     for one in (connects, shows_the_tool, shows_bone, frames_update, holds_the_frame_that_was_asked_for, pauses_and_steps, drives,
-                drives_by_gamepad, holds_a_speed, costs_little):
+                drives_by_gamepad, holds_a_speed, costs_little, *slices.LIVE):
         _run(one, page)
     page.save(pictures / "live.png")
     for one in (works_with_keys_alone, light_and_dark):

@@ -24,6 +24,7 @@
 //! | [`live`] | a running session: messages, run control, driving |
 //! | [`log`] | logs on a time line |
 //! | [`surface`] | the bone's surface, block by block |
+//! | [`mod@slice`] | planes through the CT, on request |
 //! | [`server`], [`protocol`], [`services`] | HTTP, WebSocket, the requests of clients |
 //! | [`board`], [`channels`] | what clients subscribe to; [`hub::viewer`] decides what each of them gets |
 //! | [`scene_update`] | the tool for other viewers |
@@ -40,6 +41,7 @@ pub mod protocol;
 pub mod scene_update;
 pub mod server;
 pub mod services;
+pub mod slice;
 pub mod surface;
 
 pub use error::ViewerError;

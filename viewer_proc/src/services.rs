@@ -1,13 +1,18 @@
 //! The services: requests that clients can make to the simulator or the time line.
 
+use std::borrow::Cow;
 use std::sync::mpsc;
 
 use serde::Deserialize;
 use serde_json::{Value, json};
 use tokio::sync::oneshot;
 
+use crate::slice::Slice;
+
 /// Service names; their numbers start at 1 in this order.
-pub const SERVICES: [&str; 4] = ["/control", "/drive", "/frame", "/playback"];
+pub const SERVICES: [&str; 5] = ["/control", "/drive", "/frame", "/playback", "/slice"];
+/// Number of `/slice`.
+pub const SLICE: u32 = 5;
 
 /// Actions of `/control`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -138,28 +143,54 @@ pub enum Request {
     Frame(CArm),
     /// Move on the time line.
     Playback(Playback),
+    /// Show a slice of the CT.
+    Slice(Slice),
 }
+
+/// What a client gets for a request that could be done.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Reply {
+    /// It is done.
+    Done,
+    /// A slice ([`Slice::bytes`]).
+    Slice(Vec<u8>),
+}
+
+/// An answer: done, or what is wrong.
+pub type Answer = Result<Reply, String>;
 
 /// A request and the channel for its answer.
 #[derive(Debug)]
 pub struct Call {
     /// The request.
     pub request: Request,
-    /// Takes the answer: done, or what is wrong.
-    pub answer: oneshot::Sender<Result<(), String>>,
+    /// Takes the answer.
+    pub answer: oneshot::Sender<Answer>,
+}
+
+impl Call {
+    /// Answers. The client may have left.
+    pub fn reply(self, reply: Reply) {
+        let _ = self.answer.send(Ok(reply));
+    }
+
+    /// Says why not. The client may have left.
+    pub fn refuse(self, why: &str) {
+        let _ = self.answer.send(Err(why.to_owned()));
+    }
 }
 
 /// Queue of calls to the source.
 pub type Calls = mpsc::Receiver<Call>;
 
-/// Parses a request; the token must be the server's.
+/// Parses a request; the token must be the server's, except for a slice: who may watch may see it.
 ///
 /// # Errors
 /// What is wrong with it, for the user.
 pub fn read_request(service: u32, payload: &[u8], token: &str) -> Result<Request, String> {
     let value: Value = serde_json::from_slice(payload).map_err(|error| format!("not JSON: {error}"))?;
     let given = value.get("token").and_then(Value::as_str).unwrap_or("");
-    if !same(given, token) {
+    if service != SLICE && !same(given, token) {
         return Err(NO_TOKEN.to_owned());
     }
     let malformed = |error: serde_json::Error| format!("malformed request: {error}");
@@ -177,6 +208,7 @@ pub fn read_request(service: u32, payload: &[u8], token: &str) -> Result<Request
             Request::Frame(CArm { pose: frame.pose.or(frame.c_arm.pose), ..frame.c_arm })
         }
         4 => Request::Playback(serde_json::from_value(value).map_err(malformed)?),
+        SLICE => Request::Slice(serde_json::from_value(value).map_err(malformed)?),
         other => return Err(format!("there is no service {other}")),
     };
     Ok(request)
@@ -192,14 +224,14 @@ pub(crate) fn same(given: &str, token: &str) -> bool {
     given.len() == token.len() && difference == 0
 }
 
-/// The answer as JSON.
-pub fn response(outcome: &Result<(), String>) -> Vec<u8> {
-    match outcome {
-        Ok(()) => json!({"ok": true}),
+/// Encoding and bytes of an answer: JSON, or a slice's own.
+pub fn response(answer: &Answer) -> (&'static str, Cow<'_, [u8]>) {
+    let json = match answer {
+        Ok(Reply::Slice(bytes)) => return ("trabecula.slice", bytes.into()),
+        Ok(Reply::Done) => json!({"ok": true}),
         Err(error) => json!({"ok": false, "error": error}),
-    }
-    .to_string()
-    .into_bytes()
+    };
+    ("json", json.to_string().into_bytes().into())
 }
 
 #[cfg(test)]

@@ -2,21 +2,28 @@
 
 import { Actions } from "/assets/actions.js";
 import { Connection, json } from "/assets/connection.js";
+import { Cursor } from "/assets/cursor.js";
 import { Drive } from "/assets/drive.js";
 import { connectDrivePanel, showDrive } from "/assets/drive_panel.js";
 import { commands } from "/assets/commands.js";
+import { showGuidance } from "/assets/guidance.js";
+import { CLICK_PX, Measures } from "/assets/measure.js";
 import { Model } from "/assets/model.js";
 import { Notices } from "/assets/notices.js";
 import { drawGizmo, fillLegend, showScaleBar } from "/assets/overlays.js";
 import { Rate, showFrame, showRun, showStream, showTicks, silence } from "/assets/panels.js";
 import { PlotsPanel } from "/assets/plots_panel.js";
 import { SceneView } from "/assets/scene_view.js";
+import { SceneOverlay } from "/assets/scene_overlay.js";
+import { sliceCommands } from "/assets/slice_commands.js";
+import { Slices } from "/assets/slices.js";
 import { showComparison, showParts } from "/assets/tables.js";
 import { Theme } from "/assets/theme.js";
 import { TimeLine } from "/assets/time_line.js";
 import { drawTimingStrip } from "/assets/timing_strip.js";
 import { Work } from "/assets/work.js";
 import { XRay, decodeImage } from "/assets/x_ray.js";
+import { XRayOverlay } from "/assets/x_ray_overlay.js";
 
 /** Readouts change this often, so that they can be read. */
 const TEXT_MS = 100;
@@ -62,6 +69,11 @@ page.call = async (service, request) => {
 
 page.xRay = new XRay(element("x-ray-canvas"), () => changed("xRay"));
 page.xRay.listen();
+page.cursor = new Cursor(() => changed());
+page.measures = new Measures(() => (showMeasures(), changed()));
+page.xRayOverlay = new XRayOverlay(element("x-ray-overlay"), page.xRay, model, page.cursor, page.measures);
+// Whoever may watch may see slices: they need no control token.
+page.slices = new Slices(model, page.cursor, page.measures, (request) => connection.call("/slice", request), () => changed("scene"));
 page.plots = new PlotsPanel(element("plots"), model, () => changed("plots"));
 page.timeLine = new TimeLine((request) => page.call("/playback", request), () => changed("plots"));
 for (const dialog of document.querySelectorAll("dialog")) {
@@ -73,18 +85,39 @@ page.drive = new Drive((request) => connection.call("/drive", request), () => sh
 connectDrivePanel(page.drive);
 try {
   page.view = new SceneView(element("scene-canvas"), () => changed("scene"));
+  Object.assign(page.view, { cursor: page.cursor, measures: page.measures });
+  page.sceneOverlay = new SceneOverlay(element("scene-overlay"), page.view, page.measures);
+  listenToClicks(element("scene-canvas"));
   const lost = "The browser has lost its 3D picture: load the page again.";
   element("scene-canvas").addEventListener("webglcontextlost", () => notices.show("webgl", lost));
 } catch (error) {
   notices.show("webgl", `No 3D view: ${error instanceof Error ? error.message : error}. The X-ray, plots and controls work without it.`);
 }
 page.theme = new Theme(() => changed());
-page.actions = new Actions(commands(page));
+page.actions = new Actions([...commands(page), ...sliceCommands(page)]);
 page.actions.listen();
 /** The speed of the list, as run control takes it: a run in real time has its own speed without steps. */
 page.speed = () => (model.info?.scene?.mode === "realtime" && element("speed").value === "1" ? 0 : Number(element("speed").value));
 element("speed").addEventListener("change", () => page.call("/control", { action: "speed", speed: page.speed() }));
 new ResizeObserver(() => changed()).observe(document.body);
+
+/** In the 3D view a click measures, a double click puts the cross-hair there; a drag turns. @param {HTMLCanvasElement} canvas */
+function listenToClicks(canvas) {
+  let travelled = 0;
+  const place = (event) => page.view.placeAt(event.offsetX, event.offsetY, model);
+  canvas.addEventListener("pointerdown", () => (travelled = 0));
+  canvas.addEventListener("pointermove", (event) => (travelled += Math.abs(event.movementX) + Math.abs(event.movementY)));
+  canvas.addEventListener("click", (event) => page.measures.on && travelled < CLICK_PX && page.measures.add(place(event)));
+  canvas.addEventListener("dblclick", (event) => !page.measures.on && page.cursor.place(place(event)));
+}
+
+function showMeasures() {
+  const { measures } = page;
+  element("measure").setAttribute("aria-pressed", String(measures.on));
+  element("measure-facts").textContent = measures.text;
+  element("measure-clear").hidden = measures.lines.length === 0;
+  document.body.classList.toggle("measuring", measures.on);
+}
 
 function showDriveNow() {
   const named = model.info?.controllers?.includes("viewer") ?? false;
@@ -103,11 +136,13 @@ function takeInfo(data) {
   document.title = `${info.scene?.name ?? "Trabecula"} · Trabecula`;
   if (info.drives) page.drive.parts = info.drives;
   if (info.tool?.tendon_max_n) page.drive.tendonMostN = info.tool.tendon_max_n;
+  page.xRay.denseIsBright = info.c_arm?.display === "bone_bright";
   if (info.c_arm) {
     element("c-arm-primary").value = String(info.c_arm.primary_angle_deg);
     element("c-arm-secondary").value = String(info.c_arm.secondary_angle_deg);
   }
   takeLegend(document.body.classList.contains("compare"));
+  page.slices.takeInfo();
   showDriveNow();
   changed();
 }
@@ -213,7 +248,11 @@ function draw() {
   const waits = dirty.scene && page.view?.busy;
   const idle = waits && !dirty.xRay && !dirty.plots;
   if (dirty.scene && page.view && !waits) drawScene(colours);
-  if (dirty.xRay) page.xRay.draw();
+  if (dirty.scene && !waits) page.slices.draw();
+  if (dirty.xRay) {
+    page.xRay.draw();
+    page.xRayOverlay.draw();
+  }
   if (dirty.plots) {
     page.plots.draw(colours);
     const [from, to] = page.plots.range();
@@ -229,6 +268,7 @@ function drawScene(colours) {
   const { view } = page;
   view.dark = page.theme.dark;
   view.draw(model);
+  page.sceneOverlay.draw();
   drawGizmo(element("gizmo"), view.camera.view, colours);
   showScaleBar(element("scale-bar"), view.camera.metresPerPixel(view.canvas.clientHeight));
 }
@@ -240,6 +280,7 @@ function showTexts() {
   const now = performance.now();
   showRun(model, connected, page.timeLine.state, rate.add(model.states.lastTime, now));
   showFrame(model, page.xRay);
+  showGuidance(model);
   showTicks(model, ...page.plots.range(), page.theme.colours);
   page.plots.showValues(page.theme.colours);
   notices.show("silence", silence(model, connected, now), "warning");

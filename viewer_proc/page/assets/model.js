@@ -4,6 +4,7 @@ import { layoutOf, reader } from "/assets/schema.js";
 import { Series } from "/assets/series.js";
 import { causeOf } from "/assets/timing_strip.js";
 import { armFrames } from "/assets/arm.js";
+import { FrameStates } from "/assets/frame_states.js";
 import { Trail, contactsOf } from "/assets/tool_model.js";
 import { json } from "/assets/connection.js";
 
@@ -16,7 +17,8 @@ const PHASES = ["connecting", "running", "paused", "ended"];
 /** Series of the state: tension of both tendons, bend, burr force, burr speed. */
 export const STATE_VALUES = ["tendon_tension_n[0]", "tendon_tension_n[1]", "bend_rad", "burr_force_n", "burr_speed_rad_per_s"];
 
-const three = (layout, path) => [0, 1, 2].map((i) => reader(layout, `${path}[${i}]`));
+const many = (layout, path, count) => Array.from({ length: count }, (_, i) => reader(layout, `${path}[${i}]`));
+const three = (layout, path) => many(layout, path, 3);
 const poseReader = (layout, path) => ({
   position: three(layout, `${path}.position_m`),
   rotation: [0, 1, 2, 3].map((i) => reader(layout, `${path}.orientation_xyzw[${i}]`)),
@@ -58,6 +60,7 @@ export class Model {
   constructor() {
     this.readers = new Map();
     this.info = undefined;
+    this.frameStates = new FrameStates();
     this.trail = new Trail();
     this.states = new Series(STATE_VALUES.length);
     this.secondStates = new Series(STATE_VALUES.length);
@@ -90,6 +93,17 @@ export class Model {
     return this.state && posesOf(this.stateRead, this.state);
   }
 
+  /** Centre of the burr. @returns {import("/assets/vector.js").Vector | undefined} */
+  get tip() {
+    return this.state && this.stateRead.burr.map((f) => f(this.state));
+  }
+
+  /** Where the tool was at a tick, or at one that is no more than so many away. @param {number} tick @param {number} most */
+  posesAt(tick, most) {
+    const state = this.frameStates.near(tick, most);
+    return state && posesOf(this.stateRead, state);
+  }
+
   /** The second log's. */
   get second() {
     return this.secondState && posesOf(this.stateRead, this.secondState);
@@ -114,6 +128,7 @@ export class Model {
     const second = channel.topic.startsWith("/second");
     (second ? this.secondStates : this.states).push(timeNs / 1e9, ...read.values.map((f) => f(data)));
     this.stateRead = read;
+    if (!second) this.frameStates.add(read.tick(data), data);
     if (second) {
       this.secondState = data;
       return;
@@ -167,9 +182,12 @@ export class Model {
     const read = this.#read(channel, (layout) => ({
       sequence: reader(layout, "sequence"), tick: reader(layout, "tick"),
       primary: reader(layout, "projection.primary_angle_rad"), secondary: reader(layout, "projection.secondary_angle_rad"), end: layout.bytes,
+      projection: { intrinsics: many(layout, "projection.intrinsics", 9), rotation: many(layout, "projection.rotation", 9), translation: three(layout, "projection.translation_m") },
     }));
-    const { end, ...fields } = read;
-    return { frame: Object.fromEntries(Object.entries(fields).map(([name, f]) => [name, f(data)])), end };
+    const { end, projection, ...fields } = read;
+    const values = (readers) => Object.fromEntries(Object.entries(readers).map(([name, f]) => [name, f(data)]));
+    const matrices = Object.fromEntries(Object.entries(projection).map(([name, all]) => [name, all.map((f) => f(data))]));
+    return { frame: { ...values(fields), projection: matrices }, end };
   }
 
   /**
@@ -195,6 +213,7 @@ export class Model {
   clear() {
     for (const series of [this.states, this.secondStates, this.timing]) series.clear();
     this.trail.clear();
+    this.frameStates.clear();
     this.state = this.secondState = this.frame = this.heldFrame = this.stateAt = this.pace = undefined;
   }
 }

@@ -13,7 +13,7 @@ use tokio::sync::oneshot;
 
 use crate::board::Board;
 use crate::channels::PACE;
-use crate::services::{Action, Control as Request};
+use crate::services::{Action, Answer, Control as Request, Reply};
 
 /// Most ticks in one step.
 const MAX_STEP_TICKS: u64 = 1_000_000;
@@ -24,7 +24,7 @@ const MAX_BACKLOG_STEPS: u32 = 10;
 /// Speed limit.
 const MAX_SPEED: f64 = 1000.0;
 
-type Answer = oneshot::Sender<Result<(), String>>;
+type Asker = oneshot::Sender<Answer>;
 
 /// The session's run control.
 pub(super) struct Control {
@@ -36,7 +36,7 @@ pub(super) struct Control {
     /// Requests to send once the physics has been heard.
     unsent: Vec<RunControl>,
     next_id: u64,
-    waiting: BTreeMap<u64, Answer>,
+    waiting: BTreeMap<u64, Asker>,
     pace: Option<Pace>,
     paced: Instant,
     /// Speed last published to clients.
@@ -89,7 +89,7 @@ impl Control {
     }
 
     /// Sends a request; answers once the physics has replied.
-    pub(super) fn ask(&mut self, request: &Request, answer: Answer) {
+    pub(super) fn ask(&mut self, request: &Request, answer: Asker) {
         let outcome = match request.action {
             Action::Speed => self.set_speed(request.speed),
             Action::Step => match request.ticks.unwrap_or(1) {
@@ -173,8 +173,8 @@ impl Control {
                 let how = if reply.action() == Ok(ControlAction::Step) { "; pause first" } else { "" };
                 format!("refused at tick {}{how}", reply.tick)
             };
-            let _ =
-                answer.send(if reply.status() == Ok(ControlStatus::Done) { Ok(()) } else { Err(refused()) });
+            let is_done = reply.status() == Ok(ControlStatus::Done);
+            let _ = answer.send(if is_done { Ok(Reply::Done) } else { Err(refused()) });
         }
         self.waiting.retain(|_, answer| !answer.is_closed());
         let elapsed = self.paced.elapsed();
@@ -271,7 +271,7 @@ mod tests {
             .send(&RunControlReply { request_id, tick: 0, action, status: ControlStatus::Done.code() })
             .unwrap();
         control.poll(&board, 1_000_000).unwrap();
-        assert_eq!(answered.try_recv(), Ok(Ok(())));
+        assert_eq!(answered.try_recv(), Ok(Ok(Reply::Done)));
         // The queue is bounded until then.
         control.listens = false;
         let waiting: Vec<_> =

@@ -12,7 +12,7 @@ use trabecula_client::{Client, ClientError, Connection};
 
 use crate::board::Board;
 use crate::info::{CONTROLLER, unit};
-use crate::services::{CArm, Call, Drive, Request};
+use crate::services::{CArm, Call, Drive, Reply, Request};
 
 /// Dead-man timeout: without a request for this long the insertion stops, because whoever held the key is gone.
 const HAND_LIMIT: Duration = Duration::from_millis(300);
@@ -60,8 +60,7 @@ impl Driver {
                 .map(|error| (error.0, "the viewer no longer drives: the run has ended")),
         };
         if let Some((call, text)) = refused {
-            // The client may have left.
-            let _ = call.answer.send(Err(text.to_owned()));
+            call.refuse(text);
         }
     }
 }
@@ -136,7 +135,7 @@ impl DriveThread {
         while !over.load(Ordering::Relaxed) {
             for call in first.take().into_iter().chain(called.try_iter()) {
                 let outcome = self.apply(client, &call.request);
-                let _ = call.answer.send(outcome);
+                let _ = call.answer.send(outcome.map(|()| Reply::Done));
             }
             if self.heard.elapsed() > HAND_LIMIT {
                 self.inputs.insert_m_per_s = self.inputs.insert_m_per_s.map(|_| 0.0);
@@ -165,7 +164,9 @@ impl DriveThread {
                 Ok(())
             }
             Request::Frame(c_arm) => self.ask_frame(client, c_arm),
-            Request::Control(_) | Request::Playback(_) => Err("no request for the controller".to_owned()),
+            Request::Control(_) | Request::Playback(_) | Request::Slice(_) => {
+                Err("no request for the controller".to_owned())
+            }
         }
     }
 

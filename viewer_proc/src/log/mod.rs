@@ -11,6 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
+use ipc_types::clock::now_ns;
 use ipc_types::layout::Message;
 use ipc_types::messages::{Latched, State, Tick};
 use ipc_types::process::EndRequest;
@@ -28,7 +29,8 @@ use crate::info::{Origin, ToolShape, info};
 use crate::live::CALL_QUEUE;
 use crate::scene_update::Drawer;
 use crate::server::{Server, ServerOptions};
-use crate::services::{Calls, Request};
+use crate::services::{Call, Calls, Reply, Request};
+use crate::slice::Slicer;
 use crate::surface::bone::volume_box;
 use bone::LogBone;
 use file::{LogFile, Logged, PlayError, Reading};
@@ -158,6 +160,7 @@ struct LogPlayback {
     second: Option<SecondLog>,
     player: Player,
     bone: Option<LogBone>,
+    slicer: Slicer,
     /// Time up to which messages are on the board; `None` before the first.
     shown_ns: Option<u64>,
     streams: Vec<Stream>,
@@ -214,6 +217,7 @@ impl LogPlayback {
             second,
             player,
             bone,
+            slicer: Slicer::new(now_ns()),
             shown_ns: None,
             streams: Vec::new(),
             drawer: Drawer::new(shown.tool),
@@ -227,12 +231,7 @@ impl LogPlayback {
         let mut last = Instant::now();
         while !end.is_set() {
             while let Ok(call) = called.try_recv() {
-                let outcome = match &call.request {
-                    Request::Playback(request) => self.player.apply(request),
-                    _ => Err("this is a log: what has happened cannot be steered".to_owned()),
-                };
-                // The client may have left.
-                let _ = call.answer.send(outcome);
+                self.dispatch(call);
             }
             self.player.advance(last.elapsed());
             last = Instant::now();
@@ -240,11 +239,27 @@ impl LogPlayback {
             self.send_history()?;
             let more = self.bone.as_mut().is_some_and(|bone| bone.publish(&self.board));
             self.tell();
+            match &self.bone {
+                Some(bone) => bone.answer(&mut self.slicer),
+                None => self.slicer.refuse("the run's volume is not here; the messages say why"),
+            }
             if !more {
                 std::thread::sleep(POLL_PERIOD);
             }
         }
         Ok(())
+    }
+
+    fn dispatch(&mut self, call: Call) {
+        match &call.request {
+            Request::Playback(request) => {
+                let outcome = self.player.apply(request);
+                // The client may have left.
+                let _ = call.answer.send(outcome.map(|()| Reply::Done));
+            }
+            Request::Slice(_) => self.slicer.add(call),
+            _ => call.refuse("this is a log: what has happened cannot be steered"),
+        }
     }
 
     /// Updates the board to the current position.
