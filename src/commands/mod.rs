@@ -19,4 +19,5 @@ pub mod session;
 pub mod show;
 pub mod tool;
 pub mod view;
+pub mod view_plan;
 pub mod volume;

@@ -113,3 +113,55 @@ fn a_log_whose_volume_is_another_now_is_not_sliced() {
     assert!(refused(&mut view, about([0.0; 3], 80)).contains("the run's volume is not here"));
     view.stop();
 }
+
+/// The plan's figures are those of `scene show`; a pilot hole is drilled, and nothing can be steered.
+#[test]
+fn a_scene_is_shown_before_its_run() {
+    let place = Place::new();
+    let hole = "[[predrill]]\nfrom_mm = [0.0, 0.0, -40.0]\nto_mm = [0.0, 0.0, -20.0]\ndiameter_mm = 7.0\n";
+    let file = place.path("scene.toml");
+    let text = scenes::drill("lockstep", 3.0)
+        .replace("burr_start_mm = [0.0, 0.0, -34.0]", "burr_start_mm = [0.0, 0.0, -20.0]");
+    std::fs::write(&file, format!("{text}{hole}")).unwrap();
+    let shown = trabecula(&[&"scene", &"show", &file, &"-o", &place.path("plan.png"), &"--json"]);
+    assert_eq!(shown.code, Some(0), "{}", shown.err);
+    let figures: Value = serde_json::from_str(&shown.out).unwrap();
+
+    let mut view = View::start(&[&file], None);
+    let info = view.subscribe("/view/info");
+    let info: Value = serde_json::from_slice(&view.next(info)).unwrap();
+    assert_eq!(info["kind"], "plan");
+    for key in ["path_mm", "in_bone_mm", "target_depth_mm", "arm_feed_mm", "findings", "target"] {
+        assert!(!figures[key].is_null(), "{key}: {figures}");
+        assert_eq!(info["plan"]["facts"][key], figures[key], "{key}");
+    }
+    let states = view.subscribe("/state");
+    let state = view.next_state(states);
+    let burr_mm = state.t_world_burr.position_m.map(|x| 1e3 * x);
+    let off =
+        burr_mm.iter().zip([0.0, 0.0, -20.0]).map(|(a, b): (&f64, f64)| (a - b).abs()).fold(0.0, f64::max);
+    assert!(state.tick == 0 && off < 1e-6, "{burr_mm:?}");
+    let (drilled, pixels) = slice(&mut view, about([0.0; 3], 80));
+    // The hole is 7 mm wide and lies in the block, whose faces are at 27.5 mm and beyond, for 7 mm and more.
+    assert!(
+        drilled > 0 && count(&pixels, DRILLED) > 40,
+        "{drilled} voxels, {} pixels",
+        count(&pixels, DRILLED)
+    );
+    assert!(view.call(1, json!({"action": "pause"}))["error"].as_str().unwrap().contains("nothing runs yet"));
+    view.stop();
+
+    // Without a CT there is the tool, and no slice.
+    let bare = place.path("bare.toml");
+    std::fs::write(&bare, scenes::hold("realtime", 1.0)).unwrap();
+    let mut view = View::start(&[&bare], None);
+    assert!(refused(&mut view, about([0.0; 3], 80)).contains("no `[volume]`"));
+    view.stop();
+
+    for (arguments, why) in [(vec![&file, &file], "alone"), (vec![&place.path("none.toml")], "none.toml")] {
+        let mut all: Vec<&dyn AsRef<std::ffi::OsStr>> = vec![&"view", &"--no-open", &"--port", &"0"];
+        all.extend(arguments.into_iter().map(|path| path as &dyn AsRef<std::ffi::OsStr>));
+        let done = trabecula(&all);
+        assert!(done.code == Some(2) && done.err.contains(why), "{:?} {}", done.code, done.err);
+    }
+}

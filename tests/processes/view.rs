@@ -51,7 +51,7 @@ impl View {
         id
     }
 
-    fn next(&mut self, subscription: u32) -> Vec<u8> {
+    pub fn next(&mut self, subscription: u32) -> Vec<u8> {
         loop {
             if let Message::Binary(bytes) = self.socket.read().unwrap()
                 && bytes[0] == 1

@@ -40,6 +40,8 @@ pub enum Origin {
     Live(String),
     /// A log, by its file.
     Log(String),
+    /// A scene before its run, by its file.
+    Plan(String),
 }
 
 /// The message.
@@ -47,6 +49,7 @@ pub fn info(scene: &Scene, origin: &Origin, tool: &ToolShape, volume: Option<&Vo
     let (kind, key, place) = match origin {
         Origin::Live(folder) => ("live", "session", folder),
         Origin::Log(file) => ("log", "path", file),
+        Origin::Plan(file) => ("plan", "path", file),
     };
     let mut value = json!({
         "kind": kind,

@@ -23,6 +23,7 @@
 //! |---|---|
 //! | [`live`] | a running session: messages, run control, driving |
 //! | [`log`] | logs on a time line |
+//! | [`plan`] | a scene before its run |
 //! | [`surface`] | the bone's surface, block by block |
 //! | [`mod@slice`] | planes through the CT, on request |
 //! | [`server`], [`protocol`], [`services`] | HTTP, WebSocket, the requests of clients |
@@ -37,6 +38,7 @@ pub mod error;
 pub mod info;
 pub mod live;
 pub mod log;
+pub mod plan;
 pub mod protocol;
 pub mod scene_update;
 pub mod server;

@@ -12,6 +12,7 @@ import { Model } from "/assets/model.js";
 import { Notices } from "/assets/notices.js";
 import { drawGizmo, fillLegend, showScaleBar } from "/assets/overlays.js";
 import { Rate, showFrame, showRun, showStream, showTicks, silence } from "/assets/panels.js";
+import { showPlan } from "/assets/plan_view.js";
 import { PlotsPanel } from "/assets/plots_panel.js";
 import { SceneView } from "/assets/scene_view.js";
 import { SceneOverlay } from "/assets/scene_overlay.js";
@@ -143,6 +144,7 @@ function takeInfo(data) {
   }
   takeLegend(document.body.classList.contains("compare"));
   page.slices.takeInfo();
+  showPlan(info);
   showDriveNow();
   changed();
 }

@@ -34,10 +34,11 @@ export function showRun(model, connected, playback, rate) {
   const isLog = model.info?.kind === "log";
   const phase = !connected ? "lost" : isLog ? (playback.playing ? "running" : "paused") : model.phase;
   const held = phase === "running" && model.pace ? ` at ${model.pace} ×` : "";
-  set("phase", isLog && connected ? (playback.playing ? "Playing" : "Paused") : PHASE_WORDS[phase] + held);
+  const isPlan = model.info?.kind === "plan" && connected;
+  set("phase", isPlan ? "Before the run" : isLog && connected ? (playback.playing ? "Playing" : "Paused") : PHASE_WORDS[phase] + held);
   element("phase").dataset.state = phase;
   set("scene-name", model.info?.scene?.name ?? "waiting for the scene");
-  set("kind", isLog ? `log ${model.info.path ?? ""}` : model.info ? `live, ${model.info.scene?.mode ?? ""}` : "");
+  set("kind", isLog || isPlan ? `${model.info.kind} ${model.info.path ?? ""}` : model.info ? `live, ${model.info.scene?.mode ?? ""}` : "");
   set("pause", phase === "paused" ? "Resume" : "Pause");
   set("tick", model.tick === undefined ? "–" : `${model.tick}${model.status?.tick_count ? ` / ${model.status.tick_count}` : ""}`);
   const time = model.states.lastTime;

@@ -3,6 +3,7 @@
 import { Camera } from "/assets/camera.js";
 import { InstancedShape, program } from "/assets/gl.js";
 import { PartsList } from "/assets/parts_list.js";
+import { addFrustum, addPlannedTool } from "/assets/plan_view.js";
 import { cameraRay, nearest, pick } from "/assets/pick.js";
 import { PART_FRAGMENT, PART_VERTEX, SURFACE_FRAGMENT, SURFACE_VERTEX } from "/assets/shaders.js";
 import { cone, cube, cylinder, sphere } from "/assets/shapes.js";
@@ -107,6 +108,7 @@ export class SceneView {
     list.path(info?.scene?.planned_path_m ?? [], 0.00045, COLOURS.planned, 0.001);
     list.path(trail.points, 0.0004, COLOURS.drilled);
     if (info?.scene?.target_m) list.target(info.scene.target_m, 0.004, COLOURS.target);
+    addFrustum(list, info);
     if (this.cursor?.point && !this.cursor.follows) list.target(this.cursor.point, 0.006, COLOURS.cursor);
     for (const { from, to } of this.measures?.lines ?? []) list.capsule(from, to, 0.0005, COLOURS.measure);
     if (this.measures?.begun) list.sphere(this.measures.begun, 0.001, COLOURS.measure);
@@ -130,6 +132,7 @@ export class SceneView {
     const { gl } = this;
     const list = new PartsList();
     if (poses) addArm(list, poses);
+    addPlannedTool(list, info);
     if (second && info?.tool) addTool(list, second, info.tool, COLOURS.second);
     gl.colorMask(false, false, false, false);
     this.#drawParts(list, clipFromWorld);

@@ -45,7 +45,8 @@ export class Slices {
 
   /** The planes of a new scene. */
   takeInfo() {
-    const slices = this.model.info?.slices;
+    // Until the volume is here, or where it is not that of the log, there is nothing to slice.
+    const slices = this.model.info?.volume ? this.model.info.slices : undefined;
     const key = JSON.stringify(slices ?? null);
     if (key !== this.made) {
       this.made = key;
