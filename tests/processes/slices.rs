@@ -77,7 +77,7 @@ fn a_running_session_is_sliced_and_one_without_volume_says_so() {
     let run = place.start(&scenes::drill("realtime", 60.0));
     let mut view = View::start(&[], Some(&run.session()));
     let (_, pixels) = slice(&mut view, about([0.0; 3], 80));
-    assert!(count(&pixels, OUTSIDE) > 3000 && pixels.iter().any(|hu| *hu > 500), "no bone");
+    assert!(count(&pixels, OUTSIDE) > 3000 && pixels.iter().any(|hu| *hu >= 150), "no bone");
     // As many as fit into the second, and the rest waits: none is lost.
     for _ in 0..40 {
         let (_, pixels) = slice(&mut view, about([0.0; 3], 512));
