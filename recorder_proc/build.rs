@@ -8,12 +8,14 @@ use std::process::Command;
 use sha2::{Digest, Sha256};
 
 /// Sources that decide a tick, relative to this crate's folder.
-const SOURCES: [&str; 7] = [
+const SOURCES: [&str; 9] = [
     "../simulation/src",
     "../hub/src",
     "../messages/src",
     "../scene/src",
     "../voxel_grid/src",
+    "../counter_random/src",
+    "../sensors/src",
     "../volume_io/src",
     "../Cargo.lock",
 ];

@@ -20,6 +20,7 @@ use crate::commands::replay::ReplayArguments;
 use crate::commands::run::RunArguments;
 use crate::commands::scene::SceneCommand;
 use crate::commands::session::SessionCommand;
+use crate::commands::sweep::SweepCommand;
 use crate::commands::tool::ToolCommand;
 use crate::commands::view::ViewArguments;
 use crate::commands::volume::{PhantomArguments, VolumeCommand};
@@ -67,6 +68,9 @@ enum UserCommand {
     /// Check a scene, or write a built-in one to start from.
     #[command(subcommand)]
     Scene(SceneCommand),
+    /// Run a scene many times with other values, and see what its results depend on.
+    #[command(subcommand)]
+    Sweep(SweepCommand),
     /// List this user's running sessions; pause, resume or stop one.
     #[command(subcommand)]
     Session(SessionCommand),
@@ -129,6 +133,7 @@ fn dispatch(command: &UserCommand) -> Result<(), Failure> {
         UserCommand::Calibrate(arguments) => commands::calibrate::run(arguments),
         UserCommand::Plan(arguments) => commands::plan::run(arguments),
         UserCommand::Scene(command) => commands::scene::run(command),
+        UserCommand::Sweep(command) => commands::sweep::run(command),
         UserCommand::Session(command) => commands::session::run(command),
         UserCommand::Cache(command) => commands::cache::run(command),
         UserCommand::Tool(command) => commands::tool::run(command),
@@ -147,7 +152,7 @@ mod tests {
     use test_support::grammar;
 
     /// Commands that print no figures: their answer is text for another program, a picture or a page, or files alone.
-    const WITHOUT_FIGURES: [&str; 19] = [
+    const WITHOUT_FIGURES: [&str; 21] = [
         "bridge igtl",
         "bridge ros2",
         "docs completions",
@@ -166,6 +171,8 @@ mod tests {
         "session pause",
         "session resume",
         "session stop",
+        "sweep list",
+        "sweep plot",
         "view",
     ];
 

@@ -51,6 +51,17 @@ pub const EXAMPLES: &[Examples] = &[
         ],
     ),
     (
+        "sweep run",
+        &[
+            "trabecula sweep run sweep.toml",
+            "trabecula sweep run sweep.toml --jobs 2 --shard 0/4 -o out/sweep",
+        ],
+    ),
+    ("sweep list", &["trabecula sweep list sweep.toml -o out/sweep"]),
+    ("sweep gather", &["trabecula sweep gather out/a out/b -o sweep.parquet"]),
+    ("sweep report", &["trabecula sweep report out/sweep --of target_error_mm --of bend_deg"]),
+    ("sweep plot", &["trabecula sweep plot out/sweep --of target_error_mm -o sweep"]),
+    (
         "bridge igtl",
         &["trabecula bridge igtl", "trabecula bridge igtl --controller plan --control-token-file token.txt"],
     ),

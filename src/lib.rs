@@ -9,18 +9,14 @@
 #[macro_use]
 pub mod say;
 
-pub mod cache;
 pub mod cli;
 pub mod commands;
-pub mod failure;
-pub mod feasibility;
 pub mod geometry;
 pub mod help;
 mod keeper;
 pub mod launcher;
 pub mod machine;
 pub mod output;
-pub mod plan;
 pub mod planned;
 pub mod printer;
 pub mod program;
@@ -28,6 +24,8 @@ mod redirect_file;
 pub mod replay;
 pub mod report;
 pub mod scene_picture;
-pub mod scenes;
+pub mod sweep;
 pub mod tool;
 pub mod x_ray;
+
+pub use inputs::{cache, failure, feasibility, plan, scenes};

@@ -67,8 +67,8 @@ fn live_scene() -> String {
 }
 
 /// Drilled by the reference controller, as fast as possible.
-fn recorded_scene(tension_n: f64) -> String {
-    let run = "name = \"page\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n";
+fn recorded_scene(tension_n: f64, duration_s: f64) -> String {
+    let run = format!("name = \"page\"\n[run]\nmode = \"lockstep\"\nduration_s = {duration_s:?}\n");
     let controller = "[[controller]]\nname = \"reference\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\n";
     let drilling = "feed_mm_per_s = 8.0\ninsertion_mm = 20.0\nramp_start_mm = 1.0\nramp_end_mm = 6.0\nburr_speed_rpm = 8000.0\n";
     format!("{run}{SCENE}{controller}[controller.curved_drilling]\ntension_n = {tension_n:?}\n{drilling}")
@@ -192,8 +192,9 @@ fn a_live_run_is_watched_and_driven_from_the_page() {
 fn logs_are_scrubbed_and_compared_on_the_page() {
     let Some(python) = browser_python() else { return };
     let place = Place::new();
-    let first = record(&place, "first", &recorded_scene(6.0));
-    let second = record(&place, "second", &recorded_scene(4.0));
+    let first = record(&place, "first", &recorded_scene(6.0, 1.0));
+    // The shorter of the two.
+    let second = record(&place, "second", &recorded_scene(4.0, 0.7));
     twice(|| check(&python, "log", &Viewer::start(&place, &[&first]), &[]));
     twice(|| check(&python, "two", &Viewer::start(&place, &[&first, &second]), &[]));
 }
@@ -203,6 +204,6 @@ fn a_scene_is_shown_on_the_page_before_its_run() {
     let Some(python) = browser_python() else { return };
     let place = Place::new();
     let file = place.path("scene.toml");
-    fs::write(&file, recorded_scene(6.0)).unwrap();
+    fs::write(&file, recorded_scene(6.0, 1.0)).unwrap();
     twice(|| check(&python, "plan", &Viewer::start(&place, &[&file]), &[]));
 }

@@ -10,18 +10,21 @@ use serde_json::Value;
 use test_support::limited::Limited;
 
 /// Each core and its folder.
-const CORES: [(&str, &str); 13] = [
+const CORES: [(&str, &str); 16] = [
     ("foreign_text", "foreign_text"),
     ("openigtlink", "openigtlink"),
     ("markups", "markups"),
     ("ros_interface", "ros_interface"),
     ("messages", "messages"),
     ("voxel_grid", "voxel_grid"),
+    ("counter_random", "counter_random"),
+    ("sensors", "sensors"),
     ("scene", "scene"),
     ("simulation", "simulation"),
     ("controllers", "controllers"),
     ("run_log", "run_log"),
     ("xray", "xray"),
+    ("sweep", "sweep"),
     ("hub", "hub"),
     ("hub_simulator", "hub/simulator"),
 ];

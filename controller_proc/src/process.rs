@@ -7,7 +7,8 @@ use hub::x_ray::{ControllerFrames, FrameMark, FrameStep, NoFrame};
 use ipc_types::clock::now_ns;
 use ipc_types::layout::Message;
 use ipc_types::messages::{
-    Command, EventCode, Frame, ImagePrefix, Participant, Phase, RunStatus, Severity, State, Tick,
+    Command, EventCode, Frame, ImagePrefix, Participant, Phase, RunStatus, SensorReading, Severity, State,
+    Tick,
 };
 use ipc_types::ports::{PortError, Publisher, Received, Subscriber};
 use ipc_types::process::{EndRequest, EventSender, Role, prioritise, session_scene};
@@ -88,6 +89,7 @@ pub fn run_controller(
         let state = state.message();
         let tick = Tick(state.tick);
         ports.frames_for(tick, controller, &end)?;
+        ports.readings_for(tick, controller)?;
         sequence += 1;
         let mut command = Command { sequence, state_tick: state.tick, ..Command::zeroed() };
         controller.step(state, &mut command);
@@ -105,6 +107,10 @@ struct Ports {
     states: Subscriber<State>,
     status: Subscriber<RunStatus>,
     frames: Option<Frames>,
+    /// None without sensors.
+    readings: Option<Subscriber<SensorReading>>,
+    /// Taken from the queue, and arrives with a later state.
+    kept: Option<SensorReading>,
     commands: Publisher<Command>,
     events: EventSender,
     physics: Waker,
@@ -129,6 +135,10 @@ impl Ports {
             states: session.subscriber(&services::STATE)?,
             status: session.subscriber(&services::RUN_STATUS)?,
             frames,
+            readings: (!scene.sensor.is_empty())
+                .then(|| session.subscriber(&services::SENSOR))
+                .transpose()?,
+            kept: None,
             events: EventSender::new(&session, Participant::Controller(index))?,
             physics: session.waker(Reader::Physics)?,
             commands: session.command_publisher(name)?,
@@ -163,6 +173,24 @@ impl Ports {
         }
         self.frames = Some(frames);
         Ok(())
+    }
+
+    /// Gives the controller the readings that arrive up to the state of this tick. They were published before it.
+    fn readings_for(&mut self, tick: Tick, controller: &mut dyn Controller) -> Result<(), PortError> {
+        let Some(readings) = &self.readings else { return Ok(()) };
+        loop {
+            let next = match self.kept.take() {
+                None => readings.receive()?.map(|reading| *reading.message()),
+                kept => kept,
+            };
+            match next {
+                Some(reading) if reading.tick <= tick.0 => controller.reading(&reading),
+                later => {
+                    self.kept = later;
+                    return Ok(());
+                }
+            }
+        }
     }
 
     /// Reports states that were overwritten before this controller read them (real time).

@@ -29,6 +29,7 @@ mod calibration;
 mod curved_drilling;
 mod geometry;
 mod hold;
+mod measuring;
 mod reset;
 mod skiving;
 mod tension_sweep;
@@ -37,11 +38,12 @@ mod tip_finder;
 pub use calibration::{Calibration, CalibrationError, CalibrationRow, ReadText};
 pub use curved_drilling::CurvedDrillingController;
 pub use hold::HoldController;
+pub use measuring::MeasuringController;
 pub use skiving::{SkivingController, SkivingPoint};
 pub use tension_sweep::TensionSweepController;
 pub use tip_finder::{TipSighting, find_tip};
 
-use messages::{Command, Frame, State};
+use messages::{Command, Frame, SensorReading, State};
 use scene::Scene;
 
 /// A controller: answers states with commands.
@@ -51,6 +53,9 @@ pub trait Controller {
 
     /// Receives a frame (mono16, rows top to bottom). Called before the step of the tick at which the frame is available.
     fn frame(&mut self, _frame: &Frame, _pixels: &[u16]) {}
+
+    /// Receives a reading of a sensor. Called before the step of the state with which the reading arrives.
+    fn reading(&mut self, _reading: &SensorReading) {}
 
     /// A message for the log, if there is a new one since the last call.
     fn remark(&mut self) -> Option<String> {
@@ -69,6 +74,8 @@ pub enum BuiltIn {
     TensionSweep(Box<TensionSweepController>),
     /// Holds still.
     Hold(Box<HoldController>),
+    /// Another one, which sees what sensors measure.
+    Measuring(Box<MeasuringController>),
 }
 
 impl BuiltIn {
@@ -79,6 +86,21 @@ impl BuiltIn {
     /// Its calibration cannot be used.
     pub fn of(scene: &Scene, name: &str, read: &ReadText) -> Result<Option<BuiltIn>, CalibrationError> {
         let Some(entry) = scene.controller.iter().find(|entry| entry.name == name) else { return Ok(None) };
+        let exact = BuiltIn::on_states(scene, entry, read)?;
+        if entry.sensors.is_empty() {
+            return Ok(exact);
+        }
+        let measuring =
+            |inner| BuiltIn::Measuring(Box::new(MeasuringController::new(inner, scene, &entry.sensors)));
+        Ok(exact.map(measuring))
+    }
+
+    /// The controller without its sensors.
+    fn on_states(
+        scene: &Scene,
+        entry: &scene::Controller,
+        read: &ReadText,
+    ) -> Result<Option<BuiltIn>, CalibrationError> {
         if let Some(plan) = &entry.curved_drilling {
             let controller = CurvedDrillingController::new(plan, scene, read)?;
             return Ok(Some(BuiltIn::CurvedDrilling(Box::new(controller))));
@@ -100,6 +122,7 @@ impl BuiltIn {
             BuiltIn::Skiving(controller) => controller.as_mut(),
             BuiltIn::TensionSweep(controller) => controller.as_mut(),
             BuiltIn::Hold(controller) => controller.as_mut(),
+            BuiltIn::Measuring(controller) => controller.as_mut(),
         }
     }
 }
@@ -111,6 +134,10 @@ impl Controller for BuiltIn {
 
     fn frame(&mut self, frame: &Frame, pixels: &[u16]) {
         self.inner().frame(frame, pixels);
+    }
+
+    fn reading(&mut self, reading: &SensorReading) {
+        self.inner().reading(reading);
     }
 
     fn remark(&mut self) -> Option<String> {

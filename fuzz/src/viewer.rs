@@ -47,7 +47,7 @@ fn request_head(data: &[u8]) {
 
 fn subscribe(text: ClientText) {
     BOARD.with(|board| {
-        let board = board.get_or_init(|| Board::new(Channels::new(&["a".to_owned()])));
+        let board = board.get_or_init(|| Board::new(Channels::new(&["a".to_owned()], &[])));
         let client = board.join();
         match text {
             ClientText::Subscribe { subscriptions } => {
@@ -74,7 +74,7 @@ fn obey(service: u32, payload: &[u8]) {
         let outcome = player.apply(playback).map(|()| Reply::Done);
         player.advance(Duration::from_millis(40));
         assert!((1_000..=9_000_000_000).contains(&player.time_ns()));
-        assert!(!response(&outcome).1.is_empty());
+        assert!(!response(outcome).1.is_empty());
     }
 }
 

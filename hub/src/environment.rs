@@ -2,7 +2,7 @@
 
 use messages::{
     Command, ControllerIndex, EventCode, Keyframe, Latched, Part, Removed, RunControl, RunControlReply,
-    RunStatus, Severity, State, Tick, TickTiming,
+    RunStatus, SensorReading, Severity, State, Tick, TickTiming,
 };
 
 use crate::machine::Blame;
@@ -25,6 +25,12 @@ pub trait Outputs {
     /// # Errors
     /// As [`Outputs::send_latched`].
     fn send_removed(&mut self, removed: &Removed, voxels: &[u32]) -> Result<(), Self::Error>;
+
+    /// Sends a reading that arrives with the next state sent.
+    ///
+    /// # Errors
+    /// As [`Outputs::send_latched`].
+    fn send_reading(&mut self, reading: &SensorReading) -> Result<(), Self::Error>;
 
     /// Sends x_k.
     ///

@@ -3,7 +3,7 @@
 //! ```text
 //! publish u_k
 //! x_{k+1} := step(x_k, u_k)
-//! publish the voxels that it removed, then x_{k+1}
+//! publish the voxels that it removed, the sensors' readings that arrive with x_{k+1}, then x_{k+1}
 //! if due, publish the keyframe of x_{k+1}
 //! ```
 //!
@@ -86,7 +86,7 @@ impl RunLane {
             let since = RemovedInTick { tick: Tick::START, total: 0, restores: Restores::Nothing, voxels };
             self.send_removed(since, out).map_err(LaneError::Output)?;
         }
-        out.send_state(plant.state()).map_err(LaneError::Output)
+        self.send_with_readings(plant, out).map_err(LaneError::Output)
     }
 
     /// Makes a tick and publishes everything but its keyframe. `now_ns` reads the caller's clock, for the tick's timing.
@@ -106,7 +106,7 @@ impl RunLane {
         let stepped_ns = now_ns(out);
         let (state, removed) = (plant.state(), plant.removed());
         self.send_tick_removals(latched, state, removed, out).map_err(LaneError::Output)?;
-        out.send_state(state).map_err(LaneError::Output)?;
+        self.send_with_readings(plant, out).map_err(LaneError::Output)?;
         Ok(TickMarks { latched_ns, stepped_ns, published_ns: now_ns(out) })
     }
 
@@ -142,6 +142,12 @@ impl RunLane {
             out.send_keyframe(&head, part).map_err(LaneError::Output)?;
         }
         Ok(())
+    }
+
+    /// Publishes the present state, after the readings that arrive with it: who reads the state finds them.
+    fn send_with_readings<P: Plant, O: Outputs>(&self, plant: &P, out: &mut O) -> Result<(), O::Error> {
+        plant.readings().iter().try_for_each(|reading| out.send_reading(reading))?;
+        out.send_state(plant.state())
     }
 
     /// Publishes what a tick removed, in as many messages as it needs; their totals rise to the state's.

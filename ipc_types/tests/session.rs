@@ -20,6 +20,7 @@ fn plan(controllers: &[&str]) -> SessionPlan {
         controllers,
         volume_bytes: 4096,
         frame_bytes: 1024,
+        sensors: false,
         recorder: true,
         wait: Wait::Hybrid,
         policy: Policy::Other,

@@ -143,6 +143,7 @@ pub fn measure_on(
         controllers: vec![PONG.to_owned()],
         volume_bytes: 0,
         frame_bytes: 0,
+        sensors: false,
         recorder: false,
         wait: scene::Wait::Hybrid,
         policy: scene::Policy::Other,

@@ -13,7 +13,7 @@ use crate::part::Part;
 use crate::participant::Participant;
 use crate::{
     AppliedCommand, Command, Contact, DrrReply, DrrRequest, Event, LatchedCommand, Progress, RunControl,
-    RunControlReply, RunStatus, State,
+    RunControlReply, RunStatus, SensorReading, State,
 };
 
 /// One code of a field: its constant's name, its number, and the word for it.
@@ -133,6 +133,22 @@ macro_rules! codes {
             }
         }
     };
+}
+
+codes! {
+    /// What a [`SensorReading`] measures.
+    pub enum SensorKind of "kind" {
+        /// Curvature along the tool by fibre-Bragg gratings.
+        Fbg = SENSOR_FBG, 1, "fbg";
+        /// Pose by an electromagnetic or optical tracker.
+        Tracker = SENSOR_TRACKER, 2, "tracker";
+        /// Angles of the arm's joints.
+        Encoders = SENSOR_ENCODERS, 3, "encoders";
+        /// Tensions of the tendons.
+        LoadCell = SENSOR_LOAD_CELL, 4, "load_cell";
+        /// Force and torque at the flange.
+        ForceTorque = SENSOR_FORCE_TORQUE, 5, "force_torque";
+    }
 }
 
 codes! {
@@ -340,6 +356,7 @@ pub const CLIENT_CODES: &[CodeSet] = &[
     GeometryChoice::SET,
     DrrStatus::SET,
     Phase::SET,
+    SensorKind::SET,
     Severity::SET,
     EventCode::SET,
 ];
@@ -404,6 +421,10 @@ fields! {
         action: ControlAction,
         /// What came of it.
         status: ControlStatus,
+    }
+    SensorReading {
+        /// What measured.
+        kind: SensorKind,
     }
     RunStatus {
         /// Where the run stands.
@@ -478,6 +499,7 @@ mod tests {
             (State::DESCRIPTION, "arm_status", ArmStatus::CODES),
             (RunControl::DESCRIPTION, "action", ControlAction::CODES),
             (RunControlReply::DESCRIPTION, "status", ControlStatus::CODES),
+            (SensorReading::DESCRIPTION, "kind", SensorKind::CODES),
             (RunStatus::DESCRIPTION, "phase", Phase::CODES),
             (DrrRequest::DESCRIPTION, "use_geometry", GeometryChoice::CODES),
             (DrrReply::DESCRIPTION, "status", DrrStatus::CODES),

@@ -44,6 +44,7 @@ pub mod layout;
 pub mod part;
 mod participant;
 pub mod plant;
+mod sensor;
 pub mod services;
 mod state;
 mod timing;
@@ -59,6 +60,7 @@ pub use keyframe::*;
 pub use part::Part;
 pub use participant::*;
 pub use plant::{Plant, Refusal};
+pub use sensor::*;
 pub use state::*;
 pub use timing::*;
 pub use volume::*;
@@ -75,6 +77,10 @@ pub const MAX_BODIES: usize = 4;
 pub const MAX_TENDONS: usize = 4;
 /// Joints of the arm.
 pub const ARM_JOINTS: usize = 6;
+/// Maximum number of sensors in a scene.
+pub const MAX_SENSORS: usize = 8;
+/// Maximum number of values in a sensor's reading: sixteen fibre-Bragg nodes with two each.
+pub const MAX_SENSOR_VALUES: usize = 32;
 /// Maximum number of controllers in a session.
 pub const MAX_CONTROLLERS: usize = 4;
 
@@ -84,6 +90,7 @@ pub const ALL: &[&Description] = &[
     Command::DESCRIPTION,
     Latched::DESCRIPTION,
     Removed::DESCRIPTION,
+    SensorReading::DESCRIPTION,
     Keyframe::DESCRIPTION,
     Volume::DESCRIPTION,
     Frame::DESCRIPTION,

@@ -1,6 +1,6 @@
 //! The controlled system: a world that latched commands step from one state to the next.
 
-use crate::{ControllerIndex, Latched, State};
+use crate::{ControllerIndex, Latched, SensorReading, State};
 
 /// x_{k+1} = step(x_k, u_k) and nothing else: no clock, no randomness, no I/O.
 ///
@@ -23,6 +23,11 @@ pub trait Plant {
 
     /// Voxels removed before tick 0, by linear index, ascending.
     fn predrilled(&self) -> &[u32];
+
+    /// Readings of sensors that arrive with the present state.
+    fn readings(&self) -> &[SensorReading] {
+        &[]
+    }
 
     /// Parts of the last tick's commands that could not be followed.
     fn refusals(&self) -> &[Refusal];

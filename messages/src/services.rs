@@ -8,7 +8,8 @@ use crate::layout::{Description, Message};
 use crate::part::Part;
 use crate::{
     Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, ImagePrefix, Keyframe, Latched,
-    MAX_CONTROLLERS, Progress, Removed, RunControl, RunControlReply, RunStatus, State, TickTiming, Volume,
+    MAX_CONTROLLERS, Progress, Removed, RunControl, RunControlReply, RunStatus, SensorReading, State,
+    TickTiming, Volume,
 };
 
 /// Which log a service is recorded to.
@@ -96,6 +97,10 @@ pub const REMOVED: Service = Service {
     max_bytes: Removed::DESCRIPTION.size + MAX_REMOVED_PER_MESSAGE * 4,
     ..fixed::<Removed>("removed", Lane::Run, PHYSICS_ONLY, 512)
 };
+/// `SensorReading`, for scenes with sensors. The queue of the recorder holds what eight sensors send at 250 Hz in the 4.096 s for which it
+/// may stall.
+pub const SENSOR: Service =
+    Service { history: 0, ..fixed::<SensorReading>("sensor", Lane::Run, PHYSICS_ONLY, 1024) };
 /// `Keyframe`, in parts, every `recording.keyframe_interval_s`. The queue holds the longest one, the recorder's two of them.
 pub const KEYFRAME: Service = Service {
     history: 0,
@@ -207,6 +212,7 @@ pub const ALL: &[Service] = &[
     STATE,
     LATCHED,
     REMOVED,
+    SENSOR,
     KEYFRAME,
     VOLUME,
     FRAME,

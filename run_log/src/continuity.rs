@@ -7,7 +7,7 @@ use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::fmt;
 
-use messages::{Frame, Keyframe, Latched, Removed, State, Tick};
+use messages::{Frame, Keyframe, Latched, Removed, SensorReading, State, Tick};
 use zerocopy::FromBytes;
 
 use crate::end::EndMarker;
@@ -60,6 +60,7 @@ pub(crate) struct Continuity {
     /// State whose removals have not arrived.
     owed: Option<Tick>,
     keyframe: Numbered,
+    reading: Numbered,
     frame: Numbered,
     stretches: Vec<Stretch>,
     more: u64,
@@ -142,6 +143,11 @@ impl Continuity {
                 // A state that lacks removals and a jump in the removals' numbers are the same loss: count it once.
                 self.owed = self.owed.filter(|_| missing.is_none());
                 self.numbered(Topic::Removed, missing);
+            }
+            Some(Topic::Sensor) => {
+                let Ok(reading) = SensorReading::read_from_bytes(body) else { return };
+                let missing = self.reading.see(reading.sequence, Tick(reading.tick));
+                self.numbered(Topic::Sensor, missing);
             }
             Some(Topic::Keyframe) => {
                 let Ok((part, _)) = Keyframe::read_from_prefix(body) else { return };

@@ -19,7 +19,7 @@ use crate::source::LogSource;
 use crate::stream::{MessageStream, ReadOptions};
 use crate::topics::{Logged, Topic};
 use crate::verdict::Verdict;
-use crate::verify::compare_state;
+use crate::verify::{compare_readings, compare_state};
 
 /// A header entry that differs; empty where a log lacks the entry.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -222,6 +222,7 @@ fn compare_tick(a: &TickRecord, b: &TickRecord) -> Option<Divergence> {
         .or_else(|| compare_state(&a.state, &b.state))
         .or_else(|| compare_removed(Tick(a.state.tick), &restored(a), &restored(b)))
         .or_else(|| compare_removed(Tick(a.state.tick), &a.removed, &b.removed))
+        .or_else(|| compare_readings(Tick(a.state.tick), &a.readings, &b.readings))
 }
 
 fn compare_frames(

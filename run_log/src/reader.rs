@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use messages::services::MAX_KEYFRAME_BYTES;
-use messages::{Keyframe, Latched, Plant, Removed, Reset, Restores, State, Tick};
+use messages::{Keyframe, Latched, Plant, Removed, Reset, Restores, SensorReading, State, Tick};
 use zerocopy::FromBytes;
 
 use crate::end::{EndReason, Ending};
@@ -12,6 +12,11 @@ use crate::header::LogHeader;
 use crate::source::LogSource;
 use crate::stream::{LogMessage, MessageStream, ReadOptions};
 use crate::topics::Topic;
+
+/// Most readings of a tick: all that the sensors of a scene can have underway, and those of the tick.
+const MOST_READINGS: usize = 2064;
+
+const _: () = assert!(MOST_READINGS == messages::MAX_SENSORS * 258);
 
 /// One complete tick.
 #[derive(Debug, Clone, PartialEq)]
@@ -24,6 +29,8 @@ pub struct TickRecord {
     pub removed: Vec<u32>,
     /// After a reset, which restores all voxels: the predrilled voxels, removed again before `removed`.
     pub restored: Option<Vec<u32>>,
+    /// Readings of sensors that arrived with the state.
+    pub readings: Vec<SensorReading>,
 }
 
 /// The tick that a run's simulation could not compute.
@@ -99,6 +106,9 @@ struct Pending {
     held: u64,
     /// Number of removal messages so far; none after a gap, where the next number is unknown.
     removal_count: Option<u64>,
+    readings: Vec<SensorReading>,
+    /// Sequence number of the last reading; none after a gap.
+    reading_count: Option<u64>,
     /// `removed_total` of the last state.
     removed_total: u64,
     /// The last keyframe, possibly still incomplete.
@@ -121,7 +131,12 @@ impl LogReader {
     /// Reads the ticks of a stream from its start, or from its first keyframe if the log's start is missing
     /// ([`beginning`](Self::beginning)).
     pub fn from_stream(mut stream: MessageStream) -> Result<LogReader, LogError> {
-        let mut pending = Pending { removal_count: Some(0), keyframe_parts: Some(0), ..Pending::default() };
+        let mut pending = Pending {
+            removal_count: Some(0),
+            reading_count: Some(0),
+            keyframe_parts: Some(0),
+            ..Pending::default()
+        };
         let voxels = voxels_of(stream.header());
         match LogReader::start(&mut stream, &mut pending, voxels) {
             Ok((initial, predrilled)) => Ok(LogReader {
@@ -186,6 +201,7 @@ impl LogReader {
             }
         };
         let (predrilled, _) = pending.removed_of(&path, &initial, Reset::No)?;
+        pending.readings.clear();
         Ok((initial, predrilled))
     }
 
@@ -300,7 +316,8 @@ impl LogReader {
             }
             let (removed, restored) = self.pending.removed_of(&path, &state, latched.reset())?;
             self.last = tick;
-            return Ok(Some(TickRecord { latched, state, removed, restored }));
+            let readings = std::mem::take(&mut self.pending.readings);
+            return Ok(Some(TickRecord { latched, state, removed, restored, readings }));
         }
         Ok(None)
     }
@@ -348,11 +365,39 @@ impl Pending {
                 self.held += voxels.len().max(1) as u64;
                 self.removals.push((removed, voxels));
             }
+            Some(Topic::Sensor) => {
+                let Ok(reading) = SensorReading::read_from_bytes(message.body) else { return Ok(None) };
+                self.take_reading(path, reading, last)?;
+            }
             Some(Topic::Keyframe) => self.take_keyframe_part(path, message.body, last)?,
             Some(Topic::State) => return Ok(State::read_from_bytes(message.body).ok()),
             _ => (),
         }
         Ok(None)
+    }
+
+    /// Takes a reading that follows state `last`.
+    fn take_reading(
+        &mut self,
+        path: &Path,
+        reading: SensorReading,
+        last: Option<Tick>,
+    ) -> Result<(), LogError> {
+        let missing = |found: String| gap(path, Topic::Sensor, Tick(reading.tick), &found);
+        let expected = self.reading_count.map_or(reading.sequence, |count| count.saturating_add(1));
+        self.reading_count = Some(reading.sequence);
+        if reading.sequence != expected {
+            return Err(missing(format!("reading {}, expected {expected}", reading.sequence)));
+        }
+        let tick = last.map_or(Tick::START, |last| last.saturating_add(1));
+        if Tick(reading.tick) != tick {
+            return Err(missing(format!("a reading of tick {} before state {tick}", reading.tick)));
+        }
+        if self.readings.len() >= MOST_READINGS {
+            return Err(missing(format!("more than {MOST_READINGS} readings before state {tick}")));
+        }
+        self.readings.push(reading);
+        Ok(())
     }
 
     /// Bounds memory for a log that keeps removing voxels without ever writing a state.

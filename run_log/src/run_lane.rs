@@ -5,7 +5,7 @@ use std::io::{Cursor, Write};
 use std::path::Path;
 
 use messages::layout::Message;
-use messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched, Removed, State, Tick};
+use messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched, Removed, SensorReading, State, Tick};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::end::{EndMarker, EndReason};
@@ -20,7 +20,8 @@ use crate::topics::{self, Topic};
 /// The deterministic lane of a run, being written.
 ///
 /// Calls may interleave in any way, as long as each topic stays in order and the removals of tick 0 come before its
-/// state. A tick is written as `Latched` k, `Removed` k+1, `State` k+1 once all of them have arrived. The arrival of
+/// state, and the readings of a state before it. A tick is written as `Latched` k, `Removed` k+1, `SensorReading`s k+1, `State` k+1 once
+/// all of them have arrived. The arrival of
 /// frames and replies depends on the renderer, so they are held and written a fixed number of ticks after the tick
 /// that they show (`frame_lag_ticks`): two runs with the same messages produce the same bytes. Only a frame that
 /// arrives even later is written on arrival. A keyframe must be given before the next tick's state; it is written
@@ -32,6 +33,8 @@ pub struct RunLog<W: Write> {
     ticks: TickOrder,
     frames: FrameOrder,
     keyframes: VecDeque<(Tick, Vec<u8>)>,
+    /// Of states that are not written yet.
+    readings: VecDeque<SensorReading>,
     places: Places,
     channels: Channels,
     last: Option<State>,
@@ -75,6 +78,7 @@ struct Expected {
     removed_sequence: u64,
     frame_sequence: u64,
     keyframe_sequence: u64,
+    reading_sequence: u64,
 }
 
 impl<W: Write> RunLog<W> {
@@ -106,6 +110,7 @@ impl<W: Write> RunLog<W> {
             ticks: TickOrder::default(),
             frames: FrameOrder::new(header),
             keyframes: VecDeque::new(),
+            readings: VecDeque::new(),
             places: Places::ByTick,
             channels,
             last: None,
@@ -113,6 +118,7 @@ impl<W: Write> RunLog<W> {
                 removed_sequence: 1,
                 frame_sequence: 1,
                 keyframe_sequence: 1,
+                reading_sequence: 1,
                 ..Expected::default()
             },
             lost: BTreeMap::new(),
@@ -155,6 +161,12 @@ impl<W: Write> RunLog<W> {
         }
         self.ticks.removed(message);
         self.write_ticks(Supply::Open)
+    }
+
+    /// Takes a sensor's reading, before the state with which it arrives.
+    pub fn reading(&mut self, reading: &SensorReading) -> Result<(), LogError> {
+        self.readings.push_back(*reading);
+        Ok(())
     }
 
     /// Takes the bytes of a `Keyframe` message: struct and data.
@@ -307,6 +319,7 @@ impl<W: Write> RunLog<W> {
         let tick = Tick(state.tick);
         self.count_lost(Topic::State, tick.since(self.expected.state_tick));
         self.expected.state_tick = tick.saturating_add(1);
+        self.write_readings(tick)?;
         self.sink.message(self.channels.state, tick, &[state.as_bytes()])?;
         let is_first = self.last.is_none();
         self.last = Some(*state);
@@ -318,6 +331,20 @@ impl<W: Write> RunLog<W> {
             Places::ByTick if is_first => self.sink.close_chunk(),
             Places::ByTick => self.sink.end_tick(tick),
         }
+    }
+
+    /// Writes the readings of states up to this one. Their channel is declared with the first, so that a log without sensors has none.
+    fn write_readings(&mut self, tick: Tick) -> Result<(), LogError> {
+        while self.readings.front().is_some_and(|reading| reading.tick <= tick.0)
+            && let Some(reading) = self.readings.pop_front()
+        {
+            let missed = reading.sequence.saturating_sub(self.expected.reading_sequence);
+            self.count_lost(Topic::Sensor, missed);
+            self.expected.reading_sequence = reading.sequence.saturating_add(1);
+            let channel = self.sink.channel(Topic::Sensor.name(), SensorReading::DESCRIPTION)?;
+            self.sink.message(channel, Tick(reading.tick), &[reading.as_bytes()])?;
+        }
+        Ok(())
     }
 
     fn write_frames(&mut self, due: Due) -> Result<(), LogError> {

@@ -6,7 +6,7 @@ use std::fmt::{self, Display, Formatter};
 use messages::layout::{Description, Element, Message};
 use messages::{
     DrrReply, DrrRequest, Event, Frame, FrameTiming, ImagePrefix, Keyframe, Latched, Removed, RunControl,
-    RunControlReply, RunStatus, SENSOR_MSGS_IMAGE_SCHEMA, State, TickTiming,
+    RunControlReply, RunStatus, SENSOR_MSGS_IMAGE_SCHEMA, SensorReading, State, TickTiming,
 };
 
 /// A message with one topic of its own. [`messages::Command`] has one a controller: [`command`].
@@ -78,6 +78,8 @@ topics! {
     RunStatus: RunStatus = "/run/status";
     /// `DrrRequest` of the timing lane.
     DrrRequest: DrrRequest = "/drr/request";
+    /// The sensors' readings, in `run.mcap`; only of scenes with sensors.
+    Sensor: SensorReading = "/sensor";
 }
 
 impl Topic {
@@ -101,7 +103,7 @@ pub fn command(controller: &str) -> String {
 /// Schema name of [`Topic::DrrImage`].
 pub const IMAGE_SCHEMA_NAME: &str = "sensor_msgs/msg/Image";
 
-/// The topics of `run.mcap`, in the order in which their channels are declared.
+/// The topics of `run.mcap`, in the order in which their channels are declared. [`Topic::Sensor`] follows with the first reading.
 pub const RUN: [Topic; 7] = [
     Topic::Latched,
     Topic::State,
@@ -192,6 +194,7 @@ mod tests {
             "/run/control_reply",
             "/run/status",
             "/drr/request",
+            "/sensor",
         ];
         assert_eq!(Topic::ALL.iter().map(|topic| topic.name()).collect::<Vec<_>>(), names);
         assert_eq!(RUN.map(Topic::name), names[..RUN.len()]);

@@ -1,7 +1,7 @@
 //! Replay: steps a simulation through a log's latched commands and compares every tick.
 
 use messages::layout::Message;
-use messages::{Plant, State, Tick};
+use messages::{Plant, SensorReading, State, Tick};
 use zerocopy::IntoBytes;
 
 use crate::difference::{Divergence, compare, compare_removed};
@@ -20,7 +20,7 @@ pub struct VerifyOptions {
 /// What a replay found.
 #[derive(Debug)]
 pub struct ReplayReport {
-    /// Ticks whose hash, state bytes and removals are identical.
+    /// Ticks whose hash, state bytes, removals and readings are identical.
     pub identical_ticks: u64,
     /// `State.tick` of the last identical tick.
     pub last_tick: Tick,
@@ -47,7 +47,7 @@ impl ReplayReport {
     }
 }
 
-/// Replays a log and compares the hash, every byte of the state, and the removed voxels at every tick, up to the first
+/// Replays a log and compares the hash, every byte of the state, the removed voxels and the sensors' readings at every tick, up to the first
 /// difference. Does no timing; that is the caller's job.
 pub fn verify(reader: &mut LogReader, simulation: &mut impl Plant, options: VerifyOptions) -> ReplayReport {
     let mut report = ReplayReport {
@@ -99,6 +99,20 @@ pub fn verify(reader: &mut LogReader, simulation: &mut impl Plant, options: Veri
 pub fn compare_tick(recorded: &TickRecord, replayed: &impl Plant) -> Option<Divergence> {
     compare_state(&recorded.state, replayed.state())
         .or_else(|| compare_removed(Tick(recorded.state.tick), &recorded.removed, replayed.removed()))
+        .or_else(|| compare_readings(Tick(recorded.state.tick), &recorded.readings, replayed.readings()))
+}
+
+/// Where the readings of a tick differ.
+pub fn compare_readings(
+    tick: Tick,
+    recorded: &[SensorReading],
+    replayed: &[SensorReading],
+) -> Option<Divergence> {
+    (0..recorded.len().max(replayed.len())).find_map(|i| {
+        let bytes =
+            |readings: &[SensorReading]| readings.get(i).map(|r| r.as_bytes().to_vec()).unwrap_or_default();
+        compare(Topic::Sensor, tick, SensorReading::DESCRIPTION, &bytes(recorded), &bytes(replayed))
+    })
 }
 
 /// Where two states of a tick differ.

@@ -60,6 +60,9 @@ use std::path::Path;
 /// them. All other counts of ticks, frames and bytes have 64 bits.
 pub const LONGEST_RUN_S: f64 = 86_400.0;
 
+/// Most readings of a sensor that are measured and have not arrived: its rate times its longest delay.
+pub const MAX_READINGS_UNDERWAY: usize = 256;
+
 /// The error of a text that was parsed, which is the file's or was completed from it.
 fn malformed(text: &str, path: &Path, parsed: &str, cause: &toml::de::Error) -> SceneError {
     let start = cause.span().map(|span| span.start);

@@ -143,7 +143,7 @@ mod tests {
 
     #[test]
     fn too_many_tables_are_refused_with_their_number() {
-        for (table, most) in [("body", 4), ("tendon", 4), ("controller", 4)] {
+        for (table, most) in [("body", 4), ("tendon", 4), ("sensor", 8), ("controller", 4)] {
             let scene = |count: usize| toml::from_str(&format!("[[{table}]]\n").repeat(count)).unwrap();
             assert_eq!(refused(&scene(most)), None);
             let said = refused(&scene(most + 1)).unwrap().to_string();

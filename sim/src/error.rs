@@ -2,13 +2,13 @@ use std::path::PathBuf;
 
 use controllers::CalibrationError;
 use hub::command_check::CommandRefusal;
+use inputs::failure::Failure;
 use messages::Tick;
 use output_file::OutputError;
 use run_log::LogError;
 use run_log::difference::Divergence;
 use simulation::SimulationError;
 use thiserror::Error;
-use trabecula::failure::Failure;
 use xray::DrrError;
 
 /// Why a simulation cannot be built, stepped, rendered, recorded or taken from a log.

@@ -4,11 +4,11 @@ use std::path::Path;
 
 use controllers::Controller;
 use hub::latch::Latch;
+use inputs::log::{OpenedLog, Overrides};
 use messages::{Command, CommandSource, ControllerIndex, Latched, Reset, Tick};
 use run_log::difference::Divergence;
 use run_log::verify::{compare_state, compare_tick};
 use run_log::{LogReader, RunMode};
-use trabecula::replay::{OpenedLog, Overrides};
 
 use crate::error::SimError;
 use crate::shared::SharedScene;

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use hub::Outputs;
 use hub::run_lane::{LaneError, RunLane};
 use messages::layout::Message;
-use messages::{CArmGeometry, Keyframe, Latched, Removed, State, Tick};
+use messages::{CArmGeometry, Keyframe, Latched, Removed, SensorReading, State, Tick};
 use output_file::{OutputError, OutputFile};
 use recorder_proc::build_info;
 use recorder_proc::log_file::index_beside;
@@ -155,6 +155,13 @@ impl Outputs for Out {
         match self {
             Out::Nowhere => Ok(()),
             Out::Log(recording) => recording.log.removed(&[removed.as_bytes(), voxels.as_bytes()].concat()),
+        }
+    }
+
+    fn send_reading(&mut self, reading: &SensorReading) -> Result<(), LogError> {
+        match self {
+            Out::Nowhere => Ok(()),
+            Out::Log(recording) => recording.log.reading(reading),
         }
     }
 

@@ -3,15 +3,14 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
+use inputs::failure::Failure;
+use inputs::log::OpenedLog;
+use inputs::scenes::{BuiltIn, SceneSource};
+use inputs::volume_source::{self, VolumeFiles};
+use inputs::{feasibility, plan};
 use messages::Volume as VolumeMessage;
 use scene::{Mode, Scene};
 use simulation::{CtView, SharedCt};
-use trabecula::commands::plan;
-use trabecula::failure::Failure;
-use trabecula::feasibility;
-use trabecula::launcher::volume_source::{self, VolumeFiles};
-use trabecula::replay::OpenedLog;
-use trabecula::scenes::{BuiltIn, SceneSource};
 
 use crate::error::SimError;
 
@@ -70,7 +69,7 @@ impl SharedScene {
         seed: Option<u64>,
     ) -> Result<Arc<SharedScene>, SimError> {
         let source = SceneSource::new(file, BuiltIn::Femur).with(settings)?;
-        let (mut scene, choice) = plan::load(&source)?;
+        let (mut scene, choice) = plan::load_scene(&source)?;
         scene.run.mode = Mode::Lockstep;
         scene.run.seed = seed.unwrap_or(scene.run.seed);
         volume_source::refuse_missing(&source, &scene)?;

@@ -1,12 +1,13 @@
 //! One simulation.
 
+use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::Arc;
 
 use controllers::{BuiltIn, Controller};
 use hub::command_check::check;
 use hub::latch::{Latch, Reset};
-use messages::{Command, ControllerIndex, State, Tick};
+use messages::{Command, ControllerIndex, SensorReading, State, Tick};
 use simulation::{Simulation, SimulationSnapshot};
 use xray::frame::Rendered;
 
@@ -28,6 +29,9 @@ pub enum Drive {
     Everything,
 }
 
+/// Readings that [`Sim::readings`] gives at most: as many as a client's queue holds.
+const READINGS_KEPT: usize = messages::services::SENSOR.queue_length;
+
 /// A scene stepped in this process.
 pub struct Sim {
     pub(crate) shared: Arc<SharedScene>,
@@ -41,6 +45,8 @@ pub struct Sim {
     frames_rendered: u64,
     /// Parts of commands that could not be followed in the last call of [`Sim::step`].
     refusals: Vec<String>,
+    /// Readings that arrived in the last call of [`Sim::step`], the newest [`READINGS_KEPT`].
+    readings: VecDeque<SensorReading>,
     start: Option<Snapshot>,
     pub(crate) lane: Lane,
     x_ray: Option<XRay>,
@@ -104,6 +110,7 @@ impl Sim {
             frame: None,
             frames_rendered: 0,
             refusals: Vec::new(),
+            readings: VecDeque::new(),
             start: None,
             lane: Lane::silent(),
             x_ray: None,
@@ -139,6 +146,15 @@ impl Sim {
         self.plant.state()
     }
 
+    /// The readings of sensors that arrived in the last call of [`Sim::step`], the newest 1024; before the first and after a jump,
+    /// those of the present state.
+    pub fn readings(&self) -> Vec<SensorReading> {
+        match self.readings.is_empty() {
+            true => self.plant.readings().to_vec(),
+            false => self.readings.iter().copied().collect(),
+        }
+    }
+
     /// Names of the controllers that the caller drives, in the scene's order.
     pub fn driven(&self) -> Vec<String> {
         let driven = self.drivers.iter().filter(|driver| driver.built_in.is_none());
@@ -162,6 +178,7 @@ impl Sim {
     /// A command is refused: nothing has changed. The physics, the X-ray or the recording fails.
     pub fn step(&mut self, commands: &[Command], ticks: u64) -> Result<(), SimError> {
         self.refusals.clear();
+        self.readings.clear();
         self.check(commands)?;
         (0..ticks).try_for_each(|_| self.tick(commands))
     }
@@ -196,6 +213,7 @@ impl Sim {
             }
             let mut command = driver.numbered(own.unwrap_or(&Command::zeroed()), tick);
             if let Some(built_in) = &mut driver.built_in {
+                self.plant.readings().iter().for_each(|reading| built_in.reading(reading));
                 built_in.step(state, &mut command);
             }
             self.latch.offer(index, &command, tick).map_err(|cause| SimError::Refused {
@@ -209,7 +227,14 @@ impl Sim {
         self.lane.tick(&mut self.plant, &latched)?;
         self.drilled.extend_from_slice(self.plant.removed());
         self.take_refusals(tick);
+        self.take_readings();
         Ok(())
+    }
+
+    fn take_readings(&mut self) {
+        self.readings.extend(self.plant.readings());
+        let too_many = self.readings.len().saturating_sub(READINGS_KEPT);
+        self.readings.drain(..too_many);
     }
 
     fn take_refusals(&mut self, tick: Tick) {
@@ -285,6 +310,7 @@ impl Sim {
         self.frame.clone_from(&saved.frame);
         self.frames_rendered = saved.frames_rendered;
         self.refusals.clear();
+        self.readings.clear();
         if let Some(x_ray) = &mut self.x_ray {
             x_ray.forget();
         }

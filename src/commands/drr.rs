@@ -13,13 +13,13 @@ use xray::{
 };
 
 use crate::failure::Failure;
-use crate::launcher::suspicions;
 use crate::launcher::volume_source::VolumeChoice;
 use crate::output::refuse_existing;
 use crate::say::Figures;
 use crate::x_ray::dicom::{Series, write_dicom};
 use crate::x_ray::files::{Picture, write_nrrd, write_png};
 use crate::x_ray::poses::{self, Placed, Pose};
+use inputs::suspicions;
 
 /// Arguments of `drr`.
 #[derive(Debug, Args)]

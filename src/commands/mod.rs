@@ -17,6 +17,7 @@ pub mod run;
 pub mod scene;
 pub mod session;
 pub mod show;
+pub mod sweep;
 pub mod tool;
 pub mod view;
 pub mod view_plan;

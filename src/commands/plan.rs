@@ -4,13 +4,12 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use ipc_types::scene::Scene;
 use serde_json::json;
 
 use crate::failure::Failure;
 use crate::feasibility;
 use crate::launcher::volume_source::VolumeFiles;
-use crate::plan::{self, check, resolve};
+use crate::plan::{self, check};
 use crate::replay::Overrides;
 use crate::say::Figures;
 use crate::scenes::SceneSource;
@@ -64,18 +63,8 @@ pub fn run(arguments: &PlanArguments) -> Result<(), Failure> {
     }
 }
 
-/// Loads a scene and resolves its tolerance; also returns the choice as text.
-///
-/// # Errors
-/// Bad input: an invalid scene, or a tolerance that no settings meet.
-pub fn load(source: &SceneSource) -> Result<(Scene, Option<String>), Failure> {
-    let mut scene = source.load()?;
-    let choice = resolve(&mut scene, &source.text()?)?;
-    Ok((scene, choice.map(|choice| choice.text())))
-}
-
 fn show(file: &Path, figures: Figures) -> Result<(), Failure> {
-    let (scene, choice) = load(&SceneSource::File(file.to_owned()))?;
+    let (scene, choice) = plan::load_scene(&SceneSource::File(file.to_owned()))?;
     let warnings = feasibility::check(&scene, &file.display(), None)?;
     warnings.iter().for_each(|warning| tell!("{warning}"));
     let none = "states no `tolerance` of tip or path: the standard settings, or what it names";

@@ -10,7 +10,6 @@ use ipc_types::services::RECORDER_QUEUE_TICKS;
 use output_file::OutputError;
 use volume_io::Volume;
 
-use crate::commands::plan;
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::feasibility;
 use crate::launcher::hub::View;
@@ -19,6 +18,7 @@ use crate::launcher::part;
 use crate::launcher::progress::{Display, ProgressStyle};
 use crate::launcher::run::{Outcome, RunPlan, RunResult, output_folder, run_with};
 use crate::launcher::volume_source::{self, VolumeFiles};
+use crate::plan;
 use crate::printer;
 use crate::redirect_file;
 use crate::report::{self, ReportError};
@@ -223,7 +223,7 @@ fn volume_of(plan: &RunPlan, source: &SceneSource) -> Result<Option<(Volume, [u8
 }
 
 fn scene_of(arguments: &RunArguments, source: &SceneSource) -> Result<Scene, Failure> {
-    let (mut scene, choice) = plan::load(source)?;
+    let (mut scene, choice) = plan::load_scene(source)?;
     if let Some(choice) = choice.filter(|_| !arguments.json) {
         say!("{choice}");
     }

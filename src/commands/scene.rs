@@ -82,7 +82,7 @@ fn init(folder: &Path, scene: BuiltIn) -> Result<(), Failure> {
 
 fn check(file: &Path, volume_files: VolumeFiles, figures: Figures) -> Result<(), Failure> {
     let mut notes = Vec::new();
-    let (scene, _) = super::plan::load(&SceneSource::File(file.to_owned()))?;
+    let (scene, _) = crate::plan::load_scene(&SceneSource::File(file.to_owned()))?;
     volume_source::refuse_missing(&file.display(), &scene)?;
     let loaded = volume_source::load_with_notes(&scene, volume_files)?;
     notes.extend(loaded.iter().flat_map(|loaded| loaded.notes.clone()));

@@ -45,7 +45,7 @@ pub fn run(arguments: &ShowArguments) -> Result<(), Failure> {
     }
     refuse_existing(&[output])?;
     let source = SceneSource::new(arguments.scene.as_deref(), BuiltIn::Femur);
-    let (scene, _) = super::plan::load(&source)?;
+    let (scene, _) = crate::plan::load_scene(&source)?;
     volume_source::refuse_missing(&source, &scene)?;
     let Some(loaded) = volume_source::load(&scene, arguments.volume_files)? else {
         return Err(Failure::bad_input(format!(

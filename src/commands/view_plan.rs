@@ -20,7 +20,7 @@ use crate::scenes::SceneSource;
 /// # Errors
 /// An invalid scene, a volume that is not there or cannot be read (2).
 pub fn load(file: &Path, files: VolumeFiles) -> Result<Planned, Failure> {
-    let (scene, _) = super::plan::load(&SceneSource::File(file.to_owned()))?;
+    let (scene, _) = crate::plan::load_scene(&SceneSource::File(file.to_owned()))?;
     volume_source::refuse_missing(&file.display(), &scene)?;
     let loaded = volume_source::load(&scene, files)?;
     let shapes = Shapes::of(&scene)?;

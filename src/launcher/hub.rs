@@ -113,6 +113,7 @@ impl Hub {
             controllers: scene.controller_names(),
             volume_bytes: volume.map_or(0, |(volume, _)| volume_source::message_bytes(volume)),
             frame_bytes: scene.drr.as_ref().map_or(0, |drr| services::frame_bytes(drr.columns, drr.rows)),
+            sensors: !scene.sensor.is_empty(),
             recorder: recording == Recording::On,
             wait: wait_for_each_other(scene),
             policy: scene.run.policy,

@@ -9,5 +9,5 @@ pub mod progress;
 mod replacements;
 pub mod run;
 mod subscriptions;
-pub mod suspicions;
-pub mod volume_source;
+
+pub use inputs::volume_source;

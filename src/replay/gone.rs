@@ -1,7 +1,7 @@
 //! The voxels that are gone.
 
-use super::log::OpenedLog;
 use crate::failure::Failure;
+use inputs::log::OpenedLog;
 
 /// What of the bone is gone after a tick: pilot holes and what was drilled.
 #[derive(Debug)]

@@ -3,12 +3,11 @@
 mod frames;
 mod gone;
 mod live;
-mod log;
 mod recording;
 mod replies;
 
 pub use frames::{ComparedFrames, verify_frames};
 pub use gone::Gone;
+pub use inputs::log::{OpenedLog, Overrides};
 pub use live::{LivePlan, run as run_live};
-pub use log::{OpenedLog, Overrides};
 pub use recording::{Recorded, record};

@@ -7,7 +7,9 @@ use std::path::{Path, PathBuf};
 use hub::Outputs;
 use hub::run_lane::{LaneError, RunLane};
 use ipc_types::layout::{Message, hex};
-use ipc_types::messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched, Part, Removed, State};
+use ipc_types::messages::{
+    DrrReply, Frame, ImagePrefix, Keyframe, Latched, Part, Removed, SensorReading, State,
+};
 use output_file::{OutputError, OutputFile};
 use recorder_proc::log_file::{LogFile, index_beside};
 use run_log::verify::compare_state;
@@ -142,7 +144,7 @@ impl ReplayCopy<'_> {
                 }
             }
             Some(Topic::DrrFrame) => self.frame = Frame::read_from_bytes(message.body).ok(),
-            // Removed voxels come from the physics.
+            // Removed voxels and readings come from the physics.
             _ => {}
         }
         Ok(())
@@ -240,6 +242,10 @@ impl Outputs for Out {
 
     fn send_removed(&mut self, removed: &Removed, voxels: &[u32]) -> Result<(), LogError> {
         self.0.removed(&[removed.as_bytes(), voxels.as_bytes()].concat())
+    }
+
+    fn send_reading(&mut self, reading: &SensorReading) -> Result<(), LogError> {
+        self.0.reading(reading)
     }
 
     fn send_state(&mut self, state: &State) -> Result<(), LogError> {

@@ -34,7 +34,7 @@ fn force(run: &RunLane) -> Option<String> {
     let of_scene = |scene: &Scene| ArmParameters::of(&scene.arm, scene.dt_s());
     let arm = run.scene.as_ref().map_or_else(|| ArmParameters::ur5(1e-3), of_scene);
     let most_n = arm.payload_kg? * GRAVITY_M_PER_S2;
-    let (burr_n, contact_n) = (run.peaks.burr_force_n, run.peaks.contact_force_n);
+    let (burr_n, contact_n) = (run.course.peaks.burr_force_n, run.course.peaks.contact_force_n);
     let (what, force_n) = if burr_n > most_n { ("the burr", burr_n) } else { ("a contact", contact_n) };
     (force_n > most_n).then(|| {
         format!("{what} pressed with up to {force_n:.1} N, more than the arm's payload of {most_n:.1} N")
@@ -47,13 +47,13 @@ fn tip_at_rest(run: &RunLane) -> Option<String> {
         drives.into_iter().any(|part| matches!(part, Drives::Tendon | Drives::Arm))
     };
     let is_driven = run.scene.as_ref().is_some_and(moves);
-    (run.ticks > 0 && is_driven && run.peaks.tip_travel_m < STILL_M).then(|| {
-        format!("the tip never moved: at most {:.4} mm from its start", run.peaks.tip_travel_m * 1e3)
+    (run.course.ticks > 0 && is_driven && run.course.peaks.tip_travel_m < STILL_M).then(|| {
+        format!("the tip never moved: at most {:.4} mm from its start", run.course.peaks.tip_travel_m * 1e3)
     })
 }
 
 fn on_stops(run: &RunLane) -> Option<String> {
-    let share = 100.0 * (run.peaks.ticks_on_stops as f64 / run.ticks.max(1) as f64).min(1.0);
-    (run.peaks.ticks_on_stops > 0)
+    let share = 100.0 * (run.course.peaks.ticks_on_stops as f64 / run.course.ticks.max(1) as f64).min(1.0);
+    (run.course.peaks.ticks_on_stops > 0)
         .then(|| format!("the tool was on its stops in {share:.1} % of the ticks: it bends no farther"))
 }

@@ -15,6 +15,7 @@
 pub mod axis;
 pub mod calibration_figure;
 mod cautions;
+pub mod course;
 pub mod distribution;
 mod end_table;
 mod grey;
@@ -36,10 +37,11 @@ mod tests;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use inputs::failure::Failure;
 use output_file::OutputError;
 
 pub use live::{LiveSnapshot, LiveStats, progress_line};
-pub use summary::{MissSummary, NOT_SHARED, Summary};
+pub use summary::{DrillingSummary, MissSummary, NOT_SHARED, Summary, ToolSummary};
 pub use table::{History, json_line};
 
 use page::Picture;
@@ -129,6 +131,15 @@ pub enum ReportError {
         /// The encoder's reason.
         source: serde_json::Error,
     },
+}
+
+impl From<ReportError> for Failure {
+    fn from(error: ReportError) -> Failure {
+        match error {
+            ReportError::Output(error) => Failure::from(error),
+            other => Failure::failed(other.to_string()),
+        }
+    }
 }
 
 /// A run's report, and which of its files could not be written.

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::RunFacts;
 use super::cautions::cautions;
 use super::distribution::Quantiles;
-use super::run_lane::{RunLane, distance_m};
+use super::run_lane::RunLane;
 use super::timing_lane::TimingLane;
 use crate::plan::ModelError;
 
@@ -209,7 +209,7 @@ pub struct LogSummary {
 pub const NOT_SHARED: &str = ", not shared";
 
 /// The ratio, if it is finite.
-fn ratio(a: f64, b: f64) -> Option<f64> {
+pub(super) fn ratio(a: f64, b: f64) -> Option<f64> {
     Some(a / b).filter(|ratio| b > 0.0 && ratio.is_finite())
 }
 
@@ -222,17 +222,17 @@ impl Summary {
             scene: header.map(|header| header.scene_name.clone()),
             mode: header.map(|header| header.mode.name().to_string()),
             outcome: facts.outcome.clone(),
-            ticks: run.ticks,
+            ticks: run.course.ticks,
             simulated_s,
             wall_s: facts.wall_s,
             startup_s: facts.startup_s,
             phases_s: facts.phases_s.clone(),
             real_time_factor: ratio(simulated_s, facts.wall_s),
-            final_hash: run.last.as_ref().map(|state| hash_text(state.hash)),
-            tool: ToolSummary::of(run),
+            final_hash: run.course.last.as_ref().map(|state| hash_text(state.hash)),
+            tool: run.course.tool(),
             model_error: run.scene.as_ref().and_then(ModelError::of),
             cautions: cautions(run, timing),
-            drilling: DrillingSummary::of(run),
+            drilling: run.course.drilling(),
             drr: DrrSummary::of(run, timing, facts),
             timing: TimingSummary::of(timing),
             events: timing.events.clone(),
@@ -242,40 +242,6 @@ impl Summary {
             processor_s: facts.processor_s.clone(),
             replay_command: facts.replay_command.clone(),
         }
-    }
-}
-
-impl ToolSummary {
-    fn of(run: &RunLane) -> Option<ToolSummary> {
-        let (first, last, deepest) = (run.first.as_ref()?, run.last.as_ref()?, run.deepest.as_ref()?);
-        let burr_m = deepest.t_world_burr.position_m;
-        Some(ToolSummary {
-            tip_start_mm: first.t_world_tip.position_m.map(|x| x * 1e3),
-            tip_deepest_mm: deepest.t_world_tip.position_m.map(|x| x * 1e3),
-            tip_end_mm: last.t_world_tip.position_m.map(|x| x * 1e3),
-            target_error_mm: run.target_m().map(|target_m| distance_m(target_m, burr_m) * 1e3),
-            bend_deg: deepest.bend_rad.to_degrees(),
-            max_tension_n: run.peaks.tension_n,
-        })
-    }
-}
-
-impl DrillingSummary {
-    fn of(run: &RunLane) -> Option<DrillingSummary> {
-        let last = run.last.as_ref()?;
-        Some(DrillingSummary {
-            removed_voxels: last.removed_total,
-            removed_volume_mm3: run.voxel_volume_mm3().map(|volume| volume * last.removed_total as f64),
-            cutting_energy_j: last.cutting_energy_j,
-            crushing_energy_j: last.crushing_energy_j,
-            max_burr_force_n: run.peaks.burr_force_n,
-            max_contact_force_n: run.peaks.contact_force_n,
-            max_wall_force_n: run.peaks.wall_force_n,
-            max_flange_force_n: run.peaks.flange_force_n,
-            max_stop_excess_deg: run.peaks.stop_excess_rad.to_degrees(),
-            max_contacts: run.peaks.contacts,
-            contact_share: ratio(run.peaks.ticks_in_contact as f64, run.ticks as f64).unwrap_or(0.0).min(1.0),
-        })
     }
 }
 

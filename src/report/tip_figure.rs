@@ -5,8 +5,9 @@ use plotters::style::RGBColor;
 
 use super::ReportError;
 use super::axis::{Axis, bounds};
+use super::course::{Plane, distance_m};
 use super::panel::{COLOURS, INK, Key, Panel, Rect};
-use super::run_lane::{Curves, Plane, RunLane, distance_m, links};
+use super::run_lane::{Curves, RunLane, links};
 use super::shapes::{Anchor, Figure, Point, Stroke};
 use super::timeline::{Extremes, Timeline};
 
@@ -38,7 +39,7 @@ pub fn draw(run: &RunLane) -> Result<Figure, ReportError> {
     let end_s = run.end_ns as f64 * 1e-9;
     let (tensions, bend, force) = match &run.curves {
         Some(curves) => {
-            let used = run.last.as_ref().map_or(0, |state| state.tendon_count as usize);
+            let used = run.course.last.as_ref().map_or(0, |state| state.tendon_count as usize);
             let tendons = curves.tension_n.iter().take(used).enumerate();
             let tensions = tendons.map(|(i, line)| (line, format!("tendon {i}"))).collect();
             let bend = vec![(&curves.bend_deg, String::new())];
@@ -77,7 +78,7 @@ impl PathPanel {
             start: shape(plane, first),
             end: shape(plane, deepest),
             burr: Some((project(centre), radius_mm)),
-            target: run.target_m().map(project),
+            target: run.course.target_m.map(project),
         }
     }
 
@@ -103,7 +104,7 @@ fn shape(plane: &Plane, state: &State) -> Vec<Point> {
 
 fn draw_path(figure: &mut Figure, outer: Rect, run: &RunLane) {
     let title = "Tip path and shape in the bending plane";
-    let path_panel = match (&run.curves, &run.first, &run.last, &run.deepest) {
+    let path_panel = match (&run.curves, &run.course.first, &run.course.last, &run.course.deepest) {
         (Some(curves), Some(first), Some(last), Some(deepest)) => {
             PathPanel::of(run, curves, first, last, deepest)
         }

@@ -2,6 +2,7 @@
 
 import time
 from pathlib import Path
+from xml.etree import ElementTree
 
 import slices
 from page import BURR_PIXELS, Page, count, is_burr
@@ -75,7 +76,9 @@ def goes_to_marks(page: Page) -> None:
     page.page.focus("#scrub")
     page.page.keyboard.press("Home")
     page.until("the beginning", lambda: page.number("time") < 0.02)
-    marks = page.page.evaluate("trabecula.timeLine.events.filter((mark) => mark.kind === 'event').map((mark) => mark.time_ns)")
+    all_marks = page.page.evaluate("trabecula.timeLine.events")
+    kind = "event" if any(mark["kind"] == "event" for mark in all_marks) else "note"
+    marks = [mark["time_ns"] for mark in all_marks if mark["kind"] == kind]
     here = page.number("time")
     later = sorted(ns / 1e9 for ns in marks if ns / 1e9 > here)
     assert later, f"no event behind {here} s: {marks}"
@@ -83,10 +86,102 @@ def goes_to_marks(page: Page) -> None:
     page.until(f"the event at {later[0]} s", lambda: abs(page.number("time") - later[0]) < 0.002)
 
 
-def shows_differences(page: Page) -> None:
-    page.until("the page compares", lambda: page.page.locator("#compare").is_visible())
+def plots_are_whole(page: Page) -> None:
+    """The plots show the whole log before anything was played, without a hole, and exact figures."""
+    span = "trabecula.plots.logs[0].span"
+    page.until("the log is read", lambda: page.page.evaluate(f"!!{span} && {span}.reading === null"))
+    columns = page.page.evaluate(f"{span}.fields.get('/state bend_rad').at")
+    apart = max(b - a for a, b in zip(columns, columns[1:], strict=False))
+    ticks = round(length(page) * 1000)
+    assert columns[0] == 0 and apart <= page.page.evaluate(f"{span}.columns") // ticks + 1, (columns[:9], apart)
+    missed = page.text("missed")
+    assert missed == "0 of 0", f"a run in lockstep misses nothing, and the page says {missed}"
+
+
+def plays_fast_without_loss(page: Page) -> None:
+    """At twenty times its speed a log's messages outran the page, and the plots had steps that never were."""
+    before = page.page.evaluate("trabecula.plots.logs[0].span.fields.get('/state bend_rad').mean")
+    page.page.select_option("#playback-speed", "20")
+    plays(page)
+    page.page.select_option("#playback-speed", "1")
+    assert "dropped" not in page.text("notices"), page.text("notices")
+    assert page.page.evaluate("trabecula.plots.logs[0].span.fields.get('/state bend_rad').mean") == before
+
+
+def times_agree(page: Page) -> None:
+    """Head line, slider and state showed three times at once."""
+    page.page.evaluate("trabecula.connection.call('/playback', {action: 'seek', time_ns: 432100000})")
+    page.until("the head line's time", lambda: page.text("time") == "0.432 s")
+    page.until("the state's tick", lambda: page.number("tick") == 432)
+    assert page.text("playback-time").startswith("0.432 s"), page.text("playback-time")
+
+
+def plots_any_field(page: Page) -> None:
+    """A field found by its name is plotted, zoomed with all others, saved, and there again after a reload."""
+    count, span = page.page.locator(".plot").count(), "trabecula.plots.logs[0].span"
+    page.page.click("text=Add a field")
+    page.page.fill("#field-search", "state t_world_burr.position_m[2]")
+    page.page.click("#field-list button >> nth=0")
+    page.page.click("#fields-close")
+    page.until("a plot more", lambda: page.page.locator(".plot").count() == count + 1)
+    key = "/state t_world_burr.position_m[2]"
+    page.until("its values", lambda: page.page.evaluate(f"trabecula.plots.logs[0].span?.fields.get('{key}')?.at.length > 100"))
+    page.page.evaluate("trabecula.plots.axis.zoom(0.1, 0.5), trabecula.changed('plots')")
+    assert page.page.evaluate("trabecula.plots.range().map((x) => x.toFixed(3)).join()") == "0.450,0.550"
+    page.until("the span's own columns", lambda: page.page.evaluate(f"{span}.to - {span}.from < 0.25"))
+    csv = page.page.evaluate("import('/assets/figure.js').then(({ plotsCsv }) => plotsCsv(trabecula.plots))").splitlines()
+    assert f'"{key} least"' in csv[0] and 100 <= len(csv) <= 105, (csv[0], len(csv))
+    svg = page.page.evaluate("import('/assets/figure.js').then(({ plotsSvg }) => plotsSvg(trabecula.plots, trabecula.theme.colours))")
+    ElementTree.fromstring(svg)
+    assert svg.count("<text") > 20
+    page.page.reload()
+    opens_a_log(page)
+    page.until("the layout is kept", lambda: page.page.locator(".plot").count() == count + 1)
+    page.page.evaluate("trabecula.actions.run('restore')")
+    page.until("the plots as at first", lambda: page.page.locator(".plot").count() == count)
+
+
+def hides_panels(page: Page) -> None:
+    """A panel that was put away stays so after a reload, and comes back."""
+    page.page.click("text=Panels")
+    page.page.uncheck("input[data-panel='x-ray']")
+    page.until("no X-ray", lambda: not page.page.locator("#x-ray").is_visible())
+    page.page.reload()
+    opens_a_log(page)
+    assert not page.page.locator("#x-ray").is_visible()
+    page.page.click("text=Panels")
+    page.page.check("input[data-panel='x-ray']")
+    page.until("the X-ray again", lambda: page.page.locator("#x-ray").is_visible())
+    page.page.click("text=Panels")
+
+
+def answers_odd_requests(page: Page) -> None:
+    """Spans of nothing, fields that there are not, and more requests than are served are refused in words, and the page goes on."""
+    ask = "(request) => trabecula.connection.call('/series', request)"
+    field = {"topic": "/state", "field": "bend_rad"}
+    good = {"fields": [field], "from_ns": 0, "to_ns": 10**9, "columns": 10}
+    odd = [({"to_ns": 0}, "empty"), ({"columns": 0}, "columns"), ({"columns": 10**6}, "columns"), ({"fields": [field] * 99}, "fields"),
+           ({"fields": [{"topic": "/nothing", "field": "x"}]}, "/nothing"), ({"fields": [{"topic": "/state", "field": "hash"}]}, "not one number"),
+           ({"second": True}, "second"), ({"from_ns": -1}, "malformed")]
+    for change, word in odd:
+        answer = page.page.evaluate(ask, {**good, **change})
+        assert not answer["ok"] and word in answer["error"], (change, answer)
+    many = page.page.evaluate(f"(request) => Promise.all(Array.from({{length: 300}}, () => ({ask})(request)))", good)
+    assert sum(answer["ok"] for answer in many) > 10 and all(answer["ok"] or "busy" in answer["error"] for answer in many)
+    assert page.page.evaluate(ask, good)["ok"]
+    assert len(page.page.evaluate(ask, {**good, "to_ns": 2**63})["series"][0]["at"]) == 1
+
+
+def ends_are_told(page: Page) -> None:
+    """Where the shorter log has ended, nothing is compared with its last state."""
     page.page.focus("#scrub")
     page.page.keyboard.press("End")
+    page.until("its end is told", lambda: "the second log has ended at" in page.text("compare-rows"))
+
+
+def shows_differences(page: Page) -> None:
+    page.until("the page compares", lambda: page.page.locator("#compare").is_visible())
+    page.page.evaluate("trabecula.connection.call('/playback', {action: 'seek', time_ns: 600000000})")
     page.until("fields differ", lambda: "tendon_tension_n" in page.text("compare-rows") or "bend_rad" in page.text("compare-rows"))
     rows = page.page.locator("#compare-rows tr").all_inner_texts()
     assert len(rows) > 3, rows
@@ -112,7 +207,7 @@ def finds_where_they_part(page: Page) -> None:
 def check(browser: Browser, url: str, pictures: Path) -> None:
     """One log."""
     page = Page(browser, url)
-    for one in (opens_a_log, scrubs, steps_by_ticks, draws, shows_frames, plays, goes_to_marks):
+    for one in (opens_a_log, plots_are_whole, plays_fast_without_loss, times_agree, plots_any_field, hides_panels, answers_odd_requests, scrubs, steps_by_ticks, draws, shows_frames, plays, goes_to_marks):
         _run(one, page)
     page.page.focus("#scrub")
     page.page.keyboard.press("End")
@@ -128,7 +223,7 @@ def check(browser: Browser, url: str, pictures: Path) -> None:
 def check_two(browser: Browser, url: str, pictures: Path) -> None:
     """Two logs."""
     page = Page(browser, url)
-    for one in (opens_a_log, finds_where_they_part, shows_differences):
+    for one in (opens_a_log, finds_where_they_part, shows_differences, ends_are_told):
         _run(one, page)
     page.still()
     page.save(pictures / "two_logs.png")

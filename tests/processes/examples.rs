@@ -7,7 +7,7 @@ use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Place, Run, assert_nothing_left, trabecula};
 
 /// Each scene, and the line by which it shows its feature.
-const GALLERY: [(&str, &str); 16] = [
+const GALLERY: [(&str, &str); 17] = [
     ("arm_compliance.toml", "[arm.compliance]"),
     ("arm_joints.toml", "[[arm.joint]]"),
     ("arm_model.toml", "model = \"ur10e\""),
@@ -19,6 +19,7 @@ const GALLERY: [(&str, &str); 16] = [
     ("drr_projector.toml", "projector = \"siddon\""),
     ("drr_spectrum.toml", "[drr.spectrum]"),
     ("manipulator_model.toml", "model = \"spatial\""),
+    ("sensors.toml", "fbg = {}"),
     ("tendons.toml", "[[tendon]]"),
     ("tolerance.toml", "[tolerance]"),
     ("tool_pre_curved.toml", "start_shape = \"straight\""),

@@ -71,6 +71,7 @@ mod strays;
 mod stress;
 mod survival;
 mod suspended;
+mod sweeps;
 mod terminal;
 mod tools;
 mod unread;

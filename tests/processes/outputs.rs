@@ -60,6 +60,8 @@ fn table(place: &Place) -> Vec<Row> {
         row("volume drilled @log -o @d.nii.gz", &["d.nii.gz"]),
         row("log cat-files @log @log -o @both.mcap", &["both.mcap"]),
         row("log split @two.mcap -o @runs", &["runs/run1.mcap", "runs/run2.mcap"]),
+        row("sweep gather @swept -o @g.parquet", &["g.parquet"]),
+        row("sweep plot @swept --of bend_deg -o @s", &["s.png", "s.svg"]),
         row("plot @log t_world_tip.position_m --output @f", &["f.png", "f.svg"]),
         row("replay @log --output @again", &["again/run.mcap"]),
         row(
@@ -118,6 +120,11 @@ fn no_command_writes_over_a_file_that_is_there() {
         let done = run(&row(&place, words, &[]).words);
         assert_eq!(done.code, Some(0), "{}", done.err);
     }
+    let study = "scene = \"scene.toml\"\ndesign = \"csv\"\npoints = \"points.csv\"\nset = [\"run.duration_s=0.01\"]\n";
+    fs::write(place.path("study.toml"), study).unwrap();
+    fs::write(place.path("points.csv"), "run.seed\n1\n2\n").unwrap();
+    let done = run(&row(&place, "sweep run @study.toml -o @swept --quiet", &[]).words);
+    assert_eq!(done.code, Some(0), "{}", done.err);
     let before = contents(&place.path(""));
     for row in table(&place) {
         for file in row.files {

@@ -2,11 +2,11 @@
 
 use serde_json::{Value, json};
 
-use crate::common::program::{Place, trabecula};
+use crate::common::program::{Place, trabecula, wait_for};
 use crate::common::scenes;
 use crate::view::{View, notices};
 
-const SLICE: u32 = 5;
+const SLICE: u32 = 6;
 const OUTSIDE: i16 = i16::MIN;
 const DRILLED: i16 = i16::MIN + 1;
 
@@ -18,8 +18,13 @@ fn about(centre_m: [f64; 3], side: u32) -> Value {
 
 /// The number of drilled voxels and the pixels of a slice.
 fn slice(view: &mut View, request: Value) -> (u64, Vec<i16>) {
-    let (encoding, bytes) = view.call_raw(SLICE, request);
-    assert_eq!(encoding, "trabecula.slice", "{}", String::from_utf8_lossy(&bytes));
+    // A log is read in the background; until then it says so.
+    let bytes = wait_for("a slice", || {
+        let (encoding, bytes) = view.call_raw(SLICE, request.clone());
+        let text = String::from_utf8_lossy(&bytes);
+        assert!(encoding == "trabecula.slice" || text.contains("the log is being read"), "{text}");
+        (encoding == "trabecula.slice").then_some(bytes)
+    });
     let pixels = bytes[24..].chunks_exact(2).map(|pair| i16::from_le_bytes([pair[0], pair[1]])).collect();
     (u64::from_le_bytes(bytes[16..24].try_into().unwrap()), pixels)
 }

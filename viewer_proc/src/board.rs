@@ -17,6 +17,8 @@ use crate::protocol::Subscription;
 
 /// Notices kept for clients that subscribe later.
 const NOTICES_KEPT: u32 = 64;
+/// Late ticks kept for them, with their causes.
+const MISSES_KEPT: u32 = 1024;
 
 /// One client's side of the board.
 #[derive(Debug)]
@@ -62,6 +64,8 @@ pub struct Board {
     notices: AtomicU32,
     /// Attributes late ticks. Kept across ticks, because stolen time is checked against the machine's counter over all of them.
     misses: Mutex<Misses>,
+    /// Number of the next miss that is told.
+    misses_told: AtomicU32,
 }
 
 impl Board {
@@ -75,6 +79,7 @@ impl Board {
             time_ns: AtomicU64::new(0),
             notices: AtomicU32::new(0),
             misses: Mutex::default(),
+            misses_told: AtomicU32::new(0),
         }
     }
 
@@ -128,7 +133,10 @@ impl Board {
         if topic == Topic::TickTiming.name()
             && let Some(miss) = self.miss_of(&bytes)
         {
-            self.hand_out(MISS, time_ns, 0, miss.to_string().into_bytes(), Kept::keep);
+            // A page that is opened later still shows them.
+            let number = self.misses_told.fetch_add(1, Ordering::Relaxed);
+            let keep = |kept: &mut Kept, message: &Published| kept.keep_last(message, MISSES_KEPT);
+            self.hand_out(MISS, time_ns, number, miss.to_string().into_bytes(), keep);
         }
         self.hand_out(topic, time_ns, slot, bytes, Kept::keep);
     }

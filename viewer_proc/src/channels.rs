@@ -3,6 +3,7 @@
 use hub::viewer::Policy;
 use ipc_types::layout::{Description, Message};
 use ipc_types::messages::{Command, Frame};
+use ipc_types::scene::Sensor;
 use run_log::{Topic, topics};
 
 use crate::protocol::Advertisement;
@@ -17,6 +18,10 @@ pub const PARTS: &str = "/view/parts";
 pub const PLAYBACK: &str = "/view/playback";
 /// The speed limit of a running session, or none (JSON; live only).
 pub const PACE: &str = "/view/pace";
+/// The state at the position on the time line, which a slow client gets less often but never late (logs only).
+pub const VIEW_STATE: &str = "/view/state";
+/// The state of the tick at which the frame that is shown was taken, so that the tool can be drawn over it (logs only).
+pub const FRAME_STATE: &str = "/view/frame_state";
 /// Notices for the user (JSON).
 pub const NOTICE: &str = "/view/notice";
 /// Comparison of two logs (JSON; logs only).
@@ -55,14 +60,17 @@ struct Schema<'a> {
 }
 
 impl Channels {
-    /// All channels, including one command channel per controller.
-    pub fn new(controllers: &[String]) -> Channels {
+    /// All channels, including one command channel per controller, and that of readings if the scene has sensors.
+    pub fn new(controllers: &[String], sensors: &[Sensor]) -> Channels {
         let mut channels = Channels::default();
         for topic in topics::RUN {
             // Keyframes are the physics' internal format; there is nothing to show.
             if topic != Topic::Keyframe {
                 channels.logged(topic.name(), topic.description(), policy_of(topic));
             }
+        }
+        if !sensors.is_empty() {
+            channels.logged(Topic::Sensor.name(), Topic::Sensor.description(), policy_of(Topic::Sensor));
         }
         for topic in TIMING {
             channels.logged(topic.name(), topic.description(), Policy::Stream);
@@ -90,8 +98,15 @@ impl Channels {
         channels
     }
 
-    /// Adds the channels of a second log, shown beside the first under the prefix [`SECOND`].
-    pub fn add_second(&mut self) {
+    /// Adds the channels that only logs have: [`VIEW_STATE`], [`FRAME_STATE`], and those of a second log, shown beside the first under
+    /// the prefix [`SECOND`].
+    pub fn add_log(&mut self, has_second: bool) {
+        self.logged(VIEW_STATE, Topic::State.description(), Policy::Newest);
+        self.logged(FRAME_STATE, Topic::State.description(), Policy::Newest);
+        if !has_second {
+            return;
+        }
+        self.logged(&format!("{SECOND}{VIEW_STATE}"), Topic::State.description(), Policy::Newest);
         for topic in topics::RUN.into_iter().filter(|topic| SECOND_TOPICS.contains(topic)) {
             self.logged(&format!("{SECOND}{topic}"), topic.description(), policy_of(topic));
         }

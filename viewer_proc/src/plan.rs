@@ -60,7 +60,7 @@ pub fn view(
     end: &EndRequest,
 ) -> Result<(), ViewerError> {
     let Planned { path, scene, tool, state, volume, predrilled, plan, findings } = planned;
-    let board = Arc::new(Board::new(Channels::new(&scene.controller_names())));
+    let board = Arc::new(Board::new(Channels::new(&scene.controller_names(), &scene.sensor)));
     let (calls, called) = mpsc::sync_channel(CALL_QUEUE);
     let over = Arc::new(AtomicBool::new(false));
     let name = path.display().to_string();
@@ -73,7 +73,7 @@ pub fn view(
     findings.iter().for_each(|text| board.notice("warning", text));
     ready(&server);
     let serving = std::thread::spawn(move || server.serve());
-    let threshold_hu = scene.volume.map_or(0, |volume| volume.bone_threshold_hu);
+    let threshold_hu = scene.volume.as_ref().map_or(0, |volume| volume.bone_threshold_hu);
     let bone = volume.map(|volume| {
         let mut bone = Bone::new(volume.grid, threshold_hu);
         predrilled.iter().for_each(|index| bone.set(*index, Voxel::Removed));

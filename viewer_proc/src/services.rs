@@ -1,18 +1,20 @@
 //! The services: requests that clients can make to the simulator or the time line.
 
-use std::borrow::Cow;
 use std::sync::mpsc;
 
 use serde::Deserialize;
 use serde_json::{Value, json};
 use tokio::sync::oneshot;
 
+use crate::log::series::SeriesRequest;
 use crate::slice::Slice;
 
 /// Service names; their numbers start at 1 in this order.
-pub const SERVICES: [&str; 5] = ["/control", "/drive", "/frame", "/playback", "/slice"];
+pub const SERVICES: [&str; 6] = ["/control", "/drive", "/frame", "/playback", "/series", "/slice"];
+/// Number of `/series`.
+const SERIES: u32 = 5;
 /// Number of `/slice`.
-pub const SLICE: u32 = 5;
+pub const SLICE: u32 = 6;
 
 /// Actions of `/control`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -143,21 +145,30 @@ pub enum Request {
     Frame(CArm),
     /// Move on the time line.
     Playback(Playback),
+    /// Fields of a log over time.
+    Series(SeriesRequest),
     /// Show a slice of the CT.
     Slice(Slice),
 }
 
-/// What a client gets for a request that could be done.
+/// Answer to a request that was executed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Reply {
-    /// It is done.
+    /// Done; there is nothing more to say.
     Done,
-    /// A slice ([`Slice::bytes`]).
-    Slice(Vec<u8>),
+    /// A JSON object with `"ok": true` and what was asked for.
+    Json(String),
+    /// What was asked for, in an encoding of its own.
+    Bytes {
+        /// Name of the encoding.
+        encoding: &'static str,
+        /// The content.
+        bytes: Vec<u8>,
+    },
 }
 
-/// An answer: done, or what is wrong.
-pub type Answer = Result<Reply, String>;
+/// What came of a request: an answer, or what is wrong.
+pub type Outcome = Result<Reply, String>;
 
 /// A request and the channel for its answer.
 #[derive(Debug)]
@@ -165,7 +176,7 @@ pub struct Call {
     /// The request.
     pub request: Request,
     /// Takes the answer.
-    pub answer: oneshot::Sender<Answer>,
+    pub answer: oneshot::Sender<Outcome>,
 }
 
 impl Call {
@@ -183,14 +194,14 @@ impl Call {
 /// Queue of calls to the source.
 pub type Calls = mpsc::Receiver<Call>;
 
-/// Parses a request; the token must be the server's, except for a slice: who may watch may see it.
+/// Parses a request. One that commands must have the server's token; to read, it is enough to be connected.
 ///
 /// # Errors
 /// What is wrong with it, for the user.
 pub fn read_request(service: u32, payload: &[u8], token: &str) -> Result<Request, String> {
     let value: Value = serde_json::from_slice(payload).map_err(|error| format!("not JSON: {error}"))?;
     let given = value.get("token").and_then(Value::as_str).unwrap_or("");
-    if service != SLICE && !same(given, token) {
+    if service != SERIES && service != SLICE && !same(given, token) {
         return Err(NO_TOKEN.to_owned());
     }
     let malformed = |error: serde_json::Error| format!("malformed request: {error}");
@@ -208,6 +219,7 @@ pub fn read_request(service: u32, payload: &[u8], token: &str) -> Result<Request
             Request::Frame(CArm { pose: frame.pose.or(frame.c_arm.pose), ..frame.c_arm })
         }
         4 => Request::Playback(serde_json::from_value(value).map_err(malformed)?),
+        SERIES => Request::Series(serde_json::from_value(value).map_err(malformed)?),
         SLICE => Request::Slice(serde_json::from_value(value).map_err(malformed)?),
         other => return Err(format!("there is no service {other}")),
     };
@@ -224,14 +236,15 @@ pub(crate) fn same(given: &str, token: &str) -> bool {
     given.len() == token.len() && difference == 0
 }
 
-/// Encoding and bytes of an answer: JSON, or a slice's own.
-pub fn response(answer: &Answer) -> (&'static str, Cow<'_, [u8]>) {
-    let json = match answer {
-        Ok(Reply::Slice(bytes)) => return ("trabecula.slice", bytes.into()),
-        Ok(Reply::Done) => json!({"ok": true}),
-        Err(error) => json!({"ok": false, "error": error}),
+/// Encoding and bytes of an answer: JSON, unless it has an encoding of its own.
+pub fn response(outcome: Outcome) -> (&'static str, Vec<u8>) {
+    let text = match outcome {
+        Ok(Reply::Done) => json!({"ok": true}).to_string(),
+        Ok(Reply::Json(text)) => text,
+        Ok(Reply::Bytes { encoding, bytes }) => return (encoding, bytes),
+        Err(error) => json!({"ok": false, "error": error}).to_string(),
     };
-    ("json", json.to_string().into_bytes().into())
+    ("json", text.into_bytes())
 }
 
 #[cfg(test)]

@@ -23,6 +23,8 @@ pub const OUTSIDE: i16 = i16::MIN;
 /// Value of a pixel in a drilled voxel.
 pub const DRILLED: i16 = i16::MIN + 1;
 
+/// Name of the encoding of [`Slice::bytes`].
+pub const ENCODING: &str = "trabecula.slice";
 const MAGIC: u32 = 0x434C_5354; // "TSLC"
 const VERSION: u32 = 1;
 
@@ -174,7 +176,7 @@ impl Slicer {
             && let Some((slice, call)) = self.waiting.pop_front()
         {
             if !call.answer.is_closed() {
-                call.reply(Reply::Slice(slice.bytes(field, hu)));
+                call.reply(Reply::Bytes { encoding: ENCODING, bytes: slice.bytes(field, hu) });
             }
         }
     }

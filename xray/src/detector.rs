@@ -2,6 +2,8 @@
 
 use std::sync::LazyLock;
 
+use counter_random::{Key, mix, uniform};
+
 use crate::error::{DrrError, check_range};
 use crate::lane_math;
 
@@ -94,35 +96,9 @@ impl FrameSeed {
     }
 
     /// The part of the hash that all pixels share.
-    pub(crate) fn key(self) -> NoiseKey {
-        NoiseKey(mix(mix(self.seed) ^ self.frame))
+    pub(crate) fn key(self) -> Key {
+        Key::of(self.seed).and(self.frame)
     }
-}
-
-/// Seed and frame number, mixed.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct NoiseKey(u64);
-
-impl NoiseKey {
-    #[inline(always)]
-    pub(crate) fn word(self, pixel: u64) -> u64 {
-        mix(self.0 ^ pixel)
-    }
-}
-
-/// The finaliser of SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014; constants of D.
-/// Stafford's variant 13), including its increment.
-#[inline(always)]
-fn mix(x: u64) -> u64 {
-    let x = x.wrapping_add(0x9E37_79B9_7F4A_7C15);
-    let x = (x ^ x >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    let x = (x ^ x >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
-    x ^ x >> 31
-}
-
-/// A uniform number in the open interval (0, 1).
-fn uniform(bits: u64) -> f64 {
-    ((bits >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
 }
 
 /// A Poisson-distributed number: exact for means below [`EXACT_POISSON_BELOW`], otherwise a normal deviate of the same mean and variance,

@@ -8,14 +8,15 @@ use pulp::Arch;
 use rayon::prelude::*;
 
 use crate::detector::{
-    DetectorParameters, EXACT_POISSON_BELOW, FrameSeed, NoiseKey, Readout, add_scaled_row, blur_row,
-    gaussian_weights, photon_number,
+    DetectorParameters, EXACT_POISSON_BELOW, FrameSeed, Readout, add_scaled_row, blur_row, gaussian_weights,
+    photon_number,
 };
 use crate::display::{DisplayMode, DisplayParameters, Scale, WindowLimits};
 use crate::lane_math;
 use crate::lanes::lanes;
 use crate::spectrum::SpectrumTable;
 use crate::tool_layer::PlacedTool;
+use counter_random::Key;
 
 /// Pixels processed at once; several such buffers fit into the L1 cache.
 const CHUNK: usize = 64;
@@ -74,7 +75,7 @@ struct Frame<'a> {
     tool: &'a PlacedTool,
     width: usize,
     scale: Scale,
-    key: NoiseKey,
+    key: Key,
 }
 
 impl Exposure {
@@ -321,7 +322,7 @@ lanes! {
     /// Fraction of photons detected, with noise; `values` become mean photon counts. Returns the smallest of them.
     Detect {
         photons: f64,
-        key: NoiseKey,
+        key: Key,
         first_pixel: u64,
         values: &'a mut [f64; CHUNK],
         out: &'a mut [f32],

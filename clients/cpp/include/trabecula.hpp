@@ -156,6 +156,12 @@ public:
         trb_removed_view view;
         return came(trb_next_removed(client_, &view)) ? std::optional(view) : std::nullopt;
     }
+    // The oldest reading of any sensor that has not been taken; those that arrive with a
+    // state are there when the state is. Stays until the next one is returned.
+    const trb_sensor_reading *next_reading() {
+        const trb_sensor_reading *reading = nullptr;
+        return came(trb_next_reading(client_, &reading)) ? reading : nullptr;
+    }
     // Writes a line to the session's events, and so into the log.
     void remark(const std::string &text, std::uint32_t severity = TRB_SEVERITY_INFO) {
         check(trb_remark(client_, severity, text.c_str()));

@@ -18,7 +18,7 @@ from ._errors import ArgumentError, Ended, Error, ReadOnlyError
 from ._generated import *  # noqa: F403  messages and constants
 from ._generated import VERSION as __version__
 from ._geometry import pixel_to_world, pose_matrix, rotation_matrix, world_to_pixel
-from ._results import Ct, Image, Info, Removal, SessionEvent
+from ._results import Ct, Image, Info, Reading, Removal, SessionEvent
 from ._run import run
 from ._view import Elements, View
 
@@ -32,6 +32,7 @@ __all__ = [
     "Image",
     "Info",
     "ReadOnlyError",
+    "Reading",
     "Removal",
     "SessionEvent",
     "View",

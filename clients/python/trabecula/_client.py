@@ -17,7 +17,7 @@ from ._calls import Memory, check, connected, slices, text_of, whole
 from ._calls import library as _library
 from ._errors import ArgumentError, Ended, Error
 from ._geometry import numbers
-from ._results import Ct, Image, Info, Removal, SessionEvent, as_array
+from ._results import Ct, Image, Info, Reading, Removal, SessionEvent, as_array
 from ._view import Values, View
 
 _byref = ctypes.byref
@@ -426,6 +426,19 @@ class Client:
         if not isinstance(text, str):
             raise ArgumentError(f"`text` is {text!r}, expected a text")
         check(_library.trb_remark(self._handle, severity, text.encode()))
+
+    def readings(self) -> list[Reading]:
+        """Copies of the sensors' readings since the last call; queued from the connection on, at most 1024. Those that arrive with
+        a state are there when the state is.
+        """
+        readings = []
+        address = ctypes.c_void_p()
+        while True:
+            status = _library.trb_next_reading(self._handle, _byref(address))
+            if status == g.TIMEOUT:
+                return readings
+            check(status)
+            readings.append(Reading.of(self._view(g.SensorReading, address.value)))
 
     def next_removed(self) -> Optional[Removal]:
         """The oldest message about removed voxels not yet taken, if any; queued from the first call on, at most 512. Its

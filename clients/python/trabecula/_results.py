@@ -105,6 +105,35 @@ class Removal(NamedTuple):
     voxel_index: npt.NDArray[np.uint32]
 
 
+class Reading(NamedTuple):
+    """A reading of a sensor, copied."""
+
+    #: `State.tick` of the state with which it arrived.
+    tick: int
+    #: `State.tick` of the state that it measured.
+    sample_tick: int
+    #: The sensor, by its place in the scene.
+    sensor_index: int
+    #: What it measures.
+    kind: g.SensorKind
+    #: False if the reading dropped out, or a tracker did not see its marker.
+    valid: bool
+    #: What was measured: docs/sensors.md has the order and units.
+    value: npt.NDArray[np.float64]
+
+    @staticmethod
+    def of(message: g.SensorReading) -> Reading:
+        """A copy of a message."""
+        return Reading(
+            message.tick,
+            message.sample_tick,
+            message.sensor_index,
+            message.kind,
+            message.valid == 1,
+            np.array(message.value),
+        )
+
+
 class SessionEvent(NamedTuple):
     """An event of the session."""
 

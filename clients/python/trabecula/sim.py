@@ -28,7 +28,7 @@ from . import _generated as g
 from ._calls import whole
 from ._errors import ArgumentError
 from ._native import native
-from ._results import Ct, Image
+from ._results import Ct, Image, Reading
 from ._run import settings
 
 __all__ = ["Batch", "Sim", "Snapshot"]
@@ -158,6 +158,14 @@ class Sim:
     def refusals(self) -> list[str]:
         """Parts of valid commands that could not be followed in the last `step`, such as unreachable goals, and why."""
         return self._native.refusals()
+
+    def readings(self) -> list[Reading]:
+        """Readings of the scene's sensors that arrived in the last `step`, the newest 1024; before the first and after a jump, those of
+        the present state.
+        """
+        data = self._native.readings()
+        size = g.SensorReading.dtype.itemsize
+        return [Reading.of(g.SensorReading(data[at : at + size])) for at in range(0, len(data), size)]
 
     def step(self, command: Commands = None, ticks: int = 1) -> g.State:
         """Makes ticks and returns the state after the last.

@@ -3,7 +3,7 @@
 use std::cell::Cell;
 use std::rc::Rc;
 
-use messages::{ControllerIndex, Latched, Plant, Refusal, State};
+use messages::{ControllerIndex, Latched, Plant, Refusal, SensorReading, State};
 use zerocopy::IntoBytes;
 
 /// Voxels that are gone from the start, as many as two messages hold and one more.
@@ -31,6 +31,7 @@ pub struct Handle {
 pub struct ChainPlant {
     state: State,
     removed: Vec<u32>,
+    readings: Vec<SensorReading>,
     predrilled: Vec<u32>,
     refusals: Vec<Refusal>,
     handle: Handle,
@@ -44,9 +45,28 @@ impl ChainPlant {
         ChainPlant {
             state,
             removed: Vec::new(),
+            readings: Vec::new(),
             predrilled: (0..PREDRILLED as u32).collect(),
             refusals: Vec::new(),
             handle,
+        }
+    }
+}
+
+impl ChainPlant {
+    /// Two sensors, every seventh tick.
+    fn measure(&mut self) {
+        self.readings.clear();
+        let tick = self.state.tick;
+        if tick % 7 == 3 {
+            let before = 2 * (tick / 7);
+            self.readings.extend([0, 1].map(|sensor_index| SensorReading {
+                tick,
+                sample_tick: tick - 2,
+                sequence: before + u64::from(sensor_index) + 1,
+                sensor_index,
+                ..SensorReading::zeroed()
+            }));
         }
     }
 }
@@ -81,6 +101,7 @@ impl Plant for ChainPlant {
         }
         self.state.removed_in_tick = self.removed.len() as u32;
         self.state.removed_total += self.removed.len() as u64;
+        self.measure();
         self.refusals.clear();
         if self.handle.refuses.take() {
             self.refusals.push(Refusal {
@@ -102,6 +123,10 @@ impl Plant for ChainPlant {
 
     fn removed(&self) -> &[u32] {
         &self.removed
+    }
+
+    fn readings(&self) -> &[SensorReading] {
+        &self.readings
     }
 
     fn predrilled(&self) -> &[u32] {

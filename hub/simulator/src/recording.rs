@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use fastrand::Rng;
-use messages::{Keyframe, Latched, Removed, State};
+use messages::{Keyframe, Latched, Removed, SensorReading, State};
 use run_log::{
     BuildInfo, EndReason, LogBytes, LogError, LogHeader, LogReader, MessageStream, ReadOptions, RunLog,
     RunMode, TickRecord, Topic,
@@ -30,11 +30,13 @@ pub struct Recording {
     latched: VecDeque<Latched>,
     keyframes: VecDeque<Vec<u8>>,
     removed: VecDeque<Vec<u8>>,
+    readings: VecDeque<SensorReading>,
     states: VecDeque<State>,
     /// What the hub published.
     published: Vec<TickRecord>,
     input: Option<Latched>,
     voxels: Vec<u32>,
+    measured: Vec<SensorReading>,
     cut: u64,
 }
 
@@ -67,10 +69,12 @@ impl Recording {
             latched: VecDeque::new(),
             keyframes: VecDeque::new(),
             removed: VecDeque::new(),
+            readings: VecDeque::new(),
             states: VecDeque::new(),
             published: Vec::new(),
             input: None,
             voxels: Vec::new(),
+            measured: Vec::new(),
             cut,
         })
     }
@@ -87,15 +91,22 @@ impl Recording {
         self.removed.push_back([removed.as_bytes(), voxels.as_bytes()].concat());
     }
 
+    /// The hub publishes a reading.
+    pub fn reading(&mut self, reading: &SensorReading) {
+        self.measured.push(*reading);
+        self.readings.push_back(*reading);
+    }
+
     /// The hub publishes x_k; the recorder may look at its queues.
     ///
     /// # Errors
     /// The log's.
     pub fn state(&mut self, state: &State) -> Result<(), LogError> {
         let removed = std::mem::take(&mut self.voxels);
+        let readings = std::mem::take(&mut self.measured);
         if let Some(latched) = self.input.take() {
             let restored = (latched.reset != 0).then(Vec::new);
-            self.published.push(TickRecord { latched, state: *state, removed, restored });
+            self.published.push(TickRecord { latched, state: *state, removed, restored, readings });
         }
         self.states.push_back(*state);
         let taken = self.random.usize(..=self.states.len());
@@ -119,6 +130,7 @@ impl Recording {
     fn take_inputs(&mut self) -> Result<(), LogError> {
         self.latched.drain(..).try_for_each(|latched| self.log.latched(&latched))?;
         self.keyframes.drain(..).try_for_each(|message| self.log.keyframe(&message))?;
+        self.readings.drain(..).try_for_each(|reading| self.log.reading(&reading))?;
         self.removed.drain(..).try_for_each(|message| self.log.removed(&message))
     }
 

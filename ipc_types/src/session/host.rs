@@ -45,6 +45,8 @@ pub struct SessionPlan {
     pub volume_bytes: usize,
     /// Size of a frame message, bytes; 0 without DRR.
     pub frame_bytes: usize,
+    /// Whether the scene has sensors.
+    pub sensors: bool,
     /// Whether a recorder takes part; if so, the physics waits for it.
     pub recorder: bool,
     /// How physics and controllers wait for each other.
@@ -131,6 +133,7 @@ impl SessionPlan {
             let max_bytes = match service.name {
                 name if name == services::VOLUME.name => self.volume_bytes,
                 name if name == services::FRAME.name => self.frame_bytes,
+                name if name == services::SENSOR.name && !self.sensors => 0,
                 _ => service.max_bytes,
             };
             if max_bytes > 0 {

@@ -46,6 +46,7 @@ pub(super) fn measure(
         controllers: vec![NAME.to_owned()],
         volume_bytes: 0,
         frame_bytes: 0,
+        sensors: false,
         recorder: false,
         wait: scene::Wait::Hybrid,
         policy: scene::Policy::Other,

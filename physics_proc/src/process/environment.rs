@@ -7,7 +7,7 @@ use hub::{Awaited, Environment, Incoming, Note, Outputs, Report, Start, Wait};
 use ipc_types::clock::now_ns;
 use ipc_types::messages::{
     Command, ControllerIndex, Keyframe, Latched, Part, Participant, Progress, Removed, RunControl,
-    RunControlReply, RunStatus, State, Tick, TickTiming,
+    RunControlReply, RunStatus, SensorReading, State, Tick, TickTiming,
 };
 use ipc_types::ports::{PortError, Publisher, Received, Subscriber};
 use ipc_types::process::{EndRequest, EventSender};
@@ -26,6 +26,8 @@ pub(super) struct SharedMemory<'s> {
     state: Publisher<State>,
     latched: Publisher<Latched>,
     removed: Publisher<Removed>,
+    /// None without sensors.
+    readings: Option<Publisher<SensorReading>>,
     /// None without a recorder.
     keyframe: Option<Publisher<Keyframe>>,
     status: Publisher<RunStatus>,
@@ -65,6 +67,7 @@ impl<'s> SharedMemory<'s> {
             state: session.publisher(&services::STATE)?,
             latched: session.publisher(&services::LATCHED)?,
             removed: session.publisher(&services::REMOVED)?,
+            readings: (!scene.sensor.is_empty()).then(|| session.publisher(&services::SENSOR)).transpose()?,
             keyframe: recorded.then(|| session.publisher(&services::KEYFRAME)).transpose()?,
             status: session.publisher(&services::RUN_STATUS)?,
             timing: session.publisher(&services::TICK_TIMING)?,
@@ -128,6 +131,10 @@ impl Outputs for SharedMemory<'_> {
 
     fn send_removed(&mut self, removed: &Removed, voxels: &[u32]) -> Result<(), PortError> {
         self.removed.send_with_tail(removed, voxels.as_bytes())
+    }
+
+    fn send_reading(&mut self, reading: &SensorReading) -> Result<(), PortError> {
+        self.readings.as_ref().map_or(Ok(()), |publisher| publisher.send(reading))
     }
 
     fn send_state(&mut self, state: &State) -> Result<(), PortError> {

@@ -2,7 +2,7 @@
 
 use ipc_types::messages::{
     Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, Keyframe, Latched, Part, Participant, Progress,
-    Removed, RunControl, RunControlReply, RunStatus, State, TickTiming,
+    Removed, RunControl, RunControlReply, RunStatus, SensorReading, State, TickTiming,
 };
 use ipc_types::ports::{Publisher, Subscriber};
 use ipc_types::process::EventSender;
@@ -17,6 +17,8 @@ pub(super) struct Ports {
     pub states: Subscriber<State>,
     pub latched: Subscriber<Latched>,
     pub removed: Subscriber<Removed>,
+    /// None without sensors.
+    pub readings: Option<Subscriber<SensorReading>>,
     pub keyframes: Subscriber<Keyframe>,
     pub frames: Option<Subscriber<Frame>>,
     pub replies: Subscriber<DrrReply>,
@@ -43,6 +45,9 @@ impl Ports {
             states: session.lossless_subscriber(&services::STATE)?,
             latched: session.lossless_subscriber(&services::LATCHED)?,
             removed: session.lossless_subscriber(&services::REMOVED)?,
+            readings: (!scene.sensor.is_empty())
+                .then(|| session.lossless_subscriber(&services::SENSOR))
+                .transpose()?,
             keyframes: session.lossless_subscriber(&services::KEYFRAME)?,
             frames: scene.drr.as_ref().map(|_| session.lossless_subscriber(&services::FRAME)).transpose()?,
             replies: session.lossless_subscriber(&services::DRR_REPLY)?,

@@ -123,7 +123,7 @@ impl Recorder {
         for _ in 0..TICKS_PER_ROUND {
             let Some(state) = self.ports.states.receive()? else { break };
             came = true;
-            // A tick's `Latched` and `Removed` are published before its state.
+            // A tick's `Latched`, `Removed` and readings are published before its state.
             self.take_inputs()?;
             self.run.state(state.message())?;
             let tick = state.message().tick;
@@ -156,6 +156,11 @@ impl Recorder {
     fn take_inputs(&mut self) -> Result<(), RecorderError> {
         while let Some(latched) = self.ports.latched.receive()? {
             self.run.latched(latched.message())?;
+        }
+        if let Some(readings) = &self.ports.readings {
+            while let Some(reading) = readings.receive()? {
+                self.run.reading(reading.message())?;
+            }
         }
         while let Some(keyframe) = self.ports.keyframes.receive()? {
             self.run.keyframe(keyframe.bytes())?;

@@ -2,6 +2,7 @@
 
 mod arm;
 mod controllers;
+mod sensors;
 mod tool;
 
 use std::path::Path;
@@ -80,7 +81,8 @@ pub(crate) fn check(scene: &Scene, given: &toml::Table, file: &Path) -> Result<(
             return Err(checker.invalid("drr", "needs a `[volume]` to look through"));
         }
     }
-    controllers::check(scene, &checker)
+    controllers::check(scene, &checker)?;
+    sensors::check(scene, &checker)
 }
 
 fn check_volume(volume: &Volume, checker: &Checker) -> Result<(), SceneError> {

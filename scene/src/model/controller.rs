@@ -16,6 +16,9 @@ pub struct Controller {
     pub name: String,
     /// What it drives; no part has two drivers.
     pub drives: Vec<Drives>,
+    /// Sensors that a built-in controller uses, by name: what they measure stands in the place of the exact state.
+    #[serde(default)]
+    pub sensors: Vec<String>,
     /// The built-in curved drilling.
     pub curved_drilling: Option<CurvedDrilling>,
     /// The built-in test of skiving: a straight feed that reports how far the burr leaves its line.

@@ -9,6 +9,7 @@ mod drr;
 mod manipulator;
 mod recording;
 mod run;
+mod sensor;
 mod tolerance;
 mod tool;
 mod volume;
@@ -22,18 +23,19 @@ pub use drr::*;
 pub use manipulator::*;
 pub use recording::*;
 pub use run::*;
+pub use sensor::*;
 pub use tolerance::Tolerance;
 pub use tool::*;
 pub use volume::*;
 
-use messages::{MAX_BODIES, MAX_CONTROLLERS, MAX_TENDONS};
+use messages::{MAX_BODIES, MAX_CONTROLLERS, MAX_SENSORS, MAX_TENDONS};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Farthest coordinate of a point of a scene: 100 m.
 const FARTHEST_MM: f64 = 1e5;
 
-/// Names of controllers and bodies, as a regular expression, and in words.
+/// Names of controllers, sensors and bodies, as a regular expression, and in words.
 const NAME: &str = "^[A-Za-z0-9_]{1,64}$";
 const NAME_EXPECTED: &str = "1 to 64 letters, digits, `_`";
 
@@ -89,6 +91,10 @@ pub struct Scene {
     pub arm: Arm,
     /// X-ray frames; absent: none.
     pub drr: Option<Drr>,
+    /// What measures the tool; absent: nothing, and controllers see the exact state only.
+    #[serde(default)]
+    #[schemars(length(max = MAX_SENSORS))]
+    pub sensor: Vec<Sensor>,
     /// Who drives the tool.
     #[serde(default)]
     #[schemars(length(max = MAX_CONTROLLERS))]

@@ -58,6 +58,22 @@ pub(super) struct WindowPlace {
     shift: u32,
 }
 
+/// A bit for each of up to 64 values that is at least the threshold, the first one lowest.
+fn bits_of(values: &[i16], threshold_hu: i16) -> u64 {
+    // A byte for each value, which the compiler's vector instructions compare sixteen at a time.
+    let mut bytes = [0u8; 64];
+    for (byte, value) in bytes.iter_mut().zip(values) {
+        *byte = u8::from(*value >= threshold_hu);
+    }
+    let mut word = 0;
+    for (place, eight) in bytes.as_chunks::<8>().0.iter().enumerate() {
+        // Moves bit 8 n of eight bytes to bit 56 + n of the product; no two of its terms meet.
+        let gathered = u64::from_le_bytes(*eight).wrapping_mul(0x0102_0408_1020_4080) >> 56;
+        word |= gathered << (8 * place);
+    }
+    word
+}
+
 impl Occupancy {
     /// Marks every voxel of at least `threshold_hu` as bone. `hu` has `dims[0] * dims[1] * dims[2]` values, x fastest.
     pub fn from_threshold(dims: [usize; 3], hu: &[i16], threshold_hu: i16) -> Self {
@@ -75,10 +91,7 @@ impl Occupancy {
         for (row, values) in hu.chunks_exact(dims[0]).enumerate() {
             let (j, k) = (row % dims[1], row / dims[1]);
             for (word_index, chunk) in values.chunks(64).enumerate() {
-                let mut word = 0u64;
-                for (bit, value) in chunk.iter().enumerate() {
-                    word |= u64::from(*value >= threshold_hu) << bit;
-                }
+                let word = bits_of(chunk, threshold_hu);
                 let cell = occupancy.cell_index(word_index, j, k);
                 let byte = row * row_stride + (1 + word_index) * ROW_PADDING;
                 occupancy.bytes[byte..byte + ROW_PADDING].copy_from_slice(&word.to_le_bytes());
@@ -217,16 +230,40 @@ impl Occupancy {
     /// The voxels whose boxes meet the axis-aligned cube of half edge `reach_m` about a point in the grid's metric frame; `None` if there
     /// are none.
     pub fn voxels_around(&self, centre: [f64; 3], reach_m: f64, spacing_m: [f64; 3]) -> Option<VoxelBox> {
+        self.voxels_in_box(centre, [reach_m; 3], spacing_m)
+    }
+
+    /// The same for a box of these half edges.
+    pub fn voxels_in_box(
+        &self,
+        centre: [f64; 3],
+        reach_m: [f64; 3],
+        spacing_m: [f64; 3],
+    ) -> Option<VoxelBox> {
         let (mut low, mut high) = ([0; 3], [0; 3]);
         for axis in 0..3 {
             let inverse = 1.0 / spacing_m[axis];
-            low[axis] = floor_to_i64((centre[axis] - reach_m) * inverse + 0.5).max(0);
+            low[axis] = floor_to_i64((centre[axis] - reach_m[axis]) * inverse + 0.5).max(0);
             high[axis] =
-                floor_to_i64((centre[axis] + reach_m) * inverse + 0.5).min(self.dims[axis] as i64 - 1);
+                floor_to_i64((centre[axis] + reach_m[axis]) * inverse + 0.5).min(self.dims[axis] as i64 - 1);
             if low[axis] > high[axis] {
                 return None;
             }
         }
         Some(VoxelBox { low, high })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_word_has_the_bit_of_each_value(values in proptest::collection::vec(-3_i16..3, 0..=64), threshold_hu in -3_i16..3) {
+            let one_by_one = values.iter().enumerate().map(|(bit, value)| u64::from(*value >= threshold_hu) << bit);
+            prop_assert_eq!(bits_of(&values, threshold_hu), one_by_one.fold(0, |word, bit| word | bit));
+        }
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! A keyframe holds everything that a tick changes and that a later tick depends on: the state message with its hash, the arm's motion
 //! (segment and age, from which Ruckig replans the same trajectory), joint angles, tendons, the contact solver's warm start, the strength
-//! of every touched voxel, and the rigid bodies' world with its contacts. A new process that builds the same scene and reads these bytes
+//! of every touched voxel, the rigid bodies' world with its contacts, and the sensors' drift, filters and readings underway. A new process that builds the same scene and reads these bytes
 //! computes the same ticks, bit for bit.
 //!
 //! The bytes are a function of the scene and of u_0 … u_k, so replay compares them too.
@@ -70,11 +70,15 @@ impl Simulation<'_> {
         let too_long = |_| KeyframeError::TooLong { given };
         let length = postcard::to_slice(&whole, buffer).map_err(too_long)?.len();
         // Only where a scene models it, so that the keyframes of others hold no more than before.
-        if !self.burr_drive.is_modelled() {
-            return Ok(length);
+        let mut end = length;
+        if self.burr_drive.is_modelled() {
+            end += postcard::to_slice(&self.burr_drive.state, &mut buffer[end..]).map_err(too_long)?.len();
         }
-        let drive = postcard::to_slice(&self.burr_drive.state, &mut buffer[length..]).map_err(too_long)?;
-        Ok(length + drive.len())
+        if !self.sensors.is_empty() {
+            end +=
+                postcard::to_slice(&self.sensors.serialised(), &mut buffer[end..]).map_err(too_long)?.len();
+        }
+        Ok(end)
     }
 
     /// Continues from the bytes of [`Simulation::write_keyframe`], written by a simulation of the same scene and volume in this or
@@ -110,6 +114,10 @@ impl Simulation<'_> {
             false => (BurrDriveState { command_rad_per_s, ..BurrDriveState::default() }, rest),
             true => postcard::take_from_bytes(rest).map_err(|cause| unreadable(cause.to_string()))?,
         };
+        let (sensors, rest) = match self.sensors.is_empty() {
+            true => (self.sensors.state(), rest),
+            false => postcard::take_from_bytes(rest).map_err(|cause| unreadable(cause.to_string()))?,
+        };
         if !rest.is_empty() {
             return Err(unreadable(format!("{} bytes too many", rest.len())).into());
         }
@@ -122,6 +130,9 @@ impl Simulation<'_> {
         }
         if !self.manipulator.fits(&manipulator) {
             return other("the manipulator's model and links");
+        }
+        if !self.sensors.fits(&sensors) {
+            return other("the sensors");
         }
         let bodies_fit = match (&self.rigid, &rigid) {
             (None, None) => true,
@@ -142,6 +153,7 @@ impl Simulation<'_> {
             burr_speed_rad_per_s,
             cutting_energy_j,
             crushing_energy_j,
+            sensors,
             state,
         })
     }

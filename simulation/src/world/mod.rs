@@ -9,7 +9,7 @@
 //!    step with it; without bodies, again from 3 if a sphere came farther than its planes were looked for, or into bone that bears more;
 //! 5. let bone that was pressed beyond its strength recede, and remove bone with the burr, whose contacts press with the normal forces
 //!    of that solve;
-//! 6. extend the hash chain with commands, state and removed voxels.
+//! 6. extend the hash chain with commands, state and removed voxels; let the sensors see the state.
 
 mod apply;
 mod burr_drive;
@@ -25,9 +25,10 @@ mod tool;
 
 use std::sync::Arc;
 
-use messages::{ControllerIndex, Latched, Refusal, State, Volume};
+use messages::{ControllerIndex, Latched, Refusal, SensorReading, State, Volume};
 use nalgebra::{Matrix3, Vector3};
 use scene::Scene;
+use sensors::{SensorArray, SensorArrayState};
 use thiserror::Error;
 use xxhash_rust::xxh3::Xxh3;
 use zerocopy::IntoBytes;
@@ -142,6 +143,7 @@ pub struct SimulationSnapshot {
     burr_speed_rad_per_s: f64,
     cutting_energy_j: f64,
     crushing_energy_j: f64,
+    sensors: SensorArrayState,
     state: State,
 }
 
@@ -180,6 +182,7 @@ pub struct Simulation<'v> {
     uncut_voxels: usize,
     /// Contacts that the last tick had no room for.
     left_out_contacts: usize,
+    sensors: SensorArray,
     state: State,
     predrilled: Vec<u32>,
     refusals: Vec<Refusal>,
@@ -231,6 +234,7 @@ impl<'v> Simulation<'v> {
 
     fn start(mut simulation: Simulation<'v>) -> Result<Simulation<'v>, SimulationError> {
         simulation.update_state(&Latched::zeroed(), 0);
+        simulation.sensors.see(&simulation.state);
         simulation.initial = Some(Box::new(simulation.snapshot()));
         Ok(simulation)
     }
@@ -301,6 +305,11 @@ impl<'v> Simulation<'v> {
         self.bone.as_ref().map_or(0, |bone| bone.field.voxels().pool_bytes())
     }
 
+    /// Readings of sensors that arrive with the present state.
+    pub fn readings(&self) -> &[SensorReading] {
+        self.sensors.readings()
+    }
+
     /// Commands refused in the last tick, with reasons.
     pub fn refusals(&self) -> &[Refusal] {
         &self.refusals
@@ -327,6 +336,7 @@ impl<'v> Simulation<'v> {
         let removed = self.wear()?;
         self.update_state(latched, removed);
         self.update_hash(latched);
+        self.sensors.see(&self.state);
         Ok(())
     }
 
@@ -412,6 +422,7 @@ impl<'v> Simulation<'v> {
             burr_speed_rad_per_s: self.burr_speed_rad_per_s,
             cutting_energy_j: self.cutting_energy_j,
             crushing_energy_j: self.crushing_energy_j,
+            sensors: self.sensors.state(),
             state: self.state,
         }
     }
@@ -437,15 +448,19 @@ impl<'v> Simulation<'v> {
         self.burr_speed_rad_per_s = snapshot.burr_speed_rad_per_s;
         self.cutting_energy_j = snapshot.cutting_energy_j;
         self.crushing_energy_j = snapshot.crushing_energy_j;
+        self.sensors.restore(&snapshot.sensors);
         self.state = snapshot.state;
         Ok(())
     }
 
-    /// Returns to the initial state; tick count and hash continue.
+    /// Returns to the initial state; tick count, hash and the sensors' sequence numbers continue.
     fn reset(&mut self) -> Result<(), SimulationError> {
         let Some(initial) = self.initial.take() else { return Ok(()) };
         let (tick, hash) = (self.state.tick, self.state.hash);
+        let mut sensors = core::mem::take(&mut self.sensors);
         let restored = self.restore(&initial);
+        sensors.reset();
+        self.sensors = sensors;
         self.initial = Some(initial);
         self.state.tick = tick;
         self.state.hash = hash;

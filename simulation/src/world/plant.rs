@@ -1,6 +1,6 @@
 //! The simulation as the hub steps it.
 
-use messages::{Latched, Plant, Refusal, State};
+use messages::{Latched, Plant, Refusal, SensorReading, State};
 
 use super::{Simulation, SimulationError};
 
@@ -21,6 +21,10 @@ impl Plant for Simulation<'_> {
 
     fn predrilled(&self) -> &[u32] {
         self.predrilled()
+    }
+
+    fn readings(&self) -> &[SensorReading] {
+        self.readings()
     }
 
     fn refusals(&self) -> &[Refusal] {

@@ -76,6 +76,7 @@ pub(super) fn build<'v>(
         burr_contacts: Vec::with_capacity(PLANES_PER_SPHERE),
         uncut_voxels: 0,
         left_out_contacts: 0,
+        sensors: sensors::SensorArray::new(scene),
         state: State::zeroed(),
         predrilled,
         refusals: Vec::with_capacity(messages::MAX_CONTROLLERS + 2),

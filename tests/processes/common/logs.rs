@@ -81,6 +81,7 @@ pub fn rewrite_as(
             }
             Some(Topic::Removed) => log.removed(message.body).unwrap(),
             Some(Topic::Keyframe) => log.keyframe(message.body).unwrap(),
+            Some(Topic::Sensor) => log.reading(&FromBytes::read_from_bytes(message.body).unwrap()).unwrap(),
             _ => {}
         }
     }
@@ -108,6 +109,7 @@ pub fn edited(from: &Path, to: &Path, mut edit: impl FnMut(&str, &mut Vec<u8>) -
             Some(Topic::State) => log.state(&State::read_from_bytes(&body).unwrap()).unwrap(),
             Some(Topic::Removed) => log.removed(&body).unwrap(),
             Some(Topic::Keyframe) => log.keyframe(&body).unwrap(),
+            Some(Topic::Sensor) => log.reading(&FromBytes::read_from_bytes(&body).unwrap()).unwrap(),
             Some(Topic::DrrReply) => log.drr_reply(&DrrReply::read_from_bytes(&body).unwrap()).unwrap(),
             // Its image follows.
             Some(Topic::DrrFrame) => frame = Some(body),

@@ -1,6 +1,7 @@
 // What the keys and buttons of the page do, by name.
 
 import { VIEWS } from "/assets/camera.js";
+import { fileName, plotsCsv, plotsPng, plotsSvg, save } from "/assets/figure.js";
 
 /** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
@@ -60,6 +61,17 @@ export function commands(page) {
     xRay.shows = sources[(sources.indexOf(xRay.shows) + 1) % sources.length];
     page.changed();
   };
+  const saved = {
+    csv: () => save(new Blob([plotsCsv(plots)], { type: "text/csv" }), fileName(model.info?.scene?.name ?? "", "plots", "csv")),
+    svg: () => save(new Blob([plotsSvg(plots, page.theme.colours)], { type: "image/svg+xml" }), fileName(model.info?.scene?.name ?? "", "plots", "svg")),
+    png: async () => save(await plotsPng(plots, page.theme.colours), fileName(model.info?.scene?.name ?? "", "plots", "png")),
+    // The canvas is empty again after the browser has shown it, so it is drawn and taken at once.
+    view: () => (view.draw(model), view.canvas.toBlob((blob) => save(blob, fileName(model.info?.scene?.name ?? "", "view", "png")))),
+  };
+  const film = () => {
+    const runs = page.film.toggle(view.canvas, fileName(model.info?.scene?.name ?? "", "view", "webm"));
+    element("film").textContent = runs ? "End the film" : "Film (WebM)";
+  };
   const help = () => {
     page.actions.fillHelp(element("help-keys"));
     element("help").showModal();
@@ -83,7 +95,7 @@ export function commands(page) {
     { id: "next-miss", group: "Log", keys: ["m"], text: "next missed tick", when: isLog, run: () => playback({ action: "next", kind: "miss" }) },
     { id: "next-divergence", group: "Log", keys: ["g"], text: "next divergence", when: isLog, run: () => playback({ action: "next", kind: "divergence" }) },
 
-    { id: "drive", group: "Drive", keys: ["e"], text: "take the controls, let go", when: isLive, run: () => drive.toggle(model.states.last(0) ?? 0) },
+    { id: "drive", group: "Drive", keys: ["e"], text: "take the controls, let go", when: isLive, run: () => drive.toggle(model.tension ?? 0) },
     { id: "insert", group: "Drive", keys: ["w"], text: "insert (hold)", ...held("feedHeld", 1) },
     { id: "retract", group: "Drive", keys: ["s"], text: "retract (hold)", ...held("feedHeld", -1) },
     { id: "pull", group: "Drive", keys: ["d"], text: "pull the tendon (hold)", ...held("tendonHeld", 1) },
@@ -103,7 +115,15 @@ export function commands(page) {
     { id: "bone", group: "View", keys: ["b"], text: "bone: section, glass, solid, hidden", when: drawn,
       run: () => (element("bone-mode").textContent = `Bone: ${view.nextBoneMode()}`) },
     { id: "longer", group: "View", keys: ["["], text: "longer time axis", run: () => plots.changeWindow(1) },
+    { id: "whole", group: "View", keys: ["0"], text: "time axis: the newest seconds, or the whole log", run: () => (plots.axis.reset(), page.changed()) },
+    { id: "field", group: "View", keys: ["/"], text: "choose a field to plot", run: () => plots.picker.open() },
     { id: "shorter", group: "View", keys: ["]"], text: "shorter time axis", run: () => plots.changeWindow(-1) },
+    { id: "save-csv", group: "View", keys: [], text: "plots as CSV", run: saved.csv },
+    { id: "save-svg", group: "View", keys: [], text: "plots as SVG", run: saved.svg },
+    { id: "save-png", group: "View", keys: [], text: "plots as PNG", run: saved.png },
+    { id: "save-view", group: "View", keys: [], text: "3D view as PNG", when: drawn, run: saved.view },
+    { id: "film", group: "View", keys: [], text: "film of the 3D view", when: drawn, run: film },
+    { id: "restore", group: "View", keys: [], text: "plots and panels as at first", run: () => (plots.restore(), page.panels.restore()) },
     { id: "theme", group: "View", keys: ["t"], text: "light or dark", run: () => page.theme.toggle() },
     { id: "help", group: "View", keys: ["?", "h"], text: "this help", run: help },
 

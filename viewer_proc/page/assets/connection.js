@@ -25,6 +25,10 @@ export class Connection extends EventTarget {
     /** Told the milliseconds that each message took. @type {(milliseconds: number) => void} */
     this.took = () => {};
     this.nextCall = 1;
+    /** Topics wanted besides those with a handler. @type {Set<string>} */
+    this.more = new Set();
+    /** Gets every message, besides its topic's handler. @type {Handler} */
+    this.each = () => {};
     this.#forget();
   }
 
@@ -40,6 +44,29 @@ export class Connection extends EventTarget {
   /** Handles a topic's messages, from now on and after every reconnection. @param {string} topic @param {Handler} handler */
   on(topic, handler) {
     this.handlers.set(topic, handler);
+  }
+
+  /** Subscribes to these topics besides those with a handler, and to no others. @param {Set<string>} topics */
+  also(topics) {
+    this.more = topics;
+    if (this.socket?.readyState === WebSocket.OPEN) this.#subscribe();
+  }
+
+  /** What is wanted of what there is. A log's states come as the one at its position; its plots are asked for (`log_series.js`). */
+  #wants({ topic }) {
+    const isLog = [...this.channels.values()].some((channel) => channel.topic === "/view/state");
+    if (isLog && (topic === "/event" || topic === "/view/miss" || /^(\/second)?\/state$/.test(topic))) return false;
+    return this.handlers.has(topic) || (!isLog && this.more.has(topic));
+  }
+
+  #subscribe() {
+    const wanted = new Map([...this.channels].filter(([, channel]) => this.#wants(channel)));
+    const gone = [...this.subscriptions.keys()].filter((id) => !wanted.has(id));
+    // The channel's id serves as the subscription's id.
+    const added = [...wanted.keys()].filter((id) => !this.subscriptions.has(id));
+    this.subscriptions = wanted;
+    if (gone.length > 0) this.#send({ op: "unsubscribe", subscriptionIds: gone });
+    if (added.length > 0) this.#send({ op: "subscribe", subscriptions: added.map((id) => ({ id, channelId: id })) });
   }
 
   open() {
@@ -67,8 +94,11 @@ export class Connection extends EventTarget {
     const kind = view.getUint8(0);
     if (kind === MESSAGE_DATA) {
       const channel = this.subscriptions.get(view.getUint32(1, true));
-      const handler = channel && this.handlers.get(channel.topic);
-      handler?.(new DataView(data, 13), Number(view.getBigUint64(5, true)), channel);
+      const handler = this.handlers.get(channel?.topic);
+      if (!channel) return;
+      const [body, timeNs] = [new DataView(data, 13), Number(view.getBigUint64(5, true))];
+      this.each(body, timeNs, channel);
+      handler?.(body, timeNs, channel);
     } else if (kind === SERVICE_RESPONSE) {
       const start = 13 + view.getUint32(9, true);
       const call = view.getUint32(5, true);
@@ -84,12 +114,8 @@ export class Connection extends EventTarget {
 
   #takeText(message) {
     if (message.op === "advertise") {
-      const wanted = message.channels.filter((channel) => this.handlers.has(channel.topic));
       for (const channel of message.channels) this.channels.set(channel.id, channel);
-      for (const channel of wanted) this.subscriptions.set(channel.id, channel);
-      // The channel's id serves as the subscription's id.
-      const subscriptions = wanted.map((channel) => ({ id: channel.id, channelId: channel.id }));
-      if (subscriptions.length > 0) this.#send({ op: "subscribe", subscriptions });
+      this.#subscribe();
     } else if (message.op === "unadvertise") {
       for (const id of message.channelIds) this.channels.delete(id), this.subscriptions.delete(id);
     } else if (message.op === "advertiseServices") {
@@ -109,7 +135,8 @@ export class Connection extends EventTarget {
 
   /**
    * Calls a service; never throws.
-   * @param {string} name @param {object} request @returns {Promise<{ok: boolean, error?: string, bytes?: DataView}>} `bytes`: an answer that is not JSON
+   * @param {string} name @param {object} request @returns {Promise<{ok: boolean, error?: string, bytes?: DataView, [more: string]: any}>}
+   *   `bytes`: an answer that is not JSON
    */
   call(name, request) {
     if (this.socket?.readyState !== WebSocket.OPEN) return Promise.resolve({ ok: false, error: "not connected" });

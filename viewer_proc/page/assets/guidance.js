@@ -6,8 +6,6 @@ import { add, dot, length, scale, subtract } from "/assets/vector.js";
 
 /** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
-/** Where `STATE_VALUES` of the model has the burr's force. */
-const FORCE = 3;
 
 /** Distance of a point from a line through points, metres. @param {Vector} point @param {Vector[]} line */
 export function distanceFrom(point, line) {
@@ -37,6 +35,6 @@ export function showGuidance(model) {
   set("tip", tip ? `${placeText(tip)} mm` : "–");
   set("to-target", tip && scene?.target_m ? millimetres(length(subtract(scene.target_m, tip))) : "–");
   set("off-plan", tip && scene?.planned_path_m ? millimetres(distanceFrom(tip, scene.planned_path_m)) : "–");
-  const force = model.states.last(FORCE);
+  const force = model.force;
   set("force", force === undefined ? "–" : `${force.toFixed(1)} N`);
 }

@@ -13,12 +13,14 @@ import { Notices } from "/assets/notices.js";
 import { drawGizmo, fillLegend, showScaleBar } from "/assets/overlays.js";
 import { Rate, showFrame, showRun, showStream, showTicks, silence } from "/assets/panels.js";
 import { showPlan } from "/assets/plan_view.js";
-import { PlotsPanel } from "/assets/plots_panel.js";
+import { Film } from "/assets/figure.js";
+import { PanelLayout } from "/assets/panel_layout.js";
+import { PlotsPanel, STEP_TIME } from "/assets/plots_panel.js";
 import { SceneView } from "/assets/scene_view.js";
 import { SceneOverlay } from "/assets/scene_overlay.js";
 import { sliceCommands } from "/assets/slice_commands.js";
 import { Slices } from "/assets/slices.js";
-import { showComparison, showParts } from "/assets/tables.js";
+import { endParts, showComparison, showParts } from "/assets/tables.js";
 import { Theme } from "/assets/theme.js";
 import { TimeLine } from "/assets/time_line.js";
 import { drawTimingStrip } from "/assets/timing_strip.js";
@@ -36,20 +38,18 @@ const token = new URLSearchParams(location.hash.slice(1)).get("token") ?? undefi
 const notices = new Notices(element("notices"), element("banner"));
 const model = new Model();
 const connection = new Connection(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws${token ? `?token=${token}` : ""}`, token);
-const dirty = { scene: true, xRay: false, plots: true };
+const dirty = { scene: true, slices: true, xRay: false, plots: true };
 const page = { model, connection, notices, work: new Work(), asked: 0 };
 connection.took = (milliseconds) => page.work.message(milliseconds);
-/** Texts of a log's events that have been listed. @type {Set<string>} */
-const events = new Set();
 let scheduled = false;
 let connected = false;
 /** What the viewer said last: when it has gone, probably why. @type {string | undefined} */
 let said;
 
-/** Asks for a new picture of one part, or of all. @param {"scene" | "xRay" | "plots"} [what] */
+/** Asks for a new picture of one part, or of all. @param {"scene" | "slices" | "xRay" | "plots"} [what] */
 function changed(what) {
   if (what) dirty[what] = true;
-  else Object.assign(dirty, { scene: true, xRay: true, plots: true });
+  else Object.assign(dirty, { scene: true, slices: true, xRay: true, plots: true });
   if (scheduled || !page.theme) return;
   scheduled = true;
   requestAnimationFrame(draw);
@@ -74,8 +74,17 @@ page.cursor = new Cursor(() => changed());
 page.measures = new Measures(() => (showMeasures(), changed()));
 page.xRayOverlay = new XRayOverlay(element("x-ray-overlay"), page.xRay, model, page.cursor, page.measures);
 // Whoever may watch may see slices: they need no control token.
-page.slices = new Slices(model, page.cursor, page.measures, (request) => connection.call("/slice", request), () => changed("scene"));
-page.plots = new PlotsPanel(element("plots"), model, () => changed("plots"));
+page.slices = new Slices(model, page.cursor, page.measures, (request) => connection.call("/slice", request), () => changed("slices"));
+page.plots = new PlotsPanel(element("plots-grid"), model, {
+  changed: () => changed("plots"),
+  ask: (request) => connection.call("/series", request),
+  subscribe: (topics) => connection.also(topics),
+  channels: () => connection.channels.values(),
+  seek: (seconds) => page.call("/playback", { action: "seek", time_ns: Math.max(0, Math.round(seconds * 1e9)) }),
+});
+page.panels = new PanelLayout(() => changed());
+page.film = new Film();
+connection.each = (data, timeNs, channel) => model.info?.kind !== "log" && page.plots.live.take(data, timeNs, channel, model.periodNs);
 page.timeLine = new TimeLine((request) => page.call("/playback", request), () => changed("plots"));
 for (const dialog of document.querySelectorAll("dialog")) {
   // A button of a closed dialog has the focus until the next picture, and would take the keys.
@@ -175,13 +184,27 @@ function takeAskedFrame(data, _timeNs, channel) {
 }
 
 function takePlayback(data) {
-  page.timeLine.take(json(data));
+  const playback = json(data);
+  page.timeLine.take(playback);
+  page.plots.axis.log = [playback.begin_ns / 1e9, playback.end_ns / 1e9];
+  page.plots.axis.move(playback.time_ns / 1e9);
+  if (playback.events) listMarks(playback.events);
   const two = !!page.timeLine.state.second;
   if (two !== document.body.classList.contains("compare")) {
     document.body.classList.toggle("compare", two);
     takeLegend(two);
   }
   changed("plots");
+}
+
+/** What a log says of its run, once. Misses are on the strip. */
+function listMarks(marks) {
+  const listed = marks.filter(({ kind }) => kind !== "miss").slice(-100);
+  element("notices").querySelectorAll(".mark").forEach((item) => item.remove());
+  for (const { kind, time_ns, text } of listed) {
+    notices.add(kind === "note" ? "info" : "warning", `${(time_ns / 1e9).toFixed(3)} s: ${text}`);
+    element("notices").firstElementChild.classList.add("mark");
+  }
 }
 
 function takeLegend(second) {
@@ -194,23 +217,26 @@ function takeNotice({ level, text }) {
   if (level === "error") notices.show("notice", text);
 }
 
+function takeState(data, timeNs, channel) {
+  model.takeState(data, timeNs, channel);
+  if (model.info?.kind !== "log") page.plots.axis.move(model.time ?? 0);
+  changed("scene");
+  changed("slices");
+  changed("plots");
+}
+
 for (const prefix of ["", "/second"]) {
-  connection.on(`${prefix}/state`, (...message) => (model.takeState(...message), changed("scene"), changed("plots")));
+  for (const topic of ["/state", "/view/state"]) connection.on(`${prefix}${topic}`, takeState);
   connection.on(`${prefix}/drr/image`, (data) => page.xRay.take(decodeImage(data), prefix !== ""));
 }
-connection.on("/view/miss", (data) => model.takeMiss(data));
-connection.on("/timing/tick", (...message) => (model.takeTiming(...message), changed("plots")));
+connection.on("/view/miss", (data) => (model.takeMiss(data), changed("plots")));
 connection.on("/drr/frame", (...message) => (model.takeFrame(...message), changed("xRay")));
+connection.on("/view/frame_state", (...message) => (model.takeFrameState(...message), changed("xRay")));
 connection.on("/view/asked_frame", takeAskedFrame);
 connection.on("/view/pace", takePace);
 connection.on("/run/status", (...message) => (model.takeStatus(...message), changed("plots")));
 connection.on("/event", (...message) => {
   const { level, text } = model.event(...message);
-  // A log's events come again whenever they are played again.
-  if (model.info?.kind === "log") {
-    if (events.has(text)) return;
-    events.add(text);
-  }
   notices.add(level, text);
 });
 connection.on("/view/info", takeInfo);
@@ -223,22 +249,27 @@ connection.on("/view/compare", (data) => showComparison(json(data)));
 connection.addEventListener("open", () => {
   connected = true;
   model.clear();
+  model.hasEnded = false;
+  page.plots.clear();
   page.view?.surface.clear();
   page.asked = 0;
   page.xRay.hold(undefined);
   said = undefined;
-  events.clear();
   element("notices").replaceChildren();
   notices.show("connection");
   notices.show("notice");
   changed();
 });
 connection.addEventListener("close", (/** @type {CustomEvent} */ { detail }) => {
-  if (connected) notices.add("error", `The connection to the viewer closed${detail ? `: ${detail}` : "."}`);
+  // At its end a run closes the connection: nothing is wrong, and what is shown stays.
+  model.hasEnded ||= model.info?.kind === "live" && (model.statusPhase === "ended" || said === "the run has ended");
+  if (model.hasEnded) endParts();
+  if (connected && !model.hasEnded) notices.add("error", `The connection to the viewer closed${detail ? `: ${detail}` : "."}`);
   connected = false;
   if (page.drive.on) page.drive.toggle(0);
   const why = [detail || "it ended, or it has not started", said].filter(Boolean).join("; ");
-  notices.show("connection", `Not connected to the viewer: ${why}. Trying again…`);
+  if (model.hasEnded) notices.show("connection", "The run has ended. What is shown stays; `trabecula view FOLDER` shows its log on a time line.", "info");
+  else notices.show("connection", `Not connected to the viewer: ${why}. Trying again…`);
   showTexts();
 });
 connection.addEventListener("status", (/** @type {CustomEvent} */ { detail }) => notices.add(detail.level >= 2 ? "error" : detail.level === 1 ? "warning" : "info", detail.message));
@@ -248,20 +279,19 @@ function draw() {
   const began = performance.now();
   const { colours } = page.theme;
   const waits = dirty.scene && page.view?.busy;
-  const idle = waits && !dirty.xRay && !dirty.plots;
+  const idle = waits && !dirty.slices && !dirty.xRay && !dirty.plots;
   if (dirty.scene && page.view && !waits) drawScene(colours);
-  if (dirty.scene && !waits) page.slices.draw();
+  if (dirty.slices) page.slices.draw();
   if (dirty.xRay) {
     page.xRay.draw();
     page.xRayOverlay.draw();
   }
   if (dirty.plots) {
     page.plots.draw(colours);
-    const [from, to] = page.plots.range();
-    drawTimingStrip(element("timing-canvas"), model.timing, from, to, model.periodNs / 1e3, colours);
+    drawTimingStrip(element("timing-canvas"), page.plots.samples(STEP_TIME), page.plots.misses(), page.plots.times(), model.periodNs, colours);
     if (model.info?.kind === "log") page.timeLine.draw(colours);
   }
-  Object.assign(dirty, { scene: false, xRay: false, plots: false });
+  Object.assign(dirty, { scene: false, slices: false, xRay: false, plots: false });
   if (waits) changed("scene");
   if (!idle) page.work.picture(performance.now() - began);
 }
@@ -280,10 +310,13 @@ let streamShown = performance.now();
 
 function showTexts() {
   const now = performance.now();
-  showRun(model, connected, page.timeLine.state, rate.add(model.states.lastTime, now));
+  showRun(model, connected, page.timeLine.state, rate.add(model.info?.kind === "log" ? page.timeLine.state.time_ns / 1e9 : model.time, now));
   showFrame(model, page.xRay);
   showGuidance(model);
-  showTicks(model, ...page.plots.range(), page.theme.colours);
+  const [from, to] = page.plots.range();
+  showTicks(model, page.plots.misses(), from, to, page.theme.colours);
+  const { reading } = page.plots;
+  element("plots-facts").textContent = reading === undefined ? "" : `reading the log: ${Math.floor(reading * 100)} %`;
   page.plots.showValues(page.theme.colours);
   notices.show("silence", silence(model, connected, now), "warning");
   if (now - streamShown >= 1000) {

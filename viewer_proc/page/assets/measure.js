@@ -19,12 +19,19 @@ export class Measures {
     this.lines = [];
     /** The first click of a distance. @type {Vector | undefined} */
     this.begun = undefined;
+    /** Another one whenever something has changed. */
+    this.version = 0;
+  }
+
+  #change() {
+    this.version += 1;
+    this.changed();
   }
 
   toggle() {
     this.on = !this.on;
     this.begun = undefined;
-    this.changed();
+    this.#change();
   }
 
   /** @param {Vector} point a click */
@@ -37,13 +44,13 @@ export class Measures {
     } else {
       this.begun = point;
     }
-    this.changed();
+    this.#change();
   }
 
   clear() {
     this.lines = [];
     this.begun = undefined;
-    this.changed();
+    this.#change();
   }
 
   /** What to tell the user. */

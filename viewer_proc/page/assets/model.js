@@ -1,8 +1,6 @@
 // What the server's messages say, kept for the panels.
 
 import { layoutOf, reader } from "/assets/schema.js";
-import { Series } from "/assets/series.js";
-import { causeOf } from "/assets/timing_strip.js";
 import { armFrames } from "/assets/arm.js";
 import { FrameStates } from "/assets/frame_states.js";
 import { Trail, contactsOf } from "/assets/tool_model.js";
@@ -14,8 +12,8 @@ const BODIES = 4;
 const CONTACTS = 40;
 const PHASES = ["connecting", "running", "paused", "ended"];
 
-/** Series of the state: tension of both tendons, bend, burr force, burr speed. */
-export const STATE_VALUES = ["tendon_tension_n[0]", "tendon_tension_n[1]", "bend_rad", "burr_force_n", "burr_speed_rad_per_s"];
+/** Misses of a run that are kept. */
+const MOST_MISSES = 20000;
 
 const many = (layout, path, count) => Array.from({ length: count }, (_, i) => reader(layout, `${path}[${i}]`));
 const three = (layout, path) => many(layout, path, 3);
@@ -29,7 +27,7 @@ const readPose = (at, view) => ({ position: at.position.map((f) => f(view)), rot
 function stateReaders(layout) {
   return {
     tick: reader(layout, "tick"), removed: reader(layout, "removed_total"),
-    values: STATE_VALUES.map((path) => reader(layout, path)), burr: three(layout, "t_world_burr.position_m"),
+    layout, tension: reader(layout, "tendon_tension_n[0]"), force: reader(layout, "burr_force_n"), burr: three(layout, "t_world_burr.position_m"),
     linkCount: reader(layout, "joint_count"), base: poseReader(layout, "t_world_base"), burrPose: poseReader(layout, "t_world_burr"),
     links: Array.from({ length: LINKS }, (_, i) => poseReader(layout, `t_world_link[${i}]`)), flange: poseReader(layout, "t_world_flange"),
     armAngles: Array.from({ length: ARM_JOINTS }, (_, i) => reader(layout, `arm_joint_position_rad[${i}]`)),
@@ -62,15 +60,17 @@ export class Model {
     this.info = undefined;
     this.frameStates = new FrameStates();
     this.trail = new Trail();
-    this.states = new Series(STATE_VALUES.length);
-    this.secondStates = new Series(STATE_VALUES.length);
-    /** Step time in µs and cause of a miss, by tick. */
-    this.timing = new Series(2);
+    /** Simulated time of the newest state, seconds. @type {number | undefined} */
+    this.time = undefined;
+    /** Late ticks of a run in order, with the letter of the cause. @type {import("/assets/timing_strip.js").Miss[]} */
+    this.misses = [];
     this.statusPhase = "connecting";
     /** Speed that the run is held to, by steps while it is paused; undefined: its own. */
     this.pace = undefined;
     this.status = undefined;
     this.frame = undefined;
+    /** Whether the run that was shown has ended, so that a closed connection is no fault. */
+    this.hasEnded = false;
     /** Wall-clock time of the last state. */
     this.stateAt = undefined;
   }
@@ -126,7 +126,6 @@ export class Model {
   takeState(data, timeNs, channel) {
     const read = this.#read(channel, stateReaders);
     const second = channel.topic.startsWith("/second");
-    (second ? this.secondStates : this.states).push(timeNs / 1e9, ...read.values.map((f) => f(data)));
     this.stateRead = read;
     if (!second) this.frameStates.add(read.tick(data), data);
     if (second) {
@@ -134,24 +133,42 @@ export class Model {
       return;
     }
     this.state = data;
+    this.time = timeNs / 1e9;
     this.stateAt = performance.now();
     this.trail.add(read.burr.map((f) => f(data)), timeNs);
   }
 
-  /** The cause of the late tick whose timing comes next. @param {DataView} data */
-  takeMiss(data) {
-    const { tick, letter } = json(data);
-    this.miss = { tick, cause: causeOf(letter) };
+  /** The state at the frame that is shown, of a log. @type {import("/assets/connection.js").Handler} */
+  takeFrameState(data, _timeNs, channel) {
+    this.stateRead ??= this.#read(channel, stateReaders);
+    this.frameStates.add(this.stateRead.tick(data), data);
   }
 
-  /** @type {import("/assets/connection.js").Handler} */
-  takeTiming(data, _timeNs, channel) {
-    const read = this.#read(channel, (layout) => {
-      return Object.fromEntries(["tick", "missed", "step_ns"].map((name) => [name, reader(layout, name)]));
-    });
-    const tick = read.tick(data);
-    const cause = this.miss?.tick === tick ? this.miss.cause : causeOf("U");
-    this.timing.push((tick * this.periodNs) / 1e9, read.step_ns(data) / 1e3, read.missed(data) ? cause : 0);
+  /** A late tick with its cause; those from before the page was opened come at once. @param {DataView} data */
+  takeMiss(data) {
+    const { tick, letter } = json(data);
+    const time = (tick * this.periodNs) / 1e9;
+    // After a reset of the viewer's connection they come again.
+    if (this.misses.length > 0 && time <= this.misses[this.misses.length - 1].time) return;
+    this.misses.push({ time, letter, count: 1 });
+    if (this.misses.length > MOST_MISSES) this.misses.splice(0, MOST_MISSES / 2);
+  }
+
+  /** A field of the newest state, undefined for other topics. @param {import("/assets/log_series.js").FieldName} name @param {boolean} second */
+  field({ topic, field }, second) {
+    const state = second ? this.secondState : this.state;
+    if (topic !== "/state" || !state) return undefined;
+    return reader(this.stateRead.layout, field)?.(state);
+  }
+
+  /** Tension of the first tendon, N. */
+  get tension() {
+    return this.state ? this.stateRead.tension(this.state) : undefined;
+  }
+
+  /** Force on the burr, N. */
+  get force() {
+    return this.state ? this.stateRead.force(this.state) : undefined;
   }
 
   get periodNs() {
@@ -211,9 +228,10 @@ export class Model {
 
   /** Forgets what belongs to a run, for a new connection. */
   clear() {
-    for (const series of [this.states, this.secondStates, this.timing]) series.clear();
     this.trail.clear();
     this.frameStates.clear();
+    this.misses = [];
+    this.time = this.status = undefined;
     this.state = this.secondState = this.frame = this.heldFrame = this.stateAt = this.pace = undefined;
   }
 }

@@ -31,14 +31,14 @@ export class Notices {
     while (this.list.children.length > KEPT) this.list.lastElementChild.remove();
   }
 
-  /** Shows or, without a text, takes away a banner. @param {string} about @param {string} [text] @param {"warning" | "error"} [level] */
+  /** Shows or, without a text, takes away a banner. @param {string} about @param {string} [text] @param {"info" | "warning" | "error"} [level] */
   show(about, text, level = "error") {
     if (this.banners.get(about)?.text === text) return;
     this.banners.delete(about);
     if (text) this.banners.set(about, { level, text });
     const all = [...this.banners.values()];
     this.banner.hidden = all.length === 0;
-    this.banner.className = all.some((one) => one.level === "error") ? "error" : "warning";
+    this.banner.className = ["error", "warning"].find((level) => all.some((one) => one.level === level)) ?? "info";
     this.banner.replaceChildren(...all.map((one) => Object.assign(document.createElement("p"), { textContent: one.text })));
   }
 }

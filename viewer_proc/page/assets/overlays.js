@@ -52,7 +52,7 @@ const SHAPES = {
 export function fillLegend(list, has) {
   /** What it shows of, in words, as which shape, and whether. @type {[string, string, string, boolean][]} */
   const entries = [
-    ["burr", "burr", "ball", true], ["linkEven", "links", "bars", true], ["drilled", "way of the burr", "line", true],
+    ["burr", "burr", "ball", true], ["linkEven", "links", "bars", true], ["drilled", "burr path", "line", true],
     ["planned", "planned path", "dashes", has.planned], ["target", "target", "cross", has.target],
     ["force", `contact force, 10 N = ${ARROW_M_PER_N * 1e4} mm`, "arrow", true], ["second", "tool of the second log", "bars", has.second],
   ];

@@ -1,6 +1,6 @@
 // The readouts: where the run stands, the frame, the ticks, the stream.
 
-import { CAUSES, countCauses } from "/assets/timing_strip.js";
+import { causeOf, countCauses } from "/assets/timing_strip.js";
 
 /** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
@@ -32,19 +32,24 @@ export class Rate {
 /** @param {import("/assets/model.js").Model} model @param {boolean} connected @param {object} playback state of the time line */
 export function showRun(model, connected, playback, rate) {
   const isLog = model.info?.kind === "log";
-  const phase = !connected ? "lost" : isLog ? (playback.playing ? "running" : "paused") : model.phase;
+  const phase = !connected ? (model.hasEnded ? "ended" : "lost") : isLog ? (playback.playing ? "running" : "paused") : model.phase;
   const held = phase === "running" && model.pace ? ` at ${model.pace} ×` : "";
   const isPlan = model.info?.kind === "plan" && connected;
   set("phase", isPlan ? "Before the run" : isLog && connected ? (playback.playing ? "Playing" : "Paused") : PHASE_WORDS[phase] + held);
   element("phase").dataset.state = phase;
   set("scene-name", model.info?.scene?.name ?? "waiting for the scene");
-  set("kind", isLog || isPlan ? `${model.info.kind} ${model.info.path ?? ""}` : model.info ? `live, ${model.info.scene?.mode ?? ""}` : "");
+  // The end of a long path tells the logs apart.
+  const path = model.info?.path ?? "";
+  set("kind", isLog || isPlan ? `${model.info.kind} ${path.split("/").slice(-2).join("/")}` : model.info ? `live, ${model.info.scene?.mode ?? ""}` : "");
+  element("kind").title = path;
   set("pause", phase === "paused" ? "Resume" : "Pause");
-  set("tick", model.tick === undefined ? "–" : `${model.tick}${model.status?.tick_count ? ` / ${model.status.tick_count}` : ""}`);
-  const time = model.states.lastTime;
+  const tickCount = model.status?.tick_count || (isLog && model.info.scene?.tick_count);
+  set("tick", model.tick === undefined ? "–" : `${model.tick}${tickCount ? ` / ${tickCount}` : ""}`);
+  const time = isLog ? playback.time_ns / 1e9 : model.time;
   set("time", time === undefined ? "–" : `${time.toFixed(3)} s`);
   set("rate", rate === undefined || phase !== "running" ? "–" : `${rate.toFixed(2)} ×`);
-  set("missed", model.status ? `${model.status.missed_ticks}` : "–");
+  if (isLog) set("missed", playback.has_timing ? `${playback.missed} of ${playback.missed_total}` : "–");
+  else set("missed", model.status ? `${model.status.missed_ticks}` : "–");
   set("drilled", model.removed === undefined ? "–" : `${model.removed} voxels`);
 }
 
@@ -68,20 +73,20 @@ export function showFrame(model, xRay) {
   set("x-ray-source", `Shows: ${words[xRay.shows]}`);
 }
 
-/** The ticks' facts, with the causes of the misses in the window. */
-export function showTicks(model, from, to, colours) {
+/** The ticks' facts, with the causes of the misses in the window. @param {import("/assets/timing_strip.js").Miss[]} misses */
+export function showTicks(model, misses, from, to, colours) {
   const place = element("timing-facts");
-  const counts = countCauses(model.timing, from, to);
+  const counts = countCauses(misses, from, to);
   const parts = [...counts].map(([cause, count]) => {
-    const { letter, name, colour } = CAUSES[cause];
+    const { letter, name, colour } = causeOf(cause);
     const item = document.createElement("span");
     item.style.color = colours[colour];
     item.style.fontWeight = "600";
     item.textContent = `${letter} ${name}: ${count}`;
     return item;
   });
-  const period = `dashed line: one period, ${(model.periodNs / 1e6).toFixed(1)} ms`;
-  const missed = parts.length > 0 ? parts.flatMap((part) => [part, "; "]) : ["no tick missed; "];
+  const period = `bars: step time, up to one period of ${(model.periodNs / 1e6).toFixed(1)} ms (dashed line)`;
+  const missed = parts.length > 0 ? parts.flatMap((part) => [part, "; "]) : ["no tick missed here; "];
   place.replaceChildren(...missed, period);
 }
 

@@ -1,11 +1,22 @@
-// A plot on a canvas: every sample counts, drawn as one vertical stroke for each pixel column.
+// A plot: of every pixel column the least, the greatest and the mean value, so that no peak is lost.
 
 /**
- * @typedef {{label: string, series: import("/assets/series.js").Series, which: number, scale: number, colour: string,
- *   dashed?: boolean, shown?: () => boolean}} Line  `colour` names a custom property of the style sheet.
+ * @typedef {{spacing: number, at: (time: number) => number | undefined, last?: () => number | undefined,
+ *   each: (from: number, to: number, columns: number, draw: (time: number, low: number, high: number, mean: number) => void) => void}} Samples
+ *   `spacing`: seconds that a sample stands for; 0: unknown.
+ * @typedef {{name: import("/assets/log_series.js").FieldName, label: string, samples: Samples, scale: number, colour: string,
+ *   dashed?: boolean}} Line  `colour` names a custom property of the style sheet.
+ * @typedef {{from: number, to: number, cursor?: number, now?: number}} Times  seconds; `now`: where a log stands
  */
 
-const MARGIN = { left: 44, right: 8, top: 6, bottom: 16 };
+const MARGIN = { left: 46, right: 8, top: 6, bottom: 17 };
+const TEXT_PX = 11;
+/** The text size that these are for; a large screen has a larger one (`layout.css`). */
+const BODY_PX = 13;
+/** How much larger than there the page's text is. */
+export const textScale = () => parseFloat(getComputedStyle(document.body).fontSize) / BODY_PX;
+/** Messages of a running session farther apart than this, in seconds, are not joined: some are missing. */
+const LIVE_GAP_S = 0.25;
 
 /** Steps of 1, 2 or 5 times a power of ten, about `count` of them. */
 function niceStep(span, count) {
@@ -16,7 +27,13 @@ function niceStep(span, count) {
 }
 
 /** The digits that a step needs. */
-const digits = (step) => Math.max(0, Math.min(6, -Math.floor(Math.log10(step) + 1e-9)));
+const digits = (step) => Math.max(0, Math.min(9, -Math.floor(Math.log10(step) + 1e-9)));
+
+/** A tick's number; powers of ten where it would be longer than the margin. */
+function tickText(value, step) {
+  const text = (Math.abs(value) < step / 1e6 ? 0 : value).toFixed(digits(step));
+  return text.length > 7 ? value.toExponential(1) : text;
+}
 
 /** Makes a canvas as fine as the screen; returns its context and size in CSS pixels. @param {HTMLCanvasElement} canvas */
 export function prepare(canvas) {
@@ -31,40 +48,44 @@ export function prepare(canvas) {
 }
 
 export class Plot {
-  /** @param {HTMLCanvasElement} canvas @param {Line[]} lines @param {number} least smallest span of the vertical axis */
-  constructor(canvas, lines, least) {
-    this.canvas = canvas;
+  /** @param {Line[]} lines @param {string} unit @param {number} least smallest span of the vertical axis */
+  constructor(lines, unit, least) {
     this.lines = lines;
+    this.unit = unit;
     this.least = least;
   }
 
-  #shown() {
-    return this.lines.filter((line) => line.shown?.() ?? true);
-  }
-
-  /** Least and greatest value in a window, zero included, or the smallest span. */
-  #range(from, to) {
-    let [low, high] = [0, 0];
-    for (const line of this.#shown()) {
-      line.series.decimate(line.which, from, to, 1, (_, least, greatest) => {
-        low = Math.min(low, least * line.scale);
-        high = Math.max(high, greatest * line.scale);
+  /** Least and greatest value in a window, with room; with zero where it is near, as for forces. */
+  #range(from, to, columns) {
+    let [low, high] = [Infinity, -Infinity];
+    for (const { samples, scale } of this.lines) {
+      samples.each(from, to, columns, (_, least, greatest) => {
+        low = Math.min(low, least * scale, greatest * scale);
+        high = Math.max(high, least * scale, greatest * scale);
       });
     }
-    if (high - low < this.least) high = low + this.least;
+    if (low > high) [low, high] = [0, 0];
+    const span = high - low;
+    // A field that stays far from zero, such as a position, would be a flat line.
+    if (low > 0 && low < 3 * span + this.least) low = 0;
+    if (high < 0 && -high < 3 * span + this.least) high = 0;
+    const least = Math.max(this.least, Math.abs(high) * 1e-6, 1e-12);
+    if (high - low < least) high = low + least;
     const room = (high - low) * 0.08;
-    return [low < 0 ? low - room : 0, high + room];
+    return [low === 0 ? 0 : low - room, high + room];
   }
 
   /**
-   * @param {number} from seconds @param {number} to seconds @param {Record<string, string>} colours by custom property
-   * @param {number | undefined} cursor seconds
+   * Draws into a context, of a canvas or of a figure (`figure.js`).
+   * @param {any} context @param {number} width @param {number} height pixels
+   * @param {Times} times @param {Record<string, string>} colours by custom property @param {number} [size] of the text, 1: that of the page
    */
-  draw(from, to, colours, cursor) {
-    const { context, width, height } = prepare(this.canvas);
-    const box = { x: MARGIN.left, y: MARGIN.top, width: width - MARGIN.left - MARGIN.right, height: height - MARGIN.top - MARGIN.bottom };
-    if (box.width < 20 || box.height < 10) return;
-    const [low, high] = this.#range(from, to);
+  draw(context, width, height, { from, to, cursor, now }, colours, size = 1) {
+    const { left, right, top, bottom } = MARGIN;
+    const box = { x: left * size, y: top, width: width - (left + right) * size, height: height - top - bottom * size, size };
+    if (box.width < 20 || box.height < 10 || !(to > from)) return;
+    const columns = Math.max(1, Math.floor(box.width));
+    const [low, high] = this.#range(from, to, columns);
     const toX = (time) => box.x + ((time - from) / (to - from)) * box.width;
     const toY = (value) => box.y + box.height - ((value - low) / (high - low)) * box.height;
     this.#axes(context, box, { from, to, low, high, toX, toY }, colours);
@@ -72,67 +93,98 @@ export class Plot {
     context.beginPath();
     context.rect(box.x, box.y - 1, box.width, box.height + 2);
     context.clip();
-    for (const line of this.#shown()) this.#line(context, line, box, from, to, toY, colours);
+    for (const line of this.lines) this.#line(context, line, { from, to, columns, toX, toY, box }, colours);
     context.restore();
-    if (cursor !== undefined && cursor >= from && cursor <= to) {
-      context.fillStyle = colours["--text"];
-      context.fillRect(toX(cursor), box.y, 1, box.height);
-    }
+    const mark = (time, colour) => {
+      if (time === undefined || time < from || time > to) return;
+      context.fillStyle = colours[colour];
+      context.fillRect(toX(time) - 0.5, box.y, 1, box.height);
+    };
+    mark(now, "--accent");
+    mark(cursor, "--text");
   }
 
   #axes(context, box, { from, to, low, high, toX, toY }, colours) {
-    context.font = "11px system-ui, sans-serif";
+    context.font = `${TEXT_PX * box.size}px system-ui, sans-serif`;
     context.lineWidth = 1;
     context.strokeStyle = colours["--grid"];
     context.fillStyle = colours["--muted"];
     context.beginPath();
-    const stepY = niceStep(high - low, Math.max(2, box.height / 28));
+    const stepY = niceStep(high - low, Math.max(2, box.height / (28 * box.size)));
     context.textAlign = "right";
     context.textBaseline = "middle";
-    for (let value = Math.ceil(low / stepY) * stepY; value <= high; value += stepY) {
-      const y = Math.round(toY(value)) + 0.5;
+    for (let k = Math.ceil(low / stepY - 1e-9); k * stepY <= high; k++) {
+      const y = Math.round(toY(k * stepY)) + 0.5;
       context.moveTo(box.x, y);
       context.lineTo(box.x + box.width, y);
-      context.fillText((Math.abs(value) < stepY / 1e6 ? 0 : value).toFixed(digits(stepY)), box.x - 5, y);
+      context.fillText(tickText(k * stepY, stepY), box.x - 5, Math.min(y, box.y + box.height - 4));
     }
-    const stepX = niceStep(to - from, Math.max(2, box.width / 70));
-    context.textAlign = "center";
     context.textBaseline = "top";
-    for (let time = Math.ceil(from / stepX) * stepX; time <= to; time += stepX) {
-      const x = Math.round(toX(time)) + 0.5;
+    context.fillText(this.unit, box.x - 5, box.y + box.height + 3);
+    const stepX = niceStep(to - from, Math.max(2, box.width / (76 * box.size)));
+    context.textAlign = "center";
+    for (let k = Math.ceil(from / stepX - 1e-9); k * stepX <= to; k++) {
+      const x = Math.round(toX(k * stepX)) + 0.5;
       context.moveTo(x, box.y);
       context.lineTo(x, box.y + box.height);
-      context.fillText(`${time.toFixed(digits(stepX))} s`, Math.min(x, box.x + box.width - 12), box.y + box.height + 3);
+      if (x > box.x + 8 && x <= box.x + box.width - 10) context.fillText(`${tickText(k * stepX, stepX)} s`, x, box.y + box.height + 3);
     }
     context.stroke();
   }
 
-  #line(context, line, box, from, to, toY, colours) {
-    const columns = Math.max(1, Math.floor(box.width));
-    // Samples farther apart than this are not joined: messages are missing, or time was skipped.
-    const gap = Math.max(3, (0.25 / (to - from)) * columns);
-    let before = -Infinity;
+  #line(context, line, { from, to, columns, toX, toY, box }, colours) {
+    const { samples, scale } = line;
+    const pixel = (to - from) / columns;
+    const gap = Math.max(3 * pixel, samples.spacing > 0 ? 1.5 * samples.spacing : LIVE_GAP_S);
+    const points = [];
+    // A log's columns may be finer than the screen's.
+    samples.each(from, to, columns, (time, low, high, mean) => {
+      const last = points.at(-1);
+      if (last && Math.floor((time - from) / pixel) === Math.floor((last.time - from) / pixel)) {
+        last.low = Math.min(last.low, low);
+        last.high = Math.max(last.high, high);
+        last.mean = (last.mean * last.count + mean) / (last.count + 1);
+        last.count += 1;
+      } else points.push({ time, low, high, mean, count: 1 });
+    });
     context.strokeStyle = colours[line.colour];
+    this.#spread(context, points, { scale, toX, toY });
     context.lineWidth = 1.5;
     context.setLineDash(line.dashed ? [5, 4] : []);
     context.beginPath();
-    line.series.decimate(line.which, from, to, columns, (column, low, high, first, last) => {
-      const x = box.x + column + 0.5;
-      if (column - before > gap) context.moveTo(x, toY(first * line.scale));
-      else context.lineTo(x, toY(first * line.scale));
-      context.lineTo(x, toY(low * line.scale));
-      if (high !== low) context.lineTo(x, toY(high * line.scale));
-      context.lineTo(x, toY(last * line.scale));
-      before = column;
+    let before = -Infinity;
+    points.forEach(({ time, mean }, i) => {
+      const [x, y] = [toX(time), toY(mean * scale)];
+      const alone = time - before > gap && !(points[i + 1]?.time - time <= gap);
+      if (time - before > gap) context.moveTo(x, y);
+      // A sample with no neighbour is a dot.
+      context.lineTo(alone ? Math.min(x + 1.5, box.x + box.width) : x, y);
+      before = time;
     });
     context.stroke();
     context.setLineDash([]);
+  }
+
+  /** From the least to the greatest value of each column, pale, so that the mean is seen over it. */
+  #spread(context, points, { scale, toX, toY }) {
+    context.globalAlpha = 0.4;
+    context.lineWidth = 1;
+    context.beginPath();
+    for (const { time, low, high } of points) {
+      const [top, bottom] = [toY(high * scale), toY(low * scale)];
+      if (Math.abs(bottom - top) < 1) continue;
+      context.moveTo(toX(time), bottom);
+      context.lineTo(toX(time), top);
+    }
+    context.stroke();
+    context.globalAlpha = 1;
   }
 }
 
 /** The time under a pointer in a plot, or undefined beside it. */
 export function timeAt(canvas, clientX, from, to) {
   const bounds = canvas.getBoundingClientRect();
-  const share = (clientX - bounds.left - MARGIN.left) / (bounds.width - MARGIN.left - MARGIN.right);
+  const size = textScale();
+  const share = (clientX - bounds.left - MARGIN.left * size) / (bounds.width - (MARGIN.left + MARGIN.right) * size);
   return share >= 0 && share <= 1 ? from + share * (to - from) : undefined;
 }

@@ -1,57 +1,190 @@
-// The plots below the scene: all on one time axis, with one cursor.
+// The plots below the scene: any fields of any messages, all on one time axis, with one cursor.
 
-import { Plot, timeAt } from "/assets/plot.js";
-import { STATE_VALUES } from "/assets/model.js";
+import { FieldPicker } from "/assets/field_picker.js";
+import { stored, store } from "/assets/kept.js";
+import { LiveSeries } from "/assets/live_series.js";
+import { LogSeries, keyOf } from "/assets/log_series.js";
+import { Plot, prepare, textScale, timeAt } from "/assets/plot.js";
+import { TimeAxis } from "/assets/time_axis.js";
+import { labelOf, unitOf, written } from "/assets/units.js";
 
-const DEGREES = 180 / Math.PI;
-const RPM = 60 / (2 * Math.PI);
-/** Lengths of the time axis to choose from, seconds. */
-const WINDOWS = [1, 2, 5, 10, 20, 60];
+/** Where the layout is kept in the browser. */
+const KEPT = "plots";
+/** What the tick strip draws. */
+export const STEP_TIME = { topic: "/timing/tick", field: "step_ns" };
+const MOST_PLOTS = 12;
+const MOST_LINES = 4;
+/** A pointer that moved less than this, in pixels, has clicked. */
+const CLICK_PX = 4;
 
-/** Title, unit, smallest span, and lines: field, label, scale. */
-const PLOTS = [
-  ["Tension", "N", 2, [["tendon_tension_n[0]", "tendon 0", 1], ["tendon_tension_n[1]", "tendon 1", 1]]],
-  ["Bend", "°", 5, [["bend_rad", "bend", DEGREES]]],
-  ["Burr force", "N", 1, [["burr_force_n", "force", 1]]],
-  ["Burr speed", "rpm", 1000, [["burr_speed_rad_per_s", "speed", RPM]]],
+/** Whether the page is in a narrow window, where the wheel scrolls it (`layout.css`). */
+const scrolls = () => getComputedStyle(document.body).overflowY !== "hidden";
+
+/** @typedef {{title?: string, fields: import("/assets/log_series.js").FieldName[], least?: number}} PlotChoice */
+const state = (field) => ({ topic: "/state", field });
+/** @type {PlotChoice[]} `least`: smallest span of the vertical axis, in the unit shown */
+const DEFAULT = [
+  { title: "Tension", fields: [state("tendon_tension_n[0]"), state("tendon_tension_n[1]")], least: 2 },
+  { title: "Bend", fields: [state("bend_rad")], least: 5 },
+  { title: "Burr force", fields: [state("burr_force_n")], least: 1 },
+  { title: "Burr speed", fields: [state("burr_speed_rad_per_s")], least: 1000 },
+  { title: "Step time", fields: [STEP_TIME], least: 100 },
 ];
 
-/** Two digits behind the point for small numbers; no minus before a zero. */
-const written = (value) => (Math.abs(value) >= 100 ? value.toFixed(0) : (Math.abs(value) < 0.005 ? 0 : value).toFixed(2));
+/** The kept layout, if it is one. @returns {PlotChoice[]} */
+function choices() {
+  const kept = stored(KEPT);
+  const isField = (name) => typeof name?.topic === "string" && typeof name?.field === "string";
+  const isPlot = (one) => Array.isArray(one?.fields) && one.fields.length > 0 && one.fields.length <= MOST_LINES && one.fields.every(isField);
+  return Array.isArray(kept) && kept.length <= MOST_PLOTS && kept.every(isPlot) ? kept : structuredClone(DEFAULT);
+}
 
 export class PlotsPanel {
-  /** @param {HTMLElement} place @param {import("/assets/model.js").Model} model @param {() => void} changed */
-  constructor(place, model, changed) {
+  /**
+   * @param {HTMLElement} place @param {import("/assets/model.js").Model} model
+   * @param {{changed: () => void, ask: (request: object) => Promise<any>, subscribe: (topics: Set<string>) => void,
+   *   channels: () => Iterable<import("/assets/connection.js").Channel>, seek: (seconds: number) => void}} page
+   */
+  constructor(place, model, page) {
+    this.place = place;
     this.model = model;
-    this.changed = changed;
-    this.seconds = 10;
-    const stateLines = (lines) => lines.flatMap(([field, label, scale], i) => {
-      const which = STATE_VALUES.indexOf(field);
-      const colour = `--series-${i + 1}`;
-      const second = { label: `${label}, second`, series: model.secondStates, which, scale, colour: "--series-4", dashed: true };
-      const shown = () => model.secondStates.lastTime !== undefined;
-      return [{ label, series: model.states, which, scale, colour }, { ...second, shown }];
-    });
-    const definitions = PLOTS.map(([title, unit, least, lines]) => ({ title, unit, least, lines: stateLines(lines) }));
-    const step = { label: "step", series: model.timing, which: 0, scale: 1, colour: "--series-1" };
-    definitions.push({ title: "Step time", unit: "µs", least: 100, lines: [step] });
-    this.plots = definitions.map((definition) => this.#make(place, definition));
+    this.page = page;
+    this.changed = page.changed;
+    this.axis = new TimeAxis();
+    this.live = new LiveSeries();
+    this.logs = [false, true].map((second) => new LogSeries(page.ask, page.changed, second));
+    this.picker = new FieldPicker(page.channels, (plot, name) => this.add(plot, name));
+    this.choices = choices();
+    /** @type {{choice: PlotChoice, plot: Plot, values: HTMLElement, canvas: HTMLCanvasElement, title: string, unit: string}[]} */
+    this.plots = [];
+    this.#build();
   }
 
-  #make(place, { title, unit, least, lines }) {
-    const box = place.appendChild(document.createElement("div"));
+  get isLog() {
+    return this.model.info?.kind === "log";
+  }
+
+  /** For a new connection. */
+  clear() {
+    this.live.clear();
+    this.logs.forEach((log) => log.clear());
+  }
+
+  /** The fields that are plotted, and that of the tick strip. */
+  #fields() {
+    const all = [...this.choices.flatMap((choice) => choice.fields), STEP_TIME];
+    return [...new Map(all.map((name) => [keyOf(name), name])).values()];
+  }
+
+  /** Makes the plots of the choices anew. */
+  #build() {
+    this.place.replaceChildren();
+    this.plots = this.choices.map((choice) => this.#make(choice));
+    this.live.keep(this.#fields());
+    this.page.subscribe(this.live.topics);
+    this.changed();
+  }
+
+  #keep() {
+    store(KEPT, this.choices);
+    this.#build();
+  }
+
+  /** Adds a field to a plot, or a plot of its own. @param {number | undefined} at @param {import("/assets/log_series.js").FieldName} name */
+  add(at, name) {
+    const choice = at === undefined ? undefined : this.choices[at];
+    if (choice) {
+      if (choice.fields.length >= MOST_LINES || choice.fields.some((one) => keyOf(one) === keyOf(name))) return;
+      choice.fields.push(name);
+    } else if (this.choices.length < MOST_PLOTS) this.choices.push({ fields: [name] });
+    this.#keep();
+  }
+
+  #remove(choice, field) {
+    choice.fields = choice.fields.filter((one) => one !== field);
+    if (choice.fields.length === 0) this.choices = this.choices.filter((one) => one !== choice);
+    this.#keep();
+  }
+
+  /** The plots that the page has at first. */
+  restore() {
+    this.choices = structuredClone(DEFAULT);
+    this.axis.reset();
+    this.#keep();
+  }
+
+  #make(choice) {
+    const [first] = choice.fields;
+    const { unit } = unitOf(first.field);
+    const title = choice.title ?? labelOf(first.field);
+    const box = this.place.appendChild(document.createElement("div"));
     box.className = "plot";
     const head = box.appendChild(document.createElement("h2"));
     head.append(title);
     head.appendChild(document.createElement("span")).textContent = unit;
+    head.append(this.#button("+", `Add a line to ${title}`, () => this.picker.open(this.choices.indexOf(choice))));
+    head.append(this.#button("×", `Remove the plot ${title}`, () => ((this.choices = this.choices.filter((one) => one !== choice)), this.#keep())));
     const values = head.appendChild(document.createElement("span"));
     values.className = "values";
     const canvas = box.appendChild(document.createElement("canvas"));
     canvas.setAttribute("role", "img");
     canvas.setAttribute("aria-label", `${title} over time`);
-    canvas.addEventListener("pointermove", (event) => this.#point(timeAt(canvas, event.clientX, ...this.range())));
+    this.#listen(canvas);
+    this.#takeDrops(box, choice);
+    return { choice, plot: new Plot([], unit, choice.least ?? 1e-9), values, canvas, title, unit };
+  }
+
+  #button(text, label, act) {
+    const button = document.createElement("button");
+    Object.assign(button, { textContent: text, title: label, className: "small" });
+    button.setAttribute("aria-label", label);
+    button.addEventListener("click", act);
+    return button;
+  }
+
+  /** A field that is dragged from the list becomes a line. */
+  #takeDrops(box, choice) {
+    box.addEventListener("dragover", (event) => event.preventDefault());
+    box.addEventListener("drop", (event) => {
+      const name = this.picker.dragged;
+      if (!name) return;
+      event.preventDefault();
+      this.add(this.choices.indexOf(choice), name);
+    });
+  }
+
+  /** Wheel zooms, a drag moves, a click goes there in a log, a double click shows all. */
+  #listen(canvas) {
+    let pressed;
+    const time = (event) => timeAt(canvas, event.clientX, ...this.range());
+    canvas.addEventListener("wheel", (event) => {
+      const about = time(event);
+      if (about === undefined || (scrolls() && !event.ctrlKey && !event.shiftKey)) return;
+      event.preventDefault();
+      this.axis.zoom(Math.exp(Math.max(-1, Math.min(1, event.deltaY / 300))), about);
+      this.changed();
+    }, { passive: false });
+    canvas.addEventListener("pointerdown", (event) => {
+      pressed = { x: event.clientX, last: event.clientX, moved: false };
+      canvas.setPointerCapture(event.pointerId);
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      if (pressed) {
+        pressed.moved ||= Math.abs(event.clientX - pressed.x) > CLICK_PX;
+        const [from, to] = this.range();
+        if (pressed.moved) this.axis.pan(((pressed.last - event.clientX) / Math.max(1, canvas.clientWidth)) * (to - from));
+        pressed.last = event.clientX;
+      }
+      this.#point(time(event));
+    });
+    canvas.addEventListener("pointerup", (event) => {
+      const at = time(event);
+      if (pressed && !pressed.moved && at !== undefined && this.isLog) this.page.seek(at);
+      pressed = undefined;
+    });
+    canvas.addEventListener("pointercancel", () => (pressed = undefined));
     canvas.addEventListener("pointerleave", () => this.#point(undefined));
-    return { plot: new Plot(canvas, lines, least), values, canvas, title, unit };
+    canvas.addEventListener("dblclick", () => (this.axis.reset(), this.changed()));
   }
 
   #point(time) {
@@ -61,37 +194,94 @@ export class PlotsPanel {
 
   /** The next longer or shorter time axis. @param {1 | -1} direction */
   changeWindow(direction) {
-    const at = WINDOWS.indexOf(this.seconds) + direction;
-    this.seconds = WINDOWS[Math.max(0, Math.min(WINDOWS.length - 1, at))];
+    this.axis.step(direction);
     this.changed();
   }
 
-  /** Begin and end of the time axis, which begins at 0 s or later. @returns {[number, number]} */
+  /** Begin and end of the time axis, seconds. @returns {[number, number]} */
   range() {
-    const end = Math.max(this.seconds, this.model.states.lastTime ?? 0);
-    return [end - this.seconds, end];
+    return this.axis.range();
+  }
+
+  /** @returns {import("/assets/plot.js").Times} */
+  times() {
+    const [from, to] = this.range();
+    return { from, to, cursor: this.cursor, now: this.isLog ? this.axis.now : undefined };
+  }
+
+  /** Samples of a field, of the run or of the first log. @param {import("/assets/log_series.js").FieldName} name */
+  samples(name) {
+    return this.isLog ? this.logs[0].field(name) : this.live.field(name);
+  }
+
+  /** The misses that are known, for the tick strip. @returns {import("/assets/timing_strip.js").Miss[]} */
+  misses() {
+    if (!this.isLog) return this.model.misses;
+    const { span } = this.logs[0];
+    if (!span) return [];
+    const wide = (span.to - span.from) / span.columns;
+    return span.misses.at.map((column, i) => ({ time: span.from + column * wide, letter: span.misses.letters[i], count: span.misses.count[i] }));
+  }
+
+  #lines(choice, second) {
+    const scales = choice.fields.map((name) => ({ name, scale: unitOf(name.field).scale }));
+    const own = scales.map(({ name, scale }, i) => ({ name, label: labelOf(name.field), samples: this.samples(name), scale, colour: `--series-${i + 1}` }));
+    if (!second) return own;
+    const others = scales.map(({ name, scale }, i) => ({ name, label: `${labelOf(name.field)}, second log`, samples: this.logs[1].field(name), scale, colour: `--series-${((i + 3) % 4) + 1}`, dashed: true }));
+    return [...own, ...others];
+  }
+
+  /** Whether a second log is shown. */
+  get #second() {
+    return document.body.classList.contains("compare");
   }
 
   /** @param {Record<string, string>} colours */
   draw(colours) {
-    const [from, to] = this.range();
-    for (const { plot } of this.plots) plot.draw(from, to, colours, this.cursor);
+    const [times, size] = [this.times(), textScale()];
+    if (this.isLog) this.#ask(times);
+    for (const one of this.plots) {
+      one.plot.lines = this.#lines(one.choice, this.#second);
+      const { context, width, height } = prepare(one.canvas);
+      one.plot.draw(context, width, height, times, colours, size);
+    }
   }
 
-  /** The values at the cursor, or the newest, as text with the line's colour and dash. */
+  #ask({ from, to }) {
+    // The tick strip is as wide as all plots together.
+    const columns = Math.ceil(Math.max(200, this.place.clientWidth) * (window.devicePixelRatio || 1));
+    const end = this.axis.log?.[1] ?? to;
+    this.logs[0].want(this.#fields(), from, to, columns, end);
+    if (this.#second) this.logs[1].want(this.#fields(), from, to, columns, end);
+  }
+
+  /** How far the server has read what is shown of the logs, 0 to 1; none when all. @returns {number | undefined} */
+  get reading() {
+    const shares = this.logs.map((log) => log.reading).filter((share) => share !== undefined);
+    return this.isLog && shares.length > 0 ? Math.min(...shares) : undefined;
+  }
+
+  /** A line's value at the cursor, or the newest, or where the log stands. */
+  value(line) {
+    if (this.cursor !== undefined) return line.samples.at(this.cursor);
+    if (!this.isLog) return line.samples.last();
+    return this.model.field(line.name, !!line.dashed) ?? line.samples.at(this.axis.now);
+  }
+
+  /** The values at the cursor, or the newest, as text with the line's colour and dash. A click on one takes its line away. */
   showValues(colours) {
-    for (const { plot, values, canvas, title, unit } of this.plots) {
-      const shown = plot.lines.filter((line) => line.shown?.() ?? true);
-      const texts = shown.map((line) => {
-        const value = this.cursor === undefined ? line.series.last(line.which) : line.series.at(line.which, this.cursor);
-        return { line, text: value === undefined ? "–" : written(value * line.scale) };
+    for (const { choice, plot, values, canvas, title, unit } of this.plots) {
+      const texts = plot.lines.map((line) => {
+        const value = this.value(line);
+        return { line, text: value == null ? "–" : written(value * line.scale) };
       });
       values.replaceChildren(...texts.map(({ line, text }) => {
         const item = document.createElement("span");
         item.style.color = colours[line.colour];
         item.className = line.dashed ? "value dashed" : "value";
         item.textContent = text;
-        item.title = line.label;
+        item.title = `${line.label}, ${line.name.topic} ${line.name.field}${choice.fields.length > 1 ? "; double click removes the line" : ""}`;
+        item.addEventListener("dblclick", () => choice.fields.length > 1 && this.#remove(choice, line.name));
         return item;
       }));
       canvas.setAttribute("aria-label", `${title}: ${texts.map(({ line, text }) => `${line.label} ${text} ${unit}`).join(", ")}`);

@@ -55,27 +55,28 @@ export class Series {
   }
 
   /**
-   * Least and greatest value of each column of a window, and its first and last, so that no peak is lost.
+   * Least, greatest and mean value of each column of a window, so that no peak is lost.
    * @param {number} which @param {number} from seconds @param {number} to seconds @param {number} columns
-   * @param {(column: number, low: number, high: number, first: number, last: number) => void} draw
+   * @param {(column: number, low: number, high: number, mean: number) => void} draw
    */
   decimate(which, from, to, columns, draw) {
     const values = this.values[which];
     const perSecond = columns / (to - from);
-    let [column, low, high, first, last] = [-1, 0, 0, 0, 0];
+    let [column, low, high, sum, count] = [-1, 0, 0, 0, 0];
     for (let index = this.lowerBound(from); index < this.end; index++) {
       const slot = index % CAPACITY;
       if (this.times[slot] > to) break;
       const here = Math.min(columns - 1, Math.floor((this.times[slot] - from) * perSecond));
       const value = values[slot];
       if (here !== column) {
-        if (column >= 0) draw(column, low, high, first, last);
-        [column, low, high, first] = [here, value, value, value];
+        if (column >= 0) draw(column, low, high, sum / count);
+        [column, low, high, sum, count] = [here, value, value, 0, 0];
       }
       if (value < low) low = value;
       if (value > high) high = value;
-      last = value;
+      sum += value;
+      count += 1;
     }
-    if (column >= 0) draw(column, low, high, first, last);
+    if (column >= 0) draw(column, low, high, sum / count);
   }
 }

@@ -12,6 +12,8 @@ import { add, dot, scale, subtract, transform } from "/assets/vector.js";
 
 const MAGIC = 0x434c5354;
 const HEADER_BYTES = 24;
+/** Minus the least 16-bit number. */
+const LEAST = 32768;
 /** How far from the plane a path is drawn as lying in it. */
 const NEAR_M = 0.0015;
 /** Planes are asked for in such steps along their normal. */
@@ -31,6 +33,26 @@ export function decodeSlice(data) {
   const from = data.byteOffset + HEADER_BYTES;
   const values = new Int16Array(data.buffer.slice(from, from + 2 * columns * rows));
   return { columns, rows, removed: Number(data.getBigUint64(16, true)), values };
+}
+
+/** An opaque pixel as the canvas holds it, in the order of this machine's bytes. @param {number[]} rgb */
+const pixel = ([r, g, b]) => new Uint32Array(new Uint8ClampedArray([r, g, b, 255]).buffer)[0];
+/** Every value's pixel, from the least 16-bit number on, for one window at a time. */
+const table = { key: "", pixels: new Uint32Array(2 * LEAST) };
+
+/** @param {HuWindow} hu @param {{outside: number, drilled: number}} limits */
+function greys({ low, width }, { outside, drilled }) {
+  const key = [low, width, outside, drilled].join();
+  if (table.key !== key) {
+    table.key = key;
+    const levels = Array.from({ length: 256 }, (_, level) => pixel([level, level, level]));
+    table.pixels.forEach((_, i) => {
+      table.pixels[i] = levels[Math.round(Math.max(0, Math.min(1, (i - LEAST - low) / width)) * 255)];
+    });
+    table.pixels[drilled + LEAST] = pixel(DRILLED_RGB);
+    table.pixels[outside + LEAST] = pixel(OUTSIDE_RGB);
+  }
+  return table.pixels;
 }
 
 export class SliceTile {
@@ -58,6 +80,17 @@ export class SliceTile {
     this.asking = false;
     this.askedAt = 0;
     this.key = "";
+    /** Another one whenever the picture has changed. */
+    this.version = 0;
+    /** Of the canvas: pixels of the page, and of the screen for each of them. */
+    this.size = [1, 1];
+    this.ratio = 1;
+  }
+
+  /** Looks how large the canvas is: once a picture, since the browser may have to lay out the page for it. */
+  measure() {
+    this.size = [this.canvas.clientWidth || 1, this.canvas.clientHeight || 1];
+    this.ratio = Math.min(window.devicePixelRatio || 1, 2);
   }
 
   /** The plane through the cross-hair; its middle moves only where the cross-hair would leave it. @param {Vector} point @param {number} field metres */
@@ -70,19 +103,21 @@ export class SliceTile {
     const moved = off.map((distance, i) => Math.sign(distance) * Math.max(0, Math.abs(distance) - INNER * half[i]));
     this.centre = add(centre, add(scale(right, moved[0]), scale(down, moved[1])));
     const n = normal({ centre, right, down });
-    const behind = Math.round(dot(point, n) / STEP_M) * STEP_M - dot(this.centre, n);
-    this.centre = add(this.centre, scale(n, behind));
+    // A tool that trembles at the edge of a step would ask for two planes in turn, for ever: a plane stays until the cross-hair is a step away.
+    if (Math.abs(dot(subtract(point, this.centre), n)) > STEP_M) {
+      const behind = Math.round(dot(point, n) / STEP_M) * STEP_M - dot(this.centre, n);
+      this.centre = add(this.centre, scale(n, behind));
+    }
     return { centre: this.centre, right, down };
   }
 
   get aspect() {
-    return (this.canvas.clientHeight || 1) / (this.canvas.clientWidth || 1);
+    return this.size[1] / this.size[0];
   }
 
   /** What to ask the server for. @param {Plane} plane @param {number} field */
   request(plane, field) {
-    const ratio = Math.min(window.devicePixelRatio || 1, 2);
-    const size = [this.canvas.clientWidth, this.canvas.clientHeight].map((n) => n * ratio);
+    const size = this.size.map((n) => n * this.ratio);
     const fit = Math.min(1, this.limits.most_pixels / Math.max(...size));
     const [columns, rows] = size.map((n) => Math.max(1, Math.round(n * fit)));
     return { centre_m: plane.centre, right: plane.right, down: plane.down, side_m: [field, field * this.aspect], columns, rows };
@@ -102,21 +137,11 @@ export class SliceTile {
     Object.assign(this.picture, { width: columns, height: rows });
     const context = this.picture.getContext("2d");
     const image = context.createImageData(columns, rows);
-    const { data } = image;
-    const { outside, drilled } = this.limits;
-    for (let i = 0, at = 0; i < values.length; i++, at += 4) {
-      const value = values[i];
-      if (value === drilled || value === outside) {
-        const [r, g, b] = value === drilled ? DRILLED_RGB : OUTSIDE_RGB;
-        data[at] = r;
-        data[at + 1] = g;
-        data[at + 2] = b;
-      } else {
-        data[at] = data[at + 1] = data[at + 2] = Math.round(Math.max(0, Math.min(1, (value - hu.low) / hu.width)) * 255);
-      }
-      data[at + 3] = 255;
-    }
+    const pixels = new Uint32Array(image.data.buffer);
+    const table = greys(hu, this.limits);
+    for (let i = 0; i < values.length; i++) pixels[i] = table[values[i] + LEAST];
     context.putImageData(image, 0, 0);
+    this.version += 1;
   }
 
   /** Hounsfield units of the newest picture at a place; undefined outside of it, text where there is no number. @param {Vector} point */
@@ -145,8 +170,8 @@ export class SliceTile {
    * @param {{poses?: import("/assets/tool_model.js").Poses, tool?: any, path: Vector[], target?: Vector, cursor?: Vector, measures: import("/assets/measure.js").Measures}} scene
    */
   draw(plane, field, scene) {
-    const ratio = Math.min(window.devicePixelRatio || 1, 2);
-    const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight].map((n) => Math.max(1, Math.round(n * ratio)));
+    const { ratio } = this;
+    const [width, height] = this.size.map((n) => Math.max(1, Math.round(n * ratio)));
     for (const canvas of [this.canvas, this.layer]) if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     const context = this.canvas.getContext("2d");
     context.fillStyle = `rgb(${OUTSIDE_RGB.join(" ")})`;

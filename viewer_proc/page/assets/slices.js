@@ -10,6 +10,10 @@ import { add, scale } from "/assets/vector.js";
 
 /** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
+/** Time between two pictures of the slices: 16 a second, so that the 3D view stays smooth beside them. */
+const DRAW_MS = 60;
+/** The tool is drawn again when a part of it has moved by so many pixels of the page. */
+const VISIBLE_PX = 0.5;
 /** Time between two requests for the same slice. */
 const ASK_MS = 150;
 /** A refused request is made again after this. */
@@ -40,6 +44,15 @@ export class Slices {
     /** Why there is no picture. */
     this.refused = "";
     this.asked = 0;
+    this.drawnAt = 0;
+    /** When the next picture is asked for without another reason. */
+    this.due = Infinity;
+    /** @type {ReturnType<typeof setTimeout> | undefined} */
+    this.coming = undefined;
+    /** What the pictures show. */
+    this.key = "";
+    /** Pictures that were drawn. */
+    this.pictures = 0;
     element("slice-window").addEventListener("change", (event) => this.setWindow({ ...HU_WINDOWS[event.target.value] }));
   }
 
@@ -73,6 +86,7 @@ export class Slices {
     element("slices").hidden = !shown;
     element("slices-switch").hidden = !this.there;
     element("slices-switch").setAttribute("aria-pressed", String(shown));
+    this.key = "";
     this.changed();
   }
 
@@ -94,20 +108,46 @@ export class Slices {
     if (point) this.cursor.place(add(point, scale(normal({ centre: point, ...tile.view }), metres)));
   }
 
+  /** Asks for a picture later, unless one comes before. @param {number} milliseconds */
+  #later(milliseconds) {
+    const due = performance.now() + milliseconds;
+    if (this.due <= due) return;
+    clearTimeout(this.coming);
+    this.due = due;
+    this.coming = setTimeout(() => ((this.due = Infinity), this.changed()), milliseconds);
+  }
+
+  /** Draws what has changed, and not more often than can be seen. */
   draw() {
     if (!this.on || !this.there) return;
-    const { model, cursor, measures } = this;
+    const { model, cursor } = this;
     cursor.tip(model.tip);
     const point = cursor.point ?? model.info?.scene?.burr_start_m;
     if (!point) return;
-    const info = model.info;
-    const scene = { poses: model.poses, tool: info?.tool, path: info?.scene?.planned_path_m ?? [], target: info?.scene?.target_m, cursor: cursor.point, measures };
-    for (const tile of this.tiles) {
-      const plane = tile.planeAt(point, this.field);
-      this.#request(tile, plane);
-      tile.draw(plane, this.field, scene);
-    }
+    const now = performance.now();
+    if (now < this.drawnAt + DRAW_MS) return this.#later(this.drawnAt + DRAW_MS - now);
+    this.drawnAt = now;
+    const { poses, info } = model;
+    const planes = this.tiles.map((tile) => (tile.measure(), tile.planeAt(point, this.field)));
+    planes.forEach((plane, i) => this.#request(this.tiles[i], plane));
+    const key = this.#key(planes, poses);
+    if (key === this.key) return;
+    this.key = key;
+    this.pictures += 1;
+    const scene = { poses, tool: info?.tool, path: info?.scene?.planned_path_m ?? [], target: info?.scene?.target_m, cursor: cursor.point, measures: this.measures };
+    planes.forEach((plane, i) => this.tiles[i].draw(plane, this.field, scene));
     this.#facts(point);
+  }
+
+  /** All that the pictures depend on; places in steps that can be seen. @param {import("/assets/slice_geometry.js").Plane[]} planes @param {import("/assets/tool_model.js").Poses | undefined} poses */
+  #key(planes, poses) {
+    const step = (VISIBLE_PX * this.field) / Math.max(...this.tiles.map((tile) => tile.size[0]));
+    /** @param {Vector | undefined} point */
+    const place = (point) => point?.map((x) => Math.round(x / step));
+    const tool = poses ? [poses.base, ...poses.links, poses.burr].map((pose) => place(pose.position)) : [];
+    const tiles = this.tiles.map((tile, i) => [tile.version, ...tile.size, tile.ratio, place(planes[i].centre)]);
+    const { low, width } = this.window;
+    return [this.made, this.refused, this.field, low, width, this.measures.version, this.cursor.follows, place(this.cursor.point), tool, tiles].join();
   }
 
   /** Asks for a tile's picture if it has another one or none; one request of a tile is under way at a time. */
@@ -117,10 +157,7 @@ export class Slices {
     const now = performance.now();
     const wait = tile.askedAt + (this.refused ? AGAIN_MS : ASK_MS) - now;
     if (tile.key === key || tile.asking) return;
-    if (wait > 0) {
-      tile.later ??= setTimeout(() => ((tile.later = undefined), this.changed()), wait);
-      return;
-    }
+    if (wait > 0) return this.#later(wait);
     tile.asking = true;
     tile.askedAt = now;
     this.asked += 1;
@@ -176,7 +213,7 @@ export class Slices {
     }, { passive: false });
     canvas.addEventListener("dblclick", () => this.setWindow({ ...HU_WINDOWS.bone }));
     canvas.addEventListener("keydown", (event) => {
-      if (event.ctrlKey || event.metaKey || event.altKey || !this.#key(tile, event)) return;
+      if (event.ctrlKey || event.metaKey || event.altKey || !this.#press(tile, event)) return;
       event.preventDefault();
       event.stopPropagation();
     });
@@ -192,7 +229,7 @@ export class Slices {
   }
 
   /** @param {SliceTile} tile @param {KeyboardEvent} event */
-  #key(tile, event) {
+  #press(tile, event) {
     const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
     const arrow = arrows[event.key];
     const { point } = this.cursor;

@@ -5,7 +5,11 @@ const element = (id) => document.getElementById(id);
 
 function row(cells) {
   const line = document.createElement("tr");
-  for (const text of cells) line.appendChild(document.createElement("td")).textContent = text;
+  for (const text of cells) {
+    const cell = line.appendChild(document.createElement("td"));
+    // A field's name breaks between its words, not within them.
+    text.split(/(?<=[_.])/).forEach((part, i) => cell.append(...(i > 0 ? [document.createElement("wbr"), part] : [part])));
+  }
   return line;
 }
 
@@ -19,8 +23,18 @@ export function showParts(parts) {
   element("parts").replaceChildren(...parts.map((part) => row([part.name, rate(part.rate_hz), age(part.age_ms), part.state ?? ""])));
 }
 
-/** @param {{time_ns: number, fields: {name: string, a: number, b: number, difference: number}[]}} comparison */
-export function showComparison({ time_ns, fields }) {
+/** After the end of the run none of its parts is active. */
+export function endParts() {
+  for (const state of document.querySelectorAll("#parts td:last-child")) state.textContent = "ended";
+}
+
+/** @param {{time_ns: number, ended?: string, end_ns?: number, fields: {name: string, a: number, b: number, difference: number}[]}} comparison */
+export function showComparison({ time_ns, ended, end_ns, fields }) {
+  if (ended) {
+    element("compare-facts").textContent = `at ${(time_ns / 1e9).toFixed(3)} s`;
+    element("compare-rows").replaceChildren(row([`the ${ended} log has ended at ${(end_ns / 1e9).toFixed(3)} s`, "", "", ""]));
+    return;
+  }
   element("compare-facts").textContent = `${fields.length} fields at ${(time_ns / 1e9).toFixed(3)} s`;
   const rows = fields.map(({ name, a, b, difference }) => row([name, short(a), short(b), short(difference)]));
   if (rows.length === 0) rows.push(row(["no field of the state differs", "", "", ""]));

@@ -37,7 +37,7 @@ export class Theme {
   #apply(theme = chosen() ?? (system.matches ? "dark" : "light")) {
     document.documentElement.dataset.theme = theme;
     const style = getComputedStyle(document.documentElement);
-    const names = ["text", "muted", "grid", "accent", "error", "series-1", "series-2", "series-3", "series-4", "cause-step", "cause-core", "cause-fault", "cause-host"];
+    const names = ["panel", "text", "muted", "grid", "accent", "error", "series-1", "series-2", "series-3", "series-4", "cause-step", "cause-core", "cause-fault", "cause-host"];
     /** Colours for canvases, by custom property. @type {Record<string, string>} */
     this.colours = Object.fromEntries(names.map((name) => [`--${name}`, style.getPropertyValue(`--${name}`).trim()]));
     this.changed();

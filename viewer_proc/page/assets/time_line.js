@@ -4,7 +4,8 @@ import { prepare } from "/assets/plot.js";
 
 /** @type {Record<string, {letter: string, name: string, colour: string}>} */
 const MARKS = {
-  event: { letter: "E", name: "event", colour: "--accent" },
+  event: { letter: "E", name: "warning or error", colour: "--accent" },
+  note: { letter: "", name: "note", colour: "--muted" },
   miss: { letter: "M", name: "missed tick", colour: "--cause-step" },
   divergence: { letter: "D", name: "divergence", colour: "--error" },
   gap: { letter: "G", name: "gap", colour: "--cause-fault" },
@@ -25,7 +26,7 @@ export class TimeLine {
    */
   constructor(send, redraw) {
     this.send = send;
-    this.state = { begin_ns: 0, end_ns: 0, time_ns: 0, playing: false, speed: 1, second: null };
+    this.state = { begin_ns: 0, end_ns: 0, time_ns: 0, playing: false, speed: 1, second: false, reading: null, missed: 0, missed_total: 0, has_timing: false };
     this.events = [];
     const scrub = element("scrub");
     scrub.max = String(STEPS);
@@ -74,16 +75,20 @@ export class TimeLine {
     context.textAlign = "center";
     context.textBaseline = "top";
     const lastLetter = {};
-    for (const { time_ns, kind } of this.events) {
+    // A frame's note must not hide what matters: notes are drawn first, short and without a letter.
+    const ordered = [...this.events.filter(({ kind }) => kind === "note"), ...this.events.filter(({ kind }) => kind !== "note")];
+    for (const { time_ns, kind } of ordered) {
       const mark = MARKS[kind] ?? MARKS.event;
       const x = 8 + ((time_ns - begin) / span) * (width - 16);
       context.fillStyle = colours[mark.colour];
-      context.fillRect(x - 1, LETTER_PX + 1, 2, height - LETTER_PX);
-      if (x - (lastLetter.x ?? -Infinity) < LETTER_PX) continue;
+      const top = mark.letter ? LETTER_PX + 1 : height - 4;
+      context.fillRect(x - 1, top, mark.letter ? 2 : 1, height - top);
+      if (!mark.letter || x - (lastLetter.x ?? -Infinity) < LETTER_PX) continue;
       context.fillText(mark.letter, x, 0);
       lastLetter.x = x;
     }
-    const near = this.events.filter(({ time_ns }) => time_ns <= now + 1).at(-1);
+    const before = this.events.filter(({ time_ns }) => time_ns <= now + 1);
+    const near = before.filter(({ kind }) => kind !== "note").at(-1) ?? before.at(-1);
     element("mark-text").textContent = near ? `${MARKS[near.kind]?.name ?? near.kind} at ${seconds(near.time_ns)}: ${near.text}` : "";
   }
 }

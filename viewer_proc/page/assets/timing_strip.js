@@ -3,7 +3,7 @@
 import { prepare } from "/assets/plot.js";
 
 /**
- * Causes of a miss by the letter that the server gives (`recorder_proc::misses`); the series keeps the place in this list, from 1.
+ * Causes of a miss by the letter that the server gives (`recorder_proc::misses`).
  * @type {{letter: string, name: string, colour: string}[]}
  */
 const LIST = [
@@ -18,28 +18,33 @@ const LIST = [
   { letter: "R", name: "waited for the recorder", colour: "--series-4" },
   { letter: "U", name: "unknown", colour: "--muted" },
 ];
+const UNKNOWN = LIST[LIST.length - 1];
 
-/** @type {Record<number, {letter: string, name: string, colour: string}>} */
-export const CAUSES = Object.fromEntries(LIST.map((cause, index) => [index + 1, cause]));
+/** All of them, for the legend. */
+export const CAUSES = LIST;
 
-/** @param {string} letter @returns {number} a key of `CAUSES`; unknown for any other letter */
-export function causeOf(letter) {
-  const index = LIST.findIndex((cause) => cause.letter === letter);
-  return index < 0 ? LIST.length : index + 1;
-}
+/** @param {string} letter @returns {{letter: string, name: string, colour: string}} unknown for any other letter */
+export const causeOf = (letter) => LIST.find((cause) => cause.letter === letter) ?? UNKNOWN;
 
 const LETTER_PX = 13;
 
-/** @param {HTMLCanvasElement} canvas @param {import("/assets/series.js").Series} series step µs, cause @param {number} periodUs */
-export function drawTimingStrip(canvas, series, from, to, periodUs, colours) {
+/**
+ * @typedef {{time: number, letter: string, count: number}} Miss  seconds; `count` late ticks lie there
+ * @param {HTMLCanvasElement} canvas @param {import("/assets/plot.js").Samples} steps ns @param {Miss[]} misses
+ * @param {import("/assets/plot.js").Times} times @param {number} periodNs @param {Record<string, string>} colours
+ */
+export function drawTimingStrip(canvas, steps, misses, { from, to, now }, periodNs, colours) {
   const { context, width, height } = prepare(canvas);
   const top = LETTER_PX + 2;
   const tall = height - top;
-  const columns = Math.floor(width);
+  const columns = Math.max(1, Math.floor(width));
+  const toX = (time) => ((time - from) / (to - from)) * width;
   context.fillStyle = colours["--series-1"];
-  series.decimate(0, from, to, columns, (column, _low, high) => {
-    const bar = Math.max(1, Math.min(1, high / periodUs) * tall);
-    context.fillRect(column, height - bar, 1, bar);
+  // A bar is as wide as the ticks that it stands for, so that no gap is seen where there is none.
+  const wide = Math.max(1, Math.ceil((steps.spacing / (to - from)) * width));
+  steps.each(from, to, columns, (time, _low, high) => {
+    const bar = Math.max(1, Math.min(1, high / periodNs) * tall);
+    context.fillRect(Math.floor(toX(time)), height - bar, wide, bar);
   });
   context.strokeStyle = colours["--muted"];
   context.setLineDash([3, 3]);
@@ -49,24 +54,26 @@ export function drawTimingStrip(canvas, series, from, to, periodUs, colours) {
   context.textAlign = "center";
   context.textBaseline = "top";
   let lastLetter = -Infinity;
-  series.decimate(1, from, to, columns, (column, _low, cause) => {
-    const { letter, colour } = CAUSES[cause] ?? {};
-    if (!letter) return;
-    context.fillStyle = colours[colour];
-    context.fillRect(column - 1, top, 3, tall);
-    if (column - lastLetter < LETTER_PX) return;
-    context.fillText(letter, Math.max(6, Math.min(width - 6, column)), 0);
-    lastLetter = column;
-  });
+  for (const { time, letter } of misses) {
+    if (time < from || time > to) continue;
+    const x = toX(time);
+    context.fillStyle = colours[causeOf(letter).colour];
+    context.fillRect(x - 1, top, 3, tall);
+    if (x - lastLetter < LETTER_PX) continue;
+    context.fillText(letter, Math.max(6, Math.min(width - 6, x)), 0);
+    lastLetter = x;
+  }
+  if (now !== undefined && now >= from && now <= to) {
+    context.fillStyle = colours["--accent"];
+    context.fillRect(toX(now) - 0.5, 0, 1, height);
+  }
 }
 
-/** Misses of each cause in a window. @param {import("/assets/series.js").Series} series */
-export function countCauses(series, from, to) {
+/** Misses of each cause in a window, by letter. @param {Miss[]} misses @returns {Map<string, number>} */
+export function countCauses(misses, from, to) {
   const counts = new Map();
-  const end = series.lowerBound(to);
-  for (let index = series.lowerBound(from); index < end; index++) {
-    const cause = series.values[1][index % series.times.length];
-    if (cause > 0) counts.set(cause, (counts.get(cause) ?? 0) + 1);
+  for (const { time, letter, count } of misses) {
+    if (time >= from && time <= to) counts.set(letter, (counts.get(letter) ?? 0) + count);
   }
   return counts;
 }

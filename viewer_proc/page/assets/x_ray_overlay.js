@@ -10,7 +10,7 @@ import { transform } from "/assets/vector.js";
 
 /** @param {import("/assets/parts_list.js").Colour} colour */
 const css = ([r, g, b]) => `rgb(${[r, g, b].map((part) => Math.round(part * 255)).join(" ")})`;
-/** A state this many ticks from a frame's stands for it. */
+/** In a run a state this many ticks from a frame's stands for it; of a log the frame's own comes. */
 const NEAR_TICKS = 30;
 
 export class XRayOverlay {
@@ -105,7 +105,7 @@ export class XRayOverlay {
 
   #drawTool(paint, frame) {
     // Kept with the frame: a frame that is held outlives the states.
-    frame.poses ??= this.model.posesAt(frame.tick, NEAR_TICKS);
+    frame.poses ??= this.model.posesAt(frame.tick, this.model.info?.kind === "log" ? 0 : NEAR_TICKS);
     const { poses } = frame;
     const tool = this.model.info?.tool;
     if (!poses || !tool) return;

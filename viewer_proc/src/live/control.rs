@@ -13,7 +13,7 @@ use tokio::sync::oneshot;
 
 use crate::board::Board;
 use crate::channels::PACE;
-use crate::services::{Action, Answer, Control as Request, Reply};
+use crate::services::{Action, Control as Request, Outcome, Reply};
 
 /// Most ticks in one step.
 const MAX_STEP_TICKS: u64 = 1_000_000;
@@ -24,7 +24,7 @@ const MAX_BACKLOG_STEPS: u32 = 10;
 /// Speed limit.
 const MAX_SPEED: f64 = 1000.0;
 
-type Asker = oneshot::Sender<Answer>;
+type Answer = oneshot::Sender<Outcome>;
 
 /// The session's run control.
 pub(super) struct Control {
@@ -36,7 +36,7 @@ pub(super) struct Control {
     /// Requests to send once the physics has been heard.
     unsent: Vec<RunControl>,
     next_id: u64,
-    waiting: BTreeMap<u64, Asker>,
+    waiting: BTreeMap<u64, Answer>,
     pace: Option<Pace>,
     paced: Instant,
     /// Speed last published to clients.
@@ -89,7 +89,7 @@ impl Control {
     }
 
     /// Sends a request; answers once the physics has replied.
-    pub(super) fn ask(&mut self, request: &Request, answer: Asker) {
+    pub(super) fn ask(&mut self, request: &Request, answer: Answer) {
         let outcome = match request.action {
             Action::Speed => self.set_speed(request.speed),
             Action::Step => match request.ticks.unwrap_or(1) {
@@ -241,6 +241,7 @@ mod tests {
             controllers: Vec::new(),
             volume_bytes: 4096,
             frame_bytes: 0,
+            sensors: false,
             recorder: false,
             wait: Wait::Hybrid,
             policy: Policy::Other,
@@ -257,7 +258,7 @@ mod tests {
         let mut answered = ask(&mut control, Action::Speed);
         let physics = host.session.subscriber::<RunControl>(&services::RUN_CONTROL).unwrap();
         let replies = host.session.publisher::<RunControlReply>(&services::RUN_CONTROL_REPLY).unwrap();
-        let board = Board::new(Channels::new(&[]));
+        let board = Board::new(Channels::new(&[], &[]));
         control.poll(&board, 1_000_000).unwrap();
         assert!(physics.receive().unwrap().is_none(), "not before it is heard of");
         control.physics_listens().unwrap();

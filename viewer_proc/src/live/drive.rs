@@ -10,6 +10,7 @@ use ipc_types::messages::{MAX_BURR_SPEED_RAD_PER_S, MAX_DEPTH_M, MAX_SPEED_M_PER
 use ipc_types::scene::{Drives, Drr, Scene};
 use trabecula_client::{Client, ClientError, Connection};
 
+use super::frame_requests::{FrameRequests, ask_frame, turns_the_c_arm};
 use crate::board::Board;
 use crate::info::{CONTROLLER, unit};
 use crate::services::{CArm, Call, Drive, Reply, Request};
@@ -25,15 +26,19 @@ const HOW: &str = "the scene has no controller for the viewer; add\n[[controller
 /// Handle to the driving thread.
 pub(super) struct Driver {
     calls: Option<mpsc::Sender<Call>>,
+    /// Where frames are asked for; none if the viewer drives the C-arm, and asks as a controller.
+    frames: Option<FrameRequests>,
 }
 
 impl Driver {
     /// Starts the thread if the scene names the controller. A tick waits for an optional controller only after its first command, so the
     /// thread joins on first use.
     pub(super) fn start(session: &Path, scene: &Scene, over: Arc<AtomicBool>, board: Arc<Board>) -> Driver {
+        let frames =
+            (!turns_the_c_arm(scene)).then(|| FrameRequests::start(session, scene, Arc::clone(&over)));
         let controller = scene.controller.iter().find(|controller| controller.name == CONTROLLER);
         let Some(controller) = controller.filter(|controller| controller.external) else {
-            return Driver { calls: None };
+            return Driver { calls: None, frames };
         };
         let (calls, called) = mpsc::channel();
         let thread = DriveThread {
@@ -47,11 +52,14 @@ impl Driver {
             heard: Instant::now(),
         };
         std::thread::spawn(move || thread.run(&called, &over, &board));
-        Driver { calls: Some(calls) }
+        Driver { calls: Some(calls), frames }
     }
 
     /// Passes on a `/drive` or `/frame` call.
     pub(super) fn hand_over(&self, call: Call) {
+        if let (Request::Frame(_), Some(frames)) = (&call.request, &self.frames) {
+            return frames.hand_over(call);
+        }
         let refused = match &self.calls {
             None => Some((call, HOW)),
             Some(calls) => calls
@@ -134,8 +142,8 @@ impl DriveThread {
         let mut first = first;
         while !over.load(Ordering::Relaxed) {
             for call in first.take().into_iter().chain(called.try_iter()) {
-                let outcome = self.apply(client, &call.request);
-                let _ = call.answer.send(outcome.map(|()| Reply::Done));
+                let outcome = self.apply(client, &call.request).map(|()| Reply::Done);
+                let _ = call.answer.send(outcome);
             }
             if self.heard.elapsed() > HAND_LIMIT {
                 self.inputs.insert_m_per_s = self.inputs.insert_m_per_s.map(|_| 0.0);
@@ -157,27 +165,18 @@ impl DriveThread {
             Request::Drive(drive) => {
                 let inputs = self.inputs.with(drive, &self.drives)?;
                 if let Some(c_arm) = &drive.c_arm {
-                    self.ask_frame(client, c_arm)?;
+                    allowed(&self.drives, Drives::CArm, "c_arm")?;
+                    ask_frame(client, c_arm, self.drr.as_ref())?;
                 }
                 self.inputs = inputs;
                 self.heard = Instant::now();
                 Ok(())
             }
-            Request::Frame(c_arm) => self.ask_frame(client, c_arm),
-            Request::Control(_) | Request::Playback(_) | Request::Slice(_) => {
+            Request::Frame(c_arm) => ask_frame(client, c_arm, self.drr.as_ref()),
+            Request::Control(_) | Request::Playback(_) | Request::Series(_) | Request::Slice(_) => {
                 Err("no request for the controller".to_owned())
             }
         }
-    }
-
-    fn ask_frame(&self, client: &mut Client, c_arm: &CArm) -> Result<(), String> {
-        allowed(&self.drives, Drives::CArm, "c_arm")?;
-        let drr = self.drr.as_ref().ok_or("the scene has no X-ray ([drr])")?;
-        let pose = match c_arm.pose {
-            Some(pose) => Pose { position_m: pose.position_m, orientation_xyzw: pose.orientation_xyzw },
-            None => c_arm_pose(c_arm, drr)?,
-        };
-        client.request_frame(Some(&pose), 0).map(drop).map_err(|error| error.to_string())
     }
 }
 
@@ -250,7 +249,7 @@ impl Inputs {
 
 /// Pose of a C-arm from DICOM's angles (DICOM PS3.3, C.8.7.5.1.2): primary 0 puts the detector in front of the chest and grows toward the
 /// patient's left, secondary grows toward the head. Axes: rows to the right, columns down, z to the source.
-fn c_arm_pose(c_arm: &CArm, drr: &Drr) -> Result<Pose, String> {
+pub(super) fn c_arm_pose(c_arm: &CArm, drr: &Drr) -> Result<Pose, String> {
     let angle = |given: Option<f64>, scene: f64, name: &str| {
         within(name, given.unwrap_or(scene), -180.0, 180.0).map(f64::to_radians)
     };

@@ -3,6 +3,7 @@
 mod bone;
 mod control;
 mod drive;
+mod frame_requests;
 mod parts;
 mod subscriptions;
 
@@ -57,7 +58,7 @@ pub fn view(
     let _sweeper = HalfMadeSweeper::after_host(&options.session);
     let session = Session::join(&options.session)?;
     let scene = session_scene(&options.session)?;
-    let board = Arc::new(Board::new(Channels::new(&scene.controller_names())));
+    let board = Arc::new(Board::new(Channels::new(&scene.controller_names(), &scene.sensor)));
     let (calls, called) = mpsc::sync_channel(CALL_QUEUE);
     let over = Arc::new(AtomicBool::new(false));
     let name = options.session.display().to_string();
@@ -144,7 +145,7 @@ impl Live {
             Request::Control(request) => self.control.ask(&request, call.answer),
             Request::Drive(_) | Request::Frame(_) => self.driver.hand_over(call),
             Request::Slice(_) => self.slice(call),
-            Request::Playback(_) => call.refuse("a running session has no time line"),
+            Request::Playback(_) | Request::Series(_) => call.refuse("a running session has no time line"),
         }
     }
 

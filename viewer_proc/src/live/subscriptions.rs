@@ -6,7 +6,7 @@ use hub::viewer::Decimation;
 use ipc_types::layout::Message;
 use ipc_types::messages::{
     Command, ControllerIndex, DrrReply, DrrRequest, DrrStatus, Event, Frame, FrameTiming, Latched, Part,
-    Phase, Progress, Removed, RunControl, RunControlReply, RunStatus, State, TickTiming,
+    Phase, Progress, Removed, RunControl, RunControlReply, RunStatus, SensorReading, State, TickTiming,
 };
 use ipc_types::ports::{PortError, Received, Subscriber};
 use ipc_types::scene::Scene;
@@ -14,6 +14,7 @@ use ipc_types::services;
 use ipc_types::session::{Session, SessionError};
 use run_log::topics::{self, Logged, Topic};
 
+use super::frame_requests::turns_the_c_arm;
 use super::parts::Parts;
 use crate::board::Board;
 use crate::channels::ASKED_FRAME;
@@ -35,7 +36,7 @@ pub(super) struct Subscriptions {
     progress: Subscriber<Progress>,
     commands: Vec<(String, Subscriber<Command>)>,
     others: Vec<Box<dyn Forward>>,
-    /// The viewer's index among the controllers.
+    /// The viewer's index among the controllers, if it asks for frames as one of them and not as an observer.
     own_index: Option<ControllerIndex>,
     /// Request numbers of the viewer's frames that have not arrived yet.
     asked: BTreeSet<u64>,
@@ -104,6 +105,9 @@ impl Subscriptions {
             .iter()
             .map(|name| Ok((name.clone(), session.command_subscriber(name)?)))
             .collect::<Result<_, SessionError>>()?;
+        let sensors =
+            (!scene.sensor.is_empty()).then(|| Forwarded::<SensorReading>::open(session, &services::SENSOR));
+        let sensors = sensors.transpose()?;
         Ok(Subscriptions {
             states: session.subscriber(&services::STATE)?,
             frames: scene.drr.as_ref().map(|_| session.subscriber(&services::FRAME)).transpose()?,
@@ -120,8 +124,13 @@ impl Subscriptions {
                 Forwarded::<RunControl>::open(session, &services::RUN_CONTROL)?,
                 Forwarded::<RunControlReply>::open(session, &services::RUN_CONTROL_REPLY)?,
                 Forwarded::<DrrRequest>::open(session, &services::DRR_REQUEST)?,
-            ],
-            own_index: ControllerIndex::first(names.len()).find(|index| names[index.slot()] == CONTROLLER),
+            ]
+            .into_iter()
+            .chain(sensors)
+            .collect(),
+            own_index: ControllerIndex::first(names.len())
+                .find(|index| names[index.slot()] == CONTROLLER)
+                .filter(|_| turns_the_c_arm(scene)),
             asked: BTreeSet::new(),
             parts: Parts::new(scene, session),
             drawer: Drawer::new(tool),

@@ -2,7 +2,8 @@
 
 use run_log::Topic;
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
+use std::io::{ErrorKind, Read, Seek};
+use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -13,6 +14,9 @@ use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
 
 /// Longest record accepted as valid, bytes.
 const MAX_RECORD: usize = 1 << 30;
+
+/// Bytes read at once.
+const READ_BYTES: usize = 1 << 22;
 
 /// Why a log cannot be played.
 #[derive(Debug, thiserror::Error)]
@@ -106,7 +110,7 @@ impl LogFile {
     ///
     /// # Errors
     /// [`PlayError`].
-    pub fn after(&self, time_ns: Option<u64>, topics: &[Topic]) -> Result<Reading, PlayError> {
+    pub fn after(&self, time_ns: Option<u64>, topics: &[&str]) -> Result<Reading, PlayError> {
         let mut options = IndexedReaderOptions::new().with_order(ReadOrder::LogTime);
         if let Some(time_ns) = time_ns {
             options = options.starting_after(time_ns);
@@ -124,12 +128,12 @@ impl LogFile {
             return Ok(None);
         }
         let options = IndexedReaderOptions::new().with_order(ReadOrder::ReverseLogTime).ending_at(time_ns);
-        self.reading(options, &[topic])?.next_message()
+        self.reading(options, &[topic.name()])?.next_message()
     }
 
-    fn reading(&self, mut options: IndexedReaderOptions, topics: &[Topic]) -> Result<Reading, PlayError> {
+    fn reading(&self, mut options: IndexedReaderOptions, topics: &[&str]) -> Result<Reading, PlayError> {
         if !topics.is_empty() {
-            options = options.include_topics(topics.iter().map(|topic| topic.name()));
+            options = options.include_topics(topics.iter().copied());
         }
         let options = options.with_record_length_limit(MAX_RECORD);
         let reader =
@@ -143,11 +147,19 @@ impl LogFile {
 
     fn chunk(&self, offset: u64, length: usize) -> Result<Vec<u8>, PlayError> {
         let read_error = |cause| PlayError::Read { path: self.path.clone(), cause };
-        let mut file: &File = &self.file;
-        file.seek(SeekFrom::Start(offset)).map_err(read_error)?;
         let mut bytes = Vec::new();
-        // A forged length must not allocate memory: it grows only as bytes are read.
-        file.take(length as u64).read_to_end(&mut bytes).map_err(read_error)?;
+        // A forged length must not allocate memory: it grows only as bytes are read. Several threads read, so none moves the file's position.
+        while bytes.len() < length {
+            let begin = bytes.len();
+            bytes.resize(begin + READ_BYTES.min(length - begin), 0);
+            let read = self.file.read_at(&mut bytes[begin..], offset.saturating_add(begin as u64));
+            bytes.truncate(begin + *read.as_ref().unwrap_or(&0));
+            match read {
+                Ok(0) => break,
+                Err(cause) if cause.kind() != ErrorKind::Interrupted => return Err(read_error(cause)),
+                _ => {}
+            }
+        }
         Ok(bytes)
     }
 }

@@ -1,11 +1,8 @@
 //! Marks for a log: events, missed ticks, gaps, and where two logs diverge.
 
-use std::path::Path;
-
-use ipc_types::messages::{Event, Removed, State, TickTiming};
-use recorder_proc::log_file::LogFile;
+use ipc_types::messages::{Event, Removed, Severity, State, TickTiming};
 use run_log::reader::{voxel_indices, voxels_of};
-use run_log::{LogError, LogHeader, MessageStream, ReadOptions, Topic};
+use run_log::{LogHeader, Misses, Topic, Verdict};
 use serde_json::{Value, json};
 use zerocopy::FromBytes;
 
@@ -19,7 +16,7 @@ const MOST_REMOVED: u64 = 1 << 28;
 pub struct Mark {
     /// Simulated time, ns.
     pub time_ns: u64,
-    /// `event`, `miss`, `divergence` or `gap`.
+    /// `event`, `note` (an event that only informs), `miss`, `divergence` or `gap`.
     pub kind: &'static str,
     /// Text for the user.
     pub text: String,
@@ -37,8 +34,8 @@ impl Mark {
 pub struct Outline {
     /// The log's header.
     pub header: LogHeader,
-    /// Tick and chained hash of every state, in order.
-    pub states: Vec<(u64, [u64; 2])>,
+    /// Tick of the newest state.
+    last_tick: Option<u64>,
     /// Removals in order, with their times.
     pub removals: Vec<(u64, Removed, Vec<u32>)>,
     /// Gaps.
@@ -54,30 +51,12 @@ pub struct Outline {
     cut_short: bool,
 }
 
-/// Reads through a run lane. Stops at damage, with a notice.
-///
-/// # Errors
-/// Not a log of this build.
-pub fn outline(path: &Path) -> Result<Outline, LogError> {
-    let wanted = [Topic::State.name(), Topic::Removed.name(), Topic::DrrFrame.name()].map(str::to_owned);
-    let mut stream = MessageStream::open_topics(&LogFile::at(path), &wanted, ReadOptions::default())?;
-    let mut outline = Outline::new(stream.header().clone());
-    // A read error is listed among the faults.
-    while let Ok(Some(message)) = stream.next_message() {
-        outline.add(message.known, message.log_time_ns, message.body);
-    }
-    outline.notices.extend(stream.verdict().faults.iter().map(ToString::to_string));
-    if !outline.has_frames {
-        outline.notices.push("the log holds no X-ray frames".to_owned());
-    }
-    Ok(outline)
-}
-
 impl Outline {
-    fn new(header: LogHeader) -> Outline {
+    /// Nothing read yet.
+    pub(super) fn new(header: LogHeader) -> Outline {
         Outline {
             header,
-            states: Vec::new(),
+            last_tick: None,
             removals: Vec::new(),
             marks: Vec::new(),
             has_frames: false,
@@ -88,7 +67,16 @@ impl Outline {
         }
     }
 
-    fn add(&mut self, topic: Option<Topic>, time_ns: u64, body: &[u8]) {
+    /// Takes what was wrong with the file, at its end.
+    pub(super) fn end(&mut self, verdict: &Verdict) {
+        self.notices.extend(verdict.faults.iter().map(ToString::to_string));
+        if !self.has_frames {
+            self.notices.push("the log holds no X-ray frames".to_owned());
+        }
+    }
+
+    /// Adds a message.
+    pub(super) fn add(&mut self, topic: Option<Topic>, time_ns: u64, body: &[u8]) {
         match topic {
             Some(Topic::State) => {
                 let Ok(state) =
@@ -96,7 +84,7 @@ impl Outline {
                 else {
                     return;
                 };
-                if let Some((last, _)) = self.states.last()
+                if let Some(last) = self.last_tick
                     && last.checked_add(1) != Some(state.tick)
                     && self.marks.len() < MOST
                 {
@@ -104,14 +92,15 @@ impl Outline {
                     let text = format!("ticks {from} to {to} are missing");
                     self.marks.push(Mark { time_ns, kind: "gap", text });
                 }
-                self.states.push((state.tick, state.hash));
+                self.last_tick = Some(state.tick);
             }
             Some(Topic::Removed) => {
                 if let Ok((removed, tail)) = Removed::read_from_prefix(body) {
                     self.remove(time_ns, removed, voxel_indices(tail));
                 }
             }
-            _ => self.has_frames = true,
+            Some(Topic::DrrFrame) => self.has_frames = true,
+            _ => {}
         }
     }
 
@@ -139,59 +128,78 @@ impl Outline {
             self.removals.push((time_ns, removed, voxels));
         }
     }
-
-    /// Where two logs diverge.
-    pub fn divergence(&self, other: &Outline) -> Option<Mark> {
-        let (tick, how) = part(&self.states, &other.states)?;
-        let text = format!("the two runs {how} tick {tick}");
-        Some(Mark { time_ns: tick.saturating_mul(self.header.dt_ns), kind: "divergence", text })
-    }
 }
 
 /// The first tick that both logs have with different chained hashes, or the first tick after the shorter log's end. A gap in one log is no
 /// divergence: the chain continues after it.
-fn part(first: &[(u64, [u64; 2])], second: &[(u64, [u64; 2])]) -> Option<(u64, &'static str)> {
-    let (mut a, mut b) = (first, second);
+pub(super) fn part(
+    first: impl Iterator<Item = (u64, [u64; 2])>,
+    second: impl Iterator<Item = (u64, [u64; 2])>,
+) -> Option<(u64, &'static str)> {
+    let (mut first, mut second) = (first, second);
+    let (mut a, mut b) = (first.next(), second.next());
     loop {
-        match (a.split_first(), b.split_first()) {
-            (Some(((x, _), rest)), Some(((y, _), _))) if x < y => a = rest,
-            (Some(((x, _), _)), Some(((y, _), rest))) if x > y => b = rest,
-            (Some(((_, x), a_rest)), Some(((_, y), b_rest))) if x == y => (a, b) = (a_rest, b_rest),
-            (Some(((tick, _), _)), Some(_)) => return Some((*tick, "part at")),
-            (Some(((tick, _), _)), None) => return Some((*tick, "differ in length: the second ends before")),
-            (None, Some(((tick, _), _))) => return Some((*tick, "differ in length: the first ends before")),
+        match (a, b) {
+            (Some((x, _)), Some((y, _))) if x < y => a = first.next(),
+            (Some((x, _)), Some((y, _))) if x > y => b = second.next(),
+            (Some((_, x)), Some((_, y))) if x == y => (a, b) = (first.next(), second.next()),
+            (Some((tick, _)), Some(_)) => return Some((tick, "part at")),
+            (Some((tick, _)), None) => return Some((tick, "differ in length: the second ends before")),
+            (None, Some((tick, _))) => return Some((tick, "differ in length: the first ends before")),
             (None, None) => return None,
         }
     }
 }
 
-/// Events and missed ticks from the timing lane beside a run lane; empty without one. Each is placed at the tick it names, because the
-/// log's own time is when the recorder received it.
-pub fn timing_marks(path: &Path, dt_ns: u64) -> Vec<Mark> {
-    let wanted = [Topic::Event.name(), Topic::TickTiming.name()].map(str::to_owned);
-    let Ok(mut stream) = MessageStream::open_topics(&LogFile::at(path), &wanted, ReadOptions::default())
-    else {
-        return Vec::new();
-    };
-    let (mut events, mut misses) = (Vec::new(), Vec::new());
-    while let Ok(Some(message)) = stream.next_message() {
-        if message.known == Some(Topic::Event) {
-            let Ok((event, text)) = Event::read_from_prefix(message.body) else { continue };
-            let time_ns = event.tick.saturating_mul(dt_ns);
-            let text = String::from_utf8_lossy(text.strip_suffix(&[0]).unwrap_or(text)).into_owned();
-            events.push(Mark { time_ns, kind: "event", text });
-        } else if let Ok(timing) = TickTiming::read_from_bytes(message.body)
-            && timing.missed != 0
-        {
-            let time_ns = timing.tick.saturating_mul(dt_ns);
-            let late_us = timing.wake_lateness_ns as f64 * 1e-3;
-            let text = format!("tick {} began {late_us:.0} µs late", timing.tick);
-            misses.push(Mark { time_ns, kind: "miss", text });
+/// Events and missed ticks of a timing lane. Each is placed at the tick it names, because the log's own time is when the recorder received
+/// it.
+pub(super) struct Events {
+    dt_ns: u64,
+    events: Vec<Mark>,
+    misses: Vec<Mark>,
+    causes: Misses,
+}
+
+impl Events {
+    /// None yet.
+    pub(super) fn new(dt_ns: u64) -> Events {
+        Events { dt_ns, events: Vec::new(), misses: Vec::new(), causes: Misses::default() }
+    }
+
+    /// Adds a message; returns time and cause of a late tick.
+    pub(super) fn add(&mut self, topic: Option<Topic>, body: &[u8]) -> Option<(u64, char)> {
+        match topic {
+            Some(Topic::Event) => {
+                let (event, text) = Event::read_from_prefix(body).ok()?;
+                let time_ns = event.tick.saturating_mul(self.dt_ns);
+                let text = String::from_utf8_lossy(text.strip_suffix(&[0]).unwrap_or(text)).into_owned();
+                let kind = if event.severity == Severity::Info as u32 { "note" } else { "event" };
+                push(&mut self.events, Mark { time_ns, kind, text });
+                None
+            }
+            Some(Topic::TickTiming) => {
+                let timing = TickTiming::read_from_bytes(body).ok()?;
+                let cause = self.causes.add(&timing)?.main_cause();
+                let time_ns = timing.tick.saturating_mul(self.dt_ns);
+                let late_us = timing.wake_lateness_ns as f64 * 1e-3;
+                let text = format!("tick {} began {late_us:.0} µs late: {}", timing.tick, cause.name());
+                push(&mut self.misses, Mark { time_ns, kind: "miss", text });
+                Some((time_ns, cause.letter()))
+            }
+            _ => None,
         }
     }
-    events.truncate(MOST);
-    misses.truncate(MOST);
-    events.into_iter().chain(misses).collect()
+
+    /// The marks.
+    pub(super) fn marks(self) -> Vec<Mark> {
+        self.events.into_iter().chain(self.misses).collect()
+    }
+}
+
+fn push(marks: &mut Vec<Mark>, mark: Mark) {
+    if marks.len() < MOST {
+        marks.push(mark);
+    }
 }
 
 #[cfg(test)]
@@ -257,6 +265,8 @@ mod tests {
     fn two_logs_part_where_a_tick_of_both_differs_and_not_where_one_has_a_gap() {
         let first = states(&[(0, 1), (1, 2), (2, 3), (3, 4), (4, 5)]);
         let told = |other: &[(u64, u64)]| {
+            let part =
+                |a: &[(u64, [u64; 2])], b: &[(u64, [u64; 2])]| part(a.iter().copied(), b.iter().copied());
             let found = part(&first, &states(other));
             let swapped = part(&states(other), &first).map(|(tick, _)| tick);
             assert_eq!(found.map(|(tick, _)| tick), swapped, "whichever comes first");

@@ -115,6 +115,9 @@ impl Player {
     /// To the nearest mark of a kind on one side of the current time.
     fn jump(&mut self, kind: Option<&str>, side: Side) -> Result<(), String> {
         let now = self.time_ns();
+        // Notes are no events to go to, unless the log has nothing else.
+        let only_notes = kind == Some("event") && !self.marks.iter().any(|mark| mark.kind == "event");
+        let kind = if only_notes { Some("note") } else { kind };
         let fits = |mark: &&Mark| kind.is_none_or(|kind| kind == mark.kind);
         let found = match side {
             Side::After => self.marks.iter().filter(fits).find(|mark| mark.time_ns > now),

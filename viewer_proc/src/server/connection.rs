@@ -20,7 +20,7 @@ use super::{MAX_CLIENTS, Shared};
 use crate::assets::asset;
 use crate::board::Client;
 use crate::protocol::{self, ClientText, Level};
-use crate::services::{Answer, Call, NO_TOKEN, Request, SERVICES, SLICE, read_request, response, same};
+use crate::services::{Call, NO_TOKEN, Outcome, Request, SERVICES, SLICE, read_request, response, same};
 use crate::slice::MOST_UNDER_WAY;
 
 /// Longest client message, bytes.
@@ -297,10 +297,10 @@ impl ClientSession<'_> {
                 }
             }
         };
-        say(socket, message(service, number, &answer)).await
+        say(socket, message(service, number, answer)).await
     }
 
-    fn answer_later(&self, service: u32, call: u32, answered: oneshot::Receiver<Answer>) {
+    fn answer_later(&self, service: u32, call: u32, answered: oneshot::Receiver<Outcome>) {
         let answers = self.answers.clone();
         tokio::task::spawn_local(async move {
             let outcome = match tokio::time::timeout(CALL_LIMIT, answered).await {
@@ -308,13 +308,13 @@ impl ClientSession<'_> {
                 Ok(Err(_)) | Err(_) => Err("no answer: the run may have ended".to_owned()),
             };
             // The client may have left.
-            let _ = answers.send((service, message(service, call, &outcome)));
+            let _ = answers.send((service, message(service, call, outcome)));
         });
     }
 }
 
-fn message(service: u32, call: u32, answer: &Answer) -> Message {
-    let (encoding, payload) = response(answer);
+fn message(service: u32, call: u32, outcome: Outcome) -> Message {
+    let (encoding, payload) = response(outcome);
     Message::binary(protocol::service_response(service, call, encoding, &payload))
 }
 

@@ -22,7 +22,7 @@ use viewer_proc::board::Board;
 use viewer_proc::channels::{Channels, INFO, NOTICE, SURFACE};
 use viewer_proc::server::{MAX_CLIENTS, Server};
 use viewer_proc::services::{Action, Reply, Request, SLICE};
-use viewer_proc::slice::MOST_UNDER_WAY;
+use viewer_proc::slice::{ENCODING, MOST_UNDER_WAY};
 use zerocopy::IntoBytes;
 
 use running::{
@@ -347,7 +347,7 @@ fn a_client_has_few_slices_under_way_and_the_rest_is_refused() {
         // Each answer makes room for one request.
         for (number, call) in waiting.into_iter().enumerate() {
             assert!(matches!(call.request, Request::Slice(_)));
-            call.reply(Reply::Slice(vec![7, number as u8]));
+            call.reply(Reply::Bytes { encoding: ENCODING, bytes: vec![7, number as u8] });
             let bytes = loop {
                 match socket.next().await.unwrap().unwrap() {
                     Message::Binary(bytes) if bytes[0] == 3 => break bytes,

@@ -32,7 +32,7 @@ pub struct Running {
 
 impl Running {
     pub fn start(watch_by_anyone: bool) -> Running {
-        let board = Arc::new(Board::new(Channels::new(&["viewer".to_owned()])));
+        let board = Arc::new(Board::new(Channels::new(&["viewer".to_owned()], &[])));
         let (calls, called) = mpsc::sync_channel(8);
         let over = Arc::new(AtomicBool::new(false));
         let options = ServerOptions {

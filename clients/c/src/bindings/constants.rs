@@ -19,8 +19,16 @@ pub(super) fn whole() -> Vec<(&'static str, u64)> {
     codes.chain(lengths()).collect()
 }
 
-const LENGTHS: &[(&str, u64)] =
-    named![MAX_JOINTS, MAX_CONTACTS, MAX_BODIES, MAX_TENDONS, ARM_JOINTS, MAX_CONTROLLERS,];
+const LENGTHS: &[(&str, u64)] = named![
+    MAX_JOINTS,
+    MAX_CONTACTS,
+    MAX_BODIES,
+    MAX_TENDONS,
+    ARM_JOINTS,
+    MAX_CONTROLLERS,
+    MAX_SENSORS,
+    MAX_SENSOR_VALUES,
+];
 
 /// Limits of command values.
 pub(super) const LIMITS: &[(&str, f64)] = &[

@@ -26,13 +26,14 @@ from ._view import ArrayField, ElementsField, View, field, nested
 ";
 
 /// Arrays of which a message uses only the beginning, and the field that says how much: message, array, count.
-const COUNTS: [(&str, &str, &str); 9] = [
+const COUNTS: [(&str, &str, &str); 10] = [
     ("State", "joint_position_rad", "joint_count"),
     ("State", "joint_velocity_rad_per_s", "joint_count"),
     ("State", "t_world_link", "joint_count"),
     ("State", "tendon_tension_n", "tendon_count"),
     ("State", "tendon_displacement_m", "tendon_count"),
     ("State", "contacts", "contact_count"),
+    ("SensorReading", "value", "value_count"),
     ("State", "t_world_body", "body_count"),
     ("State", "applied", "controller_count"),
     ("Latched", "commands", "controller_count"),

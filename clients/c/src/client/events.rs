@@ -1,6 +1,6 @@
-//! Events, remarks and removed voxels.
+//! Events, remarks, removed voxels and readings of sensors.
 
-use ipc_types::messages::{Event, EventCode, Participant, Removed, Severity, Tick};
+use ipc_types::messages::{Event, EventCode, Participant, Removed, SensorReading, Severity, Tick};
 use ipc_types::ports::{Received, Subscriber};
 use ipc_types::process::EventSender;
 use ipc_types::services;
@@ -63,6 +63,21 @@ impl Client {
         while let Some(removal) = self.removed.as_ref().map_or(Ok(None), Subscriber::receive)? {
             if put(&mut self.removal, removal) {
                 return Ok(self.removal.as_ref());
+            }
+        }
+        Ok(None)
+    }
+
+    /// The oldest reading of any sensor not yet taken, if the scene has sensors. Readings are queued from the connection on, at most 1024;
+    /// those that arrive with a state are there when the state is. The reading stays in shared memory until the next one is returned.
+    ///
+    /// # Errors
+    /// [`ClientError::Forked`]; the transport's.
+    pub fn next_reading(&mut self) -> Result<Option<&SensorReading>, ClientError> {
+        self.check_process()?;
+        while let Some(reading) = self.readings.as_ref().map_or(Ok(None), Subscriber::receive)? {
+            if put(&mut self.reading, reading) {
+                return Ok(self.reading.as_ref().map(Received::message));
             }
         }
         Ok(None)

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use ipc_types::layout::Message;
 use ipc_types::messages::{
-    Command, DrrReply, DrrRequest, Event, Frame, Phase, Removed, RunStatus, State, Volume,
+    Command, DrrReply, DrrRequest, Event, Frame, Phase, Removed, RunStatus, SensorReading, State, Volume,
 };
 use ipc_types::own::Own;
 use ipc_types::ports::{Publisher, Received, Subscriber};
@@ -66,6 +66,9 @@ pub struct Client {
     remarks: Option<EventSender>,
     removed: Option<Subscriber<Removed>>,
     pub(crate) removal: Option<Received<Removed>>,
+    /// None without sensors.
+    readings: Option<Subscriber<SensorReading>>,
+    pub(crate) reading: Option<Received<SensorReading>>,
     pub(crate) frames: Option<Subscriber<Frame>>,
     pub(crate) frame: Option<Received<Frame>>,
     pub(crate) requests: Option<Requests>,
@@ -147,6 +150,10 @@ impl Client {
             remarks: None,
             removed: None,
             removal: None,
+            readings: (!scene.sensor.is_empty())
+                .then(|| session.subscriber(&services::SENSOR))
+                .transpose()?,
+            reading: None,
             frames: None,
             frame: None,
             requests: None,
@@ -385,6 +392,7 @@ impl Client {
             _state: self.state.map(|state| (state, self.states)),
             _event: self.event.zip(self.events),
             _removal: self.removal.zip(self.removed),
+            _reading: self.reading.zip(self.readings),
             _frame: self.frame.zip(self.frames),
             _volume: self.volume.zip(self.volumes),
             _command: self.command,
@@ -398,6 +406,7 @@ pub(crate) struct Kept {
     _state: Option<(Received<State>, Subscriber<State>)>,
     _event: Option<(Received<Event>, Subscriber<Event>)>,
     _removal: Option<(Received<Removed>, Subscriber<Removed>)>,
+    _reading: Option<(Received<SensorReading>, Subscriber<SensorReading>)>,
     _frame: Option<(Received<Frame>, Subscriber<Frame>)>,
     _volume: Option<(Received<Volume>, Subscriber<Volume>)>,
     _command: Box<Command>,

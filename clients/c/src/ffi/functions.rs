@@ -3,7 +3,7 @@
 use std::ffi::{CStr, CString, c_char};
 use std::sync::OnceLock;
 
-use ipc_types::messages::{Command, Pose, RunControlReply, RunStatus, State};
+use ipc_types::messages::{Command, Pose, RunControlReply, RunStatus, SensorReading, State};
 
 use super::outcome::{self, Failure, outcome};
 use super::views::{EventPointers, FramePointers, RemovedPointers, SessionInfo, VolumePointers};
@@ -343,6 +343,21 @@ functions! {
             })?;
             // SAFETY: not null; the caller promises that it can be written.
             unsafe { put(view, "view", pointers) }
+        })
+    }
+
+    /// The oldest unread reading of any sensor of the scene; TRB_TIMEOUT if there is none. Readings are queued from trb_connect
+    /// on, at most 1024; those that arrive with a state are there when the state is. `*reading` points into shared memory and
+    /// stays valid and unchanged until this client's next call of trb_next_reading that returns TRB_OK, or trb_disconnect.
+    fn trb_next_reading(client: u64, reading: *mut *const SensorReading) -> i32 {
+        outcome(|| {
+            check_null(reading, "reading")?;
+            let oldest = table::with(client, |open| {
+                let oldest = open.client.next_reading()?;
+                oldest.map(core::ptr::from_ref).ok_or(ClientError::TimedOut(core::time::Duration::ZERO))
+            })?;
+            // SAFETY: not null; the caller promises that it can be written.
+            unsafe { put(reading, "reading", oldest) }
         })
     }
 }

@@ -112,6 +112,12 @@ impl Sim {
         self.with(py, |sim| Ok(sim.refusals().to_vec()))
     }
 
+    /// The readings' bytes, one after the other.
+    fn readings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let readings = self.with(py, |sim| Ok(sim.readings()))?;
+        Ok(PyBytes::new(py, readings.as_bytes()))
+    }
+
     /// Indices of the drilled voxels, as bytes of uint32.
     fn drilled<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         let drilled = self.with(py, |sim| Ok(sim.drilled().to_vec()))?;

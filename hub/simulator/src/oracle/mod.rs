@@ -5,7 +5,7 @@ use hub::rate_limit::Connection;
 use hub::{Incoming, Note, Report, Start};
 use messages::{
     ControlAction, ControlStatus, ControllerIndex, EventCode, Keyframe, Latched, Part, Phase, Plant, Removed,
-    RunControl, RunControlReply, RunStatus, Severity, State, TickTiming,
+    RunControl, RunControlReply, RunStatus, SensorReading, Severity, State, TickTiming,
 };
 use scene::{Drives, Mode};
 
@@ -53,6 +53,7 @@ pub struct Oracle {
     latched: Option<bool>,
     removed_messages: u64,
     removed_in_tick: Option<usize>,
+    readings_in_tick: usize,
     /// Events that say a capacity was reached.
     capacity_notes: u32,
     keyframe_parts: u64,
@@ -112,6 +113,7 @@ impl Oracle {
             removed_messages: 0,
             removed_in_tick: None,
             capacity_notes: 0,
+            readings_in_tick: 0,
             keyframe_parts: 0,
             keyframe_of_tick: false,
             controllers: drives.iter().map(|_| Slot::default()).collect(),
@@ -302,6 +304,14 @@ impl Oracle {
         expect!(self, right, format!("{removed:?} is not what the tick removed"));
     }
 
+    /// The hub publishes a reading.
+    pub fn reading(&mut self, reading: &SensorReading) {
+        let right =
+            self.latched.is_some() && self.shadow.readings().get(self.readings_in_tick) == Some(reading);
+        expect!(self, right, format!("reading {} out of its place", reading.sequence));
+        self.readings_in_tick += 1;
+    }
+
     /// The hub publishes x_k.
     pub fn state(&mut self, state: &State, now_ns: u64) {
         if !self.shown {
@@ -325,6 +335,8 @@ impl Oracle {
         // The plant lacks memory in two ticks of one second: the first is told.
         let told = u32::from(self.tick > UNCUT_TICKS[0] && self.shown);
         expect!(self, self.capacity_notes == told, format!("{} notes of a capacity", self.capacity_notes));
+        let (sent, due) = (std::mem::take(&mut self.readings_in_tick), self.shadow.readings().len());
+        expect!(self, sent == due, format!("tick {}: {sent} readings published, expected {due}", self.tick));
         let expected = self.shadow.state();
         let right = state.tick == self.tick && state.hash == expected.hash && state.tick == expected.tick;
         expect!(self, right, format!("x_{} is not what a replay of the log comes to", state.tick));

@@ -2,8 +2,8 @@
 
 use hub::{Blame, Environment, Incoming, Note, Outputs, Report, Start};
 use messages::{
-    Command, ControllerIndex, Keyframe, Latched, Removed, RunControl, RunControlReply, RunStatus, State,
-    TickTiming,
+    Command, ControllerIndex, Keyframe, Latched, Removed, RunControl, RunControlReply, RunStatus,
+    SensorReading, State, TickTiming,
 };
 
 use super::{Event, Viewer, World};
@@ -30,6 +30,14 @@ impl Outputs for World {
         }
         if let Some(recording) = &mut self.recording {
             recording.removed(removed, voxels);
+        }
+        Ok(())
+    }
+
+    fn send_reading(&mut self, reading: &SensorReading) -> Result<(), String> {
+        self.oracle.reading(reading);
+        if let Some(recording) = &mut self.recording {
+            recording.reading(reading);
         }
         Ok(())
     }

@@ -59,8 +59,9 @@ impl Voxels {
         let capsule = Capsule { from, along, per_length2, radius_m };
         let (middle, spacing) = (from + along * 0.5, self.geometry.spacing_m);
         // A corner of a voxel that is cut may lie a little outside of the hole.
-        let reach_m = 0.5 * length + radius_m + spacing.into_iter().fold(0.0, f64::max);
-        let Some(around) = self.occupancy.voxels_around(middle.into(), reach_m, spacing) else {
+        let edge_m = radius_m + spacing.into_iter().fold(0.0, f64::max);
+        let reach_m = [0, 1, 2].map(|axis| 0.5 * along[axis].abs() + edge_m);
+        let Some(around) = self.occupancy.voxels_in_box(middle.into(), reach_m, spacing) else {
             return Vec::new();
         };
         let whole_voxels =

@@ -1,0 +1,47 @@
+//! A built-in controller that sees what sensors measure, not the exact state.
+
+use messages::{Command, Frame, SensorReading, State};
+use scene::Scene;
+use sensors::MeasuredState;
+
+use crate::reset::ResetWatch;
+use crate::{BuiltIn, Controller};
+
+/// Gives a controller the measured state. Until each of its sensors has measured, it asks for nothing.
+#[derive(Debug, Clone)]
+pub struct MeasuringController {
+    inner: BuiltIn,
+    measured: MeasuredState,
+    reset: ResetWatch,
+}
+
+impl MeasuringController {
+    /// A controller with the sensors of these names.
+    pub fn new(inner: BuiltIn, scene: &Scene, sensors: &[String]) -> MeasuringController {
+        let measured = MeasuredState::new(scene, sensors);
+        MeasuringController { inner, measured, reset: ResetWatch::default() }
+    }
+}
+
+impl Controller for MeasuringController {
+    fn step(&mut self, state: &State, command: &mut Command) {
+        if self.reset.was_reset(state) {
+            self.measured.forget_before(state.tick);
+        }
+        if self.measured.is_complete() {
+            self.inner.step(&self.measured.of(state), command);
+        }
+    }
+
+    fn frame(&mut self, frame: &Frame, pixels: &[u16]) {
+        self.inner.frame(frame, pixels);
+    }
+
+    fn reading(&mut self, reading: &SensorReading) {
+        self.measured.see(reading);
+    }
+
+    fn remark(&mut self) -> Option<String> {
+        self.inner.remark()
+    }
+}

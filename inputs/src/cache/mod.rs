@@ -1,0 +1,266 @@
+//! Volumes that take long to make or to decode, kept in the user's cache folder for the next command that needs them.
+//!
+//! The folder is `trabecula` in `$XDG_CACHE_HOME`, or in `$HOME/.cache`. It is used only if it belongs to this user and is closed to others
+//! (mode 700), and each of its files ([`mod@entry`]) only after a check of all that it holds: a damaged one is said, removed and made anew.
+//! A file has a name only when it is whole and on the disk, so nobody sees half of one. Without such a folder, on a full disk, or in a folder
+//! that cannot be written, everything works as it would without a cache.
+//!
+//! **Invariant:** a volume from the cache is to the bit the one that would be made: its name is a hash of all that it is made of
+//! ([`mod@key`]), this build included.
+
+pub mod entry;
+pub mod key;
+
+use std::fs::{DirBuilder, File};
+use std::io;
+use std::os::fd::OwnedFd;
+use std::os::unix::fs::DirBuilderExt;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant, SystemTime};
+
+use ipc_types::session::{Unfit, open_private};
+use rustix::fs::{AtFlags, CWD, Dir, FileType, Mode, OFlags, Stat, Timespec, Timestamps, UTIME_NOW};
+use rustix::io::Errno;
+use volume_io::{Volume, VolumeError, volume_hash};
+
+use entry::{Damage, Kept};
+use key::Key;
+
+/// Most bytes that the folder holds; beyond, the volumes that were unused for the longest time are removed.
+pub const LIMIT_BYTES: u64 = 2 << 30;
+/// What is made faster than this is not kept: to read and to check it would take as long.
+const WORTH_KEEPING: Duration = Duration::from_millis(100);
+/// End of the name of every file in the folder.
+const ENDING: &str = ".volume";
+
+/// A volume, made or kept.
+#[derive(Debug)]
+pub struct Made {
+    /// Voxels and geometry.
+    pub volume: Volume,
+    /// Its hash.
+    pub sha256: [u8; 32],
+    /// What its reader assumed or changed, and what was wrong with the cache.
+    pub notes: Vec<String>,
+}
+
+impl Made {
+    /// With a note about the cache, which is not kept with the volume.
+    fn with_note(mut self, note: Option<String>) -> Made {
+        self.notes.extend(note);
+        self
+    }
+}
+
+/// The cache folder of this user, by the environment; none without a home.
+pub fn place() -> Option<PathBuf> {
+    let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+    // A relative path is to be ignored (XDG Base Directory Specification 0.8).
+    let above = absolute("XDG_CACHE_HOME").or_else(|| Some(absolute("HOME")?.join(".cache")));
+    above.map(|above| above.components().collect::<PathBuf>().join("trabecula"))
+}
+
+/// The volume of this key: from the cache, or made and then kept.
+///
+/// # Errors
+/// What `make` fails with. Whatever is wrong with the cache is none.
+pub fn through(
+    key: &Key,
+    make: impl FnOnce() -> Result<(Volume, Vec<String>), VolumeError>,
+) -> Result<Made, VolumeError> {
+    let opened = place().map(|path| Cache::open(&path).map_err(|cause| (path, cause)));
+    match opened {
+        Some(Ok(cache)) => through_folder(&cache, key, make),
+        Some(Err((path, cause))) => {
+            let is_to_say = !matches!(cause, Unfit::System(_) | Unfit::Missing);
+            let note = is_to_say.then(|| format!("{}: not used as a cache: {cause}", path.display()));
+            Ok(fresh(make)?.with_note(note))
+        }
+        None => fresh(make),
+    }
+}
+
+/// A volume that is made, without the cache.
+///
+/// # Errors
+/// What `make` fails with.
+pub fn fresh(make: impl FnOnce() -> Result<(Volume, Vec<String>), VolumeError>) -> Result<Made, VolumeError> {
+    let (volume, notes) = make()?;
+    Ok(Made { sha256: volume_hash(&volume), volume, notes })
+}
+
+fn through_folder(
+    cache: &Cache,
+    key: &Key,
+    make: impl FnOnce() -> Result<(Volume, Vec<String>), VolumeError>,
+) -> Result<Made, VolumeError> {
+    let note = match cache.find(key) {
+        Ok(Some(made)) => return Ok(made),
+        Ok(None) => None,
+        Err(damage) => {
+            cache.remove(&key.name());
+            Some(format!("{}: {damage}; it is made anew", cache.file(key).display()))
+        }
+    };
+    let began = Instant::now();
+    let made = fresh(make)?;
+    if began.elapsed() >= WORTH_KEEPING && key.is_current() {
+        // A cache that cannot be written costs time only.
+        let _ = cache.keep(key, &made);
+    }
+    Ok(made.with_note(note))
+}
+
+/// The cache folder, open.
+#[derive(Debug)]
+pub struct Cache {
+    path: PathBuf,
+    folder: OwnedFd,
+    limit_bytes: u64,
+}
+
+/// A file of the cache.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CachedFile {
+    /// Its name in the folder.
+    pub name: String,
+    /// Its length.
+    pub bytes: u64,
+    /// When it was last used.
+    pub used: SystemTime,
+}
+
+impl Cache {
+    /// Opens the folder; creates it and those above if they are missing.
+    ///
+    /// # Errors
+    /// Why it cannot be used.
+    pub fn open(path: &Path) -> Result<Cache, Unfit> {
+        let folder = match open_private(CWD, path) {
+            Err(Unfit::Missing) => {
+                let made = DirBuilder::new().recursive(true).mode(0o700).create(path);
+                made.map_err(|cause| Unfit::System(Errno::from_io_error(&cause).unwrap_or(Errno::IO)))?;
+                open_private(CWD, path)?
+            }
+            other => other?,
+        };
+        Ok(Cache { path: path.to_owned(), folder, limit_bytes: LIMIT_BYTES })
+    }
+
+    /// Opens the folder if it is there; creates nothing.
+    ///
+    /// # Errors
+    /// Why it cannot be used.
+    pub fn open_existing(path: &Path) -> Result<Cache, Unfit> {
+        Ok(Cache { path: path.to_owned(), folder: open_private(CWD, path)?, limit_bytes: LIMIT_BYTES })
+    }
+
+    fn file(&self, key: &Key) -> PathBuf {
+        self.path.join(key.name())
+    }
+
+    /// The volume of a key, checked; none if there is none.
+    ///
+    /// # Errors
+    /// What is wrong with the file.
+    pub fn find(&self, key: &Key) -> Result<Option<Made>, Damage> {
+        // Neither follows a link nor waits for the writer of a pipe.
+        let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
+        let file = match rustix::fs::openat(&self.folder, key.name(), flags, Mode::empty()) {
+            Ok(file) => File::from(file),
+            Err(Errno::NOENT) => return Ok(None),
+            Err(Errno::LOOP | Errno::NXIO) => return Err(Damage::NotAFile),
+            Err(cause) => return Err(Damage::Read(cause.into())),
+        };
+        let stat = rustix::fs::fstat(&file).map_err(|cause| Damage::Read(cause.into()))?;
+        if !is_own_file(&stat) {
+            return Err(Damage::NotAFile);
+        }
+        let made = entry::read(&file, u64::try_from(stat.st_size).unwrap_or(0), key)?;
+        // Used now; one that cannot be marked is removed earlier than it need be.
+        let now = Timespec { tv_sec: 0, tv_nsec: UTIME_NOW };
+        let _ = rustix::fs::futimens(&file, &Timestamps { last_access: now, last_modification: now });
+        Ok(Some(made))
+    }
+
+    /// Keeps a volume; removes others if the folder would become too large.
+    ///
+    /// # Errors
+    /// The system's. Then the folder holds what it held before, less what was removed.
+    pub fn keep(&self, key: &Key, made: &Made) -> io::Result<()> {
+        let kept = Kept::of(key, made)?;
+        let bytes = kept.bytes();
+        if bytes > self.limit_bytes {
+            return Err(io::ErrorKind::FileTooLarge.into());
+        }
+        // As much again stays free: a cache is no reason for a full disk.
+        let disk = rustix::fs::fstatvfs(&self.folder)?;
+        if disk.f_blocks > 0 && disk.f_bavail.saturating_mul(disk.f_frsize) < 2 * bytes {
+            return Err(io::ErrorKind::StorageFull.into());
+        }
+        self.make_room(bytes);
+        let path = self.file(key);
+        let mut file = output_file::OutputFile::create(&path).map_err(io::Error::other)?;
+        kept.write(&mut file)?;
+        // A run that began at the same time may have been faster; its file is the same.
+        file.keep().map_err(io::Error::other)
+    }
+
+    fn make_room(&self, bytes: u64) {
+        let mut files = self.files();
+        files.sort_by(|a, b| (a.used, &a.name).cmp(&(b.used, &b.name)));
+        let mut total: u64 = files.iter().map(|file| file.bytes).sum();
+        for file in files {
+            if total + bytes <= self.limit_bytes {
+                break;
+            }
+            self.remove(&file.name);
+            total -= file.bytes;
+        }
+    }
+
+    /// The volumes in the folder, and what killed programs have left of some.
+    pub fn files(&self) -> Vec<CachedFile> {
+        let entries = Dir::read_from(&self.folder).into_iter().flatten().flatten();
+        let names = entries.filter_map(|entry| entry.file_name().to_str().ok().map(str::to_owned));
+        names.filter(|name| is_our_name(name)).filter_map(|name| self.file_of(name)).collect()
+    }
+
+    fn file_of(&self, name: String) -> Option<CachedFile> {
+        let stat = rustix::fs::statat(&self.folder, &name, AtFlags::SYMLINK_NOFOLLOW).ok()?;
+        let used = Duration::from_secs(u64::try_from(stat.st_mtime).unwrap_or(0));
+        is_own_file(&stat).then(|| CachedFile {
+            name,
+            bytes: u64::try_from(stat.st_size).unwrap_or(0),
+            used: SystemTime::UNIX_EPOCH + used,
+        })
+    }
+
+    /// Removes every volume of the cache, and nothing else. Returns how many files and bytes that were.
+    pub fn clear(&self) -> (usize, u64) {
+        let removed: Vec<CachedFile> =
+            self.files().into_iter().filter(|file| self.remove(&file.name)).collect();
+        (removed.len(), removed.iter().map(|file| file.bytes).sum())
+    }
+
+    /// Removes a name; one that is gone already is fine.
+    fn remove(&self, name: &str) -> bool {
+        rustix::fs::unlinkat(&self.folder, name, AtFlags::empty()).is_ok()
+    }
+}
+
+fn is_own_file(stat: &Stat) -> bool {
+    FileType::from_raw_mode(stat.st_mode) == FileType::RegularFile
+        && stat.st_uid == rustix::process::geteuid().as_raw()
+        && stat.st_nlink == 1
+}
+
+/// Whether a name is that of a volume, or of a draft of one.
+fn is_our_name(name: &str) -> bool {
+    let hash = name.strip_suffix(ENDING);
+    hash.is_some_and(|hash| hash.len() == 64 && hash.bytes().all(|byte| byte.is_ascii_hexdigit()))
+        || name.starts_with(output_file::DRAFT_PREFIX)
+}
+
+#[cfg(test)]
+mod tests;

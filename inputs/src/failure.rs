@@ -1,0 +1,93 @@
+//! How a command fails: a message and an exit code.
+
+use std::path::Path;
+
+use ipc_types::process::{EXIT_BAD_INPUT, EXIT_FAILED};
+use output_file::OutputError;
+use run_log::LogError;
+use rustix::io::Errno;
+use volume_io::VolumeError;
+
+/// Why a command did not succeed.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{message}")]
+pub struct Failure {
+    /// What went wrong, where, and what to do.
+    pub message: String,
+    /// Exit code of the process.
+    pub code: u8,
+}
+
+/// Exit code after Ctrl-C, as shells have it: 128 + SIGINT.
+pub const EXIT_INTERRUPTED: u8 = 130;
+
+/// A full or broken disk, or a system limit: no other argument fixes these. Any other system error, such as a missing
+/// file or a denied permission, is bad input.
+fn is_of_the_machine(cause: &std::io::Error) -> bool {
+    let faults = [
+        Errno::NOSPC,
+        Errno::DQUOT,
+        Errno::FBIG,
+        Errno::IO,
+        Errno::NOMEM,
+        Errno::MFILE,
+        Errno::NFILE,
+        Errno::NODEV,
+        Errno::STALE,
+    ];
+    cause.raw_os_error().is_some_and(|code| faults.iter().any(|fault| fault.raw_os_error() == code))
+}
+
+impl From<OutputError> for Failure {
+    fn from(error: OutputError) -> Failure {
+        match &error {
+            OutputError::Write { .. } => Failure::failed(error.to_string()),
+            OutputError::Create { source, .. } if is_of_the_machine(source) => {
+                Failure::failed(error.to_string())
+            }
+            OutputError::Exists { .. } | OutputError::Create { .. } => Failure::bad_input(error),
+        }
+    }
+}
+
+/// Errors that the caller can fix with another argument are bad input; damage and machine faults are not.
+impl From<LogError> for Failure {
+    fn from(error: LogError) -> Failure {
+        match &error {
+            LogError::Create { source, .. } | LogError::Open { source, .. } if is_of_the_machine(source) => {
+                Failure::failed(error.to_string())
+            }
+            _ if error.is_bad_input() => Failure::bad_input(error),
+            _ => Failure::failed(error.to_string()),
+        }
+    }
+}
+
+impl From<VolumeError> for Failure {
+    fn from(error: VolumeError) -> Failure {
+        match error {
+            VolumeError::Output(error) => Failure::from(error),
+            VolumeError::Io { ref source, .. } if is_of_the_machine(source) => {
+                Failure::failed(error.to_string())
+            }
+            other => Failure::bad_input(other),
+        }
+    }
+}
+
+impl Failure {
+    /// An output folder cannot be created.
+    pub fn folder(path: &Path) -> impl FnOnce(std::io::Error) -> Failure + '_ {
+        move |source| OutputError::Create { path: path.to_owned(), source }.into()
+    }
+
+    /// The work failed.
+    pub fn failed(message: impl Into<String>) -> Failure {
+        Failure { message: message.into(), code: EXIT_FAILED }
+    }
+
+    /// The input is bad; nothing was written.
+    pub fn bad_input(message: impl ToString) -> Failure {
+        Failure { message: message.to_string(), code: EXIT_BAD_INPUT }
+    }
+}

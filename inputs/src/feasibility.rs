@@ -1,0 +1,61 @@
+//! Whether a scene makes sense (`simulation::findings`): what cannot work is refused, what is most likely a mistake is said.
+
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+
+use ipc_types::scene::Scene;
+use simulation::{Verdict, findings};
+use volume_io::Volume;
+
+use crate::failure::Failure;
+use crate::volume_source;
+
+/// Checks a scene with its volume; without one, what does not depend on bone. Returns a warning for everything unlikely. `source` names the
+/// scene in messages.
+///
+/// # Errors
+/// Bad input: something in it is impossible; the message names all of it, each on a line.
+pub fn check(
+    scene: &Scene,
+    source: &dyn std::fmt::Display,
+    volume: Option<&(Volume, [u8; 32])>,
+) -> Result<Vec<String>, Failure> {
+    let ct = volume.map(volume_source::ct_view);
+    let found =
+        findings(scene, ct, &is_program).map_err(|cause| Failure::bad_input(format!("{source}: {cause}")))?;
+    let of = |verdict| found.iter().filter(move |finding| finding.verdict == verdict);
+    let refused: Vec<String> =
+        of(Verdict::Impossible).map(|finding| format!("{source}: {finding}")).collect();
+    if !refused.is_empty() {
+        return Err(Failure::bad_input(refused.join("\n")));
+    }
+    if let Some((volume, _)) = volume {
+        refuse_outside(scene, source, volume)?;
+    }
+    Ok(of(Verdict::Unlikely).map(|finding| format!("warning: {source}: {finding}")).collect())
+}
+
+/// Refuses a target beside the volume: nothing is there to drill, and a plan was made in another CT or says the wrong frame.
+fn refuse_outside(scene: &Scene, source: &dyn std::fmt::Display, volume: &Volume) -> Result<(), Failure> {
+    let drillings = scene.controller.iter().filter_map(|controller| controller.curved_drilling.as_ref());
+    let mut targets = drillings.filter_map(|drilling| drilling.target_mm);
+    match targets.find(|target_mm| !volume.holds(target_mm.map(|x| x * 1e-3))) {
+        None => Ok(()),
+        Some([x, y, z]) => Err(Failure::bad_input(format!(
+            "{source}: `controller.curved_drilling.target_mm` is [{x:.1}, {y:.1}, {z:.1}], expected a place within the volume"
+        ))),
+    }
+}
+
+/// Whether a program's name is that of an executable file: a path, or a name in one of the folders of `PATH`.
+pub fn is_program(name: &str) -> bool {
+    if name.contains('/') {
+        return is_executable(Path::new(name));
+    }
+    let folders = std::env::var_os("PATH").unwrap_or_default();
+    std::env::split_paths(&folders).any(|folder| is_executable(&folder.join(name)))
+}
+
+fn is_executable(path: &Path) -> bool {
+    path.metadata().is_ok_and(|found| found.is_file() && found.permissions().mode() & 0o111 != 0)
+}

@@ -1,0 +1,34 @@
+//! Finds the cheapest physics settings whose measured errors meet a scene's tolerance.
+//!
+//! The errors and costs are those of `table.csv`, which `trabecula chart physics` measures and writes again as
+//! `physics-plan.csv`; a test compares a part of it with a fresh measurement.
+
+pub mod check;
+mod choice;
+mod load;
+mod model_error;
+pub mod reference;
+pub mod table;
+
+pub use choice::resolve;
+pub use load::{GENTLE_N, Load, MOST_TENDON_FRICTION, Pull, RAMPED_N};
+pub use model_error::ModelError;
+pub use table::{Row, Settings, write};
+
+use ipc_types::scene::Scene;
+
+use crate::failure::Failure;
+use crate::scenes::SceneSource;
+
+/// The measured table of this build.
+pub const TABLE: &str = include_str!("table.csv");
+
+/// Loads a scene and resolves its tolerance; also returns the choice as text.
+///
+/// # Errors
+/// Bad input: an invalid scene, or a tolerance that no settings meet.
+pub fn load_scene(source: &SceneSource) -> Result<(Scene, Option<String>), Failure> {
+    let mut scene = source.load()?;
+    let choice = resolve(&mut scene, &source.text()?)?;
+    Ok((scene, choice.map(|choice| choice.text())))
+}

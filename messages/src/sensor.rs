@@ -1,0 +1,37 @@
+use super::MAX_SENSOR_VALUES;
+use crate::message;
+
+message! {
+    /// One reading of a sensor that the scene names. Published before the state of the tick at which it arrives, and only in scenes with a
+    /// `[[sensor]]`. What the values are, `kind` says; their order and units are in docs/sensors.md.
+    pub struct SensorReading = "trabecula_msgs/msg/SensorReading" {
+        /// `State.tick` of the state with which the reading arrives.
+        tick: u64,
+        /// `State.tick` of the state that it measures.
+        sample_tick: u64,
+        /// Sequence number of the readings of all sensors: 1, 2, 3 and so on.
+        sequence: u64,
+        /// The sensor, by its place in the scene, from 0.
+        sensor_index: u32,
+        /// 1 fbg, 2 tracker, 3 encoders, 4 load_cell, 5 force_torque.
+        kind: u32,
+        /// 1 if it measured, 0 if the reading dropped out or the tracker does not see its marker; the values are then 0.
+        valid: u32,
+        /// Number of used entries of `value`.
+        value_count: u32,
+        /// What was measured.
+        value: [f64; MAX_SENSOR_VALUES],
+    }
+}
+
+impl SensorReading {
+    /// The used values.
+    pub fn values(&self) -> &[f64] {
+        &self.value[..(self.value_count as usize).min(MAX_SENSOR_VALUES)]
+    }
+
+    /// Whether it measured.
+    pub fn is_valid(&self) -> bool {
+        self.valid == 1
+    }
+}

@@ -1,0 +1,174 @@
+//! Sensors: what measures the simulated tool, instead of the exact state.
+//!
+//! A reading is a function of the states up to its sample, its tick and the seeds of run and sensor: noise, bias, jitter and drop-outs are
+//! counter-based random numbers, drift and the low-pass filter are kept in the state. [`SensorArray::see`] is given every state, in order,
+//! and says which readings arrive with it.
+//!
+//! [`MeasuredState`] is the other end: it puts readings in the place of a state's exact values, for controllers.
+//!
+//! **Boundary:** states in, readings out. It only computes. **Invariants:** readings of a sensor arrive in the order of their samples; at
+//! most [`scene::MAX_READINGS_UNDERWAY`] of them wait; a step allocates nothing.
+//!
+//! ```
+//! use std::path::Path;
+//!
+//! use messages::State;
+//! use scene::Scene;
+//! use sensors::SensorArray;
+//!
+//! let text = r#"
+//! name = "measured"
+//! [run]
+//! mode = "lockstep"
+//! duration_s = 1.0
+//! [tool]
+//! burr_start_mm = [0.0, 0.0, 0.0]
+//! direction = [1.0, 0.0, 0.0]
+//! bend_toward = [0.0, 0.0, 1.0]
+//! [[sensor]]
+//! name = "tension"
+//! rate_hz = 100.0
+//! delay_ms = 5.0
+//! load_cell = { noise_n = 0.0 }
+//! "#;
+//! let scene = Scene::parse(text, Path::new("measured.toml")).unwrap();
+//! let mut sensors = SensorArray::new(&scene);
+//! let mut state = State { tendon_count: 2, tendon_tension_n: [3.0, 0.0, 0.0, 0.0], ..State::zeroed() };
+//! let mut arrived = Vec::new();
+//! for tick in 0..=15 {
+//!     state.tick = tick;
+//!     sensors.see(&state);
+//!     arrived.extend(sensors.readings().iter().map(|reading| (reading.tick, reading.sample_tick, reading.value[0])));
+//! }
+//! assert_eq!(arrived, [(5, 0, 3.0), (15, 10, 3.0)]);
+//! ```
+
+mod device;
+mod fibre;
+mod measure;
+mod measured_state;
+mod timing;
+
+use messages::{SensorReading, State};
+use scene::{MAX_READINGS_UNDERWAY, Scene};
+use serde::{Deserialize, Serialize};
+
+use device::{Device, DeviceState};
+pub use fibre::{Fibre, node_places};
+pub use measured_state::MeasuredState;
+
+/// The sensors of a scene, in its order.
+#[derive(Debug, Clone, Default)]
+pub struct SensorArray {
+    devices: Vec<Device>,
+    clock: Clock,
+    arrived: Vec<SensorReading>,
+}
+
+/// What [`SensorArray`] keeps between ticks.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SensorArrayState {
+    devices: Vec<DeviceState>,
+    clock: Clock,
+}
+
+/// How far the sensors have come.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+struct Clock {
+    /// `State.tick` of the last state seen; none before the first.
+    tick: Option<u64>,
+    /// Readings that arrived before that state.
+    sent: u64,
+}
+
+impl SensorArray {
+    /// The sensors of a scene before its first state; none if the scene names none.
+    pub fn new(scene: &Scene) -> SensorArray {
+        let devices: Vec<Device> = (0..)
+            .zip(&scene.sensor)
+            .map(|(index, sensor)| Device::new(index, sensor, scene.run.seed, scene.dt_s()))
+            .collect();
+        // All that wait may arrive at once, after a long jitter.
+        let most = devices.len() * (MAX_READINGS_UNDERWAY + 2);
+        SensorArray { devices, clock: Clock::default(), arrived: Vec::with_capacity(most) }
+    }
+
+    /// Takes the next state: samples what is due, and lists what arrives.
+    pub fn see(&mut self, state: &State) {
+        let last = self.clock.tick.replace(state.tick);
+        self.clock.sent += self.arrived.len() as u64;
+        for device in &mut self.devices {
+            device.forget_arrived(last);
+            device.see(state);
+        }
+        self.list();
+    }
+
+    /// Lists what arrives with the last state seen.
+    fn list(&mut self) {
+        self.arrived.clear();
+        let Some(tick) = self.clock.tick else { return };
+        for mut reading in self.devices.iter().flat_map(|device| device.arrived(tick)) {
+            reading.sequence = self.clock.sent + self.arrived.len() as u64 + 1;
+            self.arrived.push(reading);
+        }
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.devices.is_empty()
+    }
+
+    /// What arrives with the last state, by sensor.
+    pub fn readings(&self) -> &[SensorReading] {
+        &self.arrived
+    }
+
+    /// What it keeps between ticks.
+    pub fn state(&self) -> SensorArrayState {
+        let devices = self.devices.iter().map(|device| device.state.clone()).collect();
+        SensorArrayState { devices, clock: self.clock }
+    }
+
+    /// What it keeps between ticks, to be written: as [`SensorArray::state`], without a copy.
+    pub fn serialised(&self) -> impl Serialize + '_ {
+        Kept { devices: Borrowed(&self.devices), clock: self.clock }
+    }
+
+    /// Whether a state is of sensors like these.
+    pub fn fits(&self, state: &SensorArrayState) -> bool {
+        self.devices.len() == state.devices.len()
+            && self.devices.iter().zip(&state.devices).all(|(device, state)| device.fits(state))
+    }
+
+    /// Goes on from a state that [`SensorArray::fits`].
+    pub fn restore(&mut self, state: &SensorArrayState) {
+        for (device, saved) in self.devices.iter_mut().zip(&state.devices) {
+            device.state.clone_from(saved);
+        }
+        self.clock = state.clock;
+        self.list();
+    }
+
+    /// Begins anew at the present tick: filters and drift as at the start, nothing underway. Sequence numbers go on.
+    pub fn reset(&mut self) {
+        self.devices.iter_mut().for_each(Device::reset);
+        self.clock.sent += self.arrived.len() as u64;
+        self.arrived.clear();
+    }
+}
+
+/// The same bytes as [`SensorArrayState`].
+#[derive(Serialize)]
+struct Kept<'a> {
+    devices: Borrowed<'a>,
+    clock: Clock,
+}
+
+struct Borrowed<'a>(&'a [Device]);
+
+impl Serialize for Borrowed<'_> {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.0.iter().map(|device| &device.state))
+    }
+}

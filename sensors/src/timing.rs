@@ -1,0 +1,42 @@
+//! When a sensor samples, and when its readings arrive.
+
+use scene::Sensor;
+
+/// A sample is due within this share of a tick: rounding of the rate must not move it to the next.
+const ROUNDING_TICKS: f64 = 1e-6;
+
+/// Rate, delay and jitter of a sensor, in ticks.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Timing {
+    period_ticks: f64,
+    delay_ticks: f64,
+    jitter_ticks: f64,
+}
+
+impl Timing {
+    pub fn new(sensor: &Sensor, dt_s: f64) -> Timing {
+        let ticks = |ms: f64| ms * 1e-3 / dt_s;
+        Timing {
+            period_ticks: 1.0 / (sensor.rate_hz * dt_s),
+            delay_ticks: ticks(sensor.delay_ms),
+            jitter_ticks: ticks(sensor.jitter_ms),
+        }
+    }
+
+    /// Whether a sample is due: sample n at the first tick from n times the period on.
+    pub fn is_due(&self, tick: u64) -> bool {
+        let number = libm::floor((tick as f64 + ROUNDING_TICKS) / self.period_ticks);
+        libm::ceil(number * self.period_ticks - ROUNDING_TICKS) == tick as f64
+    }
+
+    /// Tick at which a sample's reading arrives; `share` of the jitter, from 0 to 1.
+    pub fn arrival(&self, sample_tick: u64, share: f64) -> u64 {
+        let later = libm::round(self.delay_ticks + self.jitter_ticks * share);
+        sample_tick.saturating_add(later as u64)
+    }
+
+    /// Time between two samples, s.
+    pub fn period_s(&self, dt_s: f64) -> f64 {
+        self.period_ticks * dt_s
+    }
+}

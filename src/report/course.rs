@@ -1,0 +1,215 @@
+//! What the states of a run show: where it began, its deepest place and its end, and the largest values on the way.
+
+use ipc_types::messages::{MAX_TENDONS, State};
+use ipc_types::scene::Scene;
+use simulation::manipulator_parameters;
+
+use super::summary::{DrillingSummary, ToolSummary, ratio};
+
+/// The plane in which the tool bends, at the start of the run.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Plane {
+    origin_m: [f64; 3],
+    bend_axis: [f64; 3],
+    insertion_axis: [f64; 3],
+}
+
+impl Plane {
+    /// The plane through the first state's tip, spanned by its base's +x (toward tendon 0) and +z (insertion).
+    pub fn of(state: &State) -> Plane {
+        let q = state.t_world_base.orientation_xyzw;
+        let (bend_axis, insertion_axis) = (rotate(q, [1.0, 0.0, 0.0]), rotate(q, [0.0, 0.0, 1.0]));
+        Plane { origin_m: state.t_world_tip.position_m, bend_axis, insertion_axis }
+    }
+
+    /// Coordinates of a world point along the bend and insertion axes, mm.
+    pub fn project_mm(&self, point_m: [f64; 3]) -> [f64; 2] {
+        let d = [0, 1, 2].map(|i| point_m[i] - self.origin_m[i]);
+        [self.bend_axis, self.insertion_axis].map(|axis| (0..3).map(|i| axis[i] * d[i]).sum::<f64>() * 1e3)
+    }
+}
+
+/// Rotates a vector by a quaternion x y z w: v + 2w (u × v) + 2 u × (u × v).
+fn rotate(q: [f64; 4], v: [f64; 3]) -> [f64; 3] {
+    let cross = |a: [f64; 3], b: [f64; 3]| {
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    };
+    let u = [q[0], q[1], q[2]];
+    let uv = cross(u, v);
+    let uuv = cross(u, uv);
+    [0, 1, 2].map(|i| v[i] + 2.0 * (q[3] * uv[i] + uuv[i]))
+}
+
+/// Distance of two points, m.
+pub fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (0..3).map(|i| (a[i] - b[i]) * (a[i] - b[i])).sum::<f64>().sqrt()
+}
+
+/// Maximum values over a run.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Peaks {
+    /// Tension of any tendon.
+    pub tension_n: f64,
+    /// Normal force of the burr.
+    pub burr_force_n: f64,
+    /// Normal force of any contact.
+    pub contact_force_n: f64,
+    /// Sum of the walls' forces in one tick.
+    pub wall_force_n: f64,
+    /// Force of the tool on the flange.
+    pub flange_force_n: f64,
+    /// How far a flexure was past its stop.
+    pub stop_excess_rad: f64,
+    /// Maximum number of contacts in one tick.
+    pub contacts: u32,
+    /// Ticks with at least one contact.
+    pub ticks_in_contact: u64,
+    /// Farthest place of the tip from where it was at the start.
+    pub tip_travel_m: f64,
+    /// Ticks with at least one flexure at its stop.
+    pub ticks_on_stops: u64,
+}
+
+impl Peaks {
+    /// Adds a state of a run that began at this tip, with a tool whose flexures bend up to `stop_rad`.
+    fn add(&mut self, state: &State, first_tip_m: [f64; 3], stop_rad: f64) {
+        let joints = (state.joint_count as usize).min(state.joint_position_rad.len());
+        let on_stop = state.joint_position_rad[..joints].iter().any(|angle| angle.abs() >= stop_rad);
+        self.ticks_on_stops += u64::from(on_stop);
+        self.tip_travel_m = self.tip_travel_m.max(distance_m(first_tip_m, state.t_world_tip.position_m));
+        // f64::max ignores NaN.
+        let tendons = (state.tendon_count as usize).min(MAX_TENDONS);
+        self.tension_n = state.tendon_tension_n[..tendons].iter().copied().fold(self.tension_n, f64::max);
+        self.burr_force_n = self.burr_force_n.max(state.burr_force_n);
+        self.wall_force_n = self.wall_force_n.max(state.wall_force_n);
+        let [x, y, z] = state.flange_wrench.force_n;
+        self.flange_force_n = self.flange_force_n.max((x * x + y * y + z * z).sqrt());
+        self.stop_excess_rad = self.stop_excess_rad.max(state.stop_excess_rad);
+        let listed = (state.contact_count as usize).min(state.contacts.len());
+        let forces = state.contacts[..listed].iter().map(|contact| contact.normal_force_n);
+        self.contact_force_n = forces.fold(self.contact_force_n, f64::max);
+        self.contacts = self.contacts.max(state.contact_total);
+        self.ticks_in_contact += u64::from(state.contact_total > 0);
+    }
+}
+
+/// The mount deflects by this much under load.
+const SAME_DEPTH_MM: f64 = 0.02;
+
+/// The states of a run, one after the other, of which it keeps what a summary says.
+#[derive(Debug, Clone, Default)]
+pub struct Course {
+    /// Number of states after the initial one.
+    pub ticks: u64,
+    /// The first state.
+    pub first: Option<Box<State>>,
+    /// The last state.
+    pub last: Option<Box<State>>,
+    /// The last state at the deepest insertion, that is, before the tool retracts, if it does.
+    pub deepest: Option<Box<State>>,
+    deepest_mm: f64,
+    /// Maximum values.
+    pub peaks: Peaks,
+    /// Angle at which a flexure of the scene's tool reaches its stop.
+    stop_rad: Option<f64>,
+    /// Target of the burr, world frame.
+    pub target_m: Option<[f64; 3]>,
+    voxel_volume_mm3: Option<f64>,
+}
+
+impl Course {
+    /// Of no state yet, in a scene.
+    pub fn of(scene: &Scene) -> Course {
+        let target_mm = scene.controller.iter().find_map(|c| c.curved_drilling.as_ref()?.target_mm);
+        Course {
+            stop_rad: manipulator_parameters(scene).ok().map(|tool| tool.joint_limit_rad),
+            target_m: target_mm.map(|target_mm| target_mm.map(|x| x * 1e-3)),
+            voxel_volume_mm3: voxel_volume_mm3(scene),
+            ..Course::default()
+        }
+    }
+
+    /// Adds the next state.
+    pub fn add(&mut self, state: &State) {
+        let first = match &self.first {
+            Some(first) => {
+                self.ticks += 1;
+                first
+            }
+            None => self.first.insert(Box::new(*state)),
+        };
+        self.peaks.add(state, first.t_world_tip.position_m, self.stop_rad.unwrap_or(f64::INFINITY));
+        let [_, depth_mm] = Plane::of(first).project_mm(state.t_world_base.position_m);
+        if self.deepest.is_none() || depth_mm >= self.deepest_mm - SAME_DEPTH_MM {
+            self.deepest_mm = if self.deepest.is_none() { depth_mm } else { self.deepest_mm.max(depth_mm) };
+            put(&mut self.deepest, state);
+        }
+        put(&mut self.last, state);
+    }
+
+    /// The tool at the start and end; none without a state.
+    pub fn tool(&self) -> Option<ToolSummary> {
+        let (first, last, deepest) = (self.first.as_ref()?, self.last.as_ref()?, self.deepest.as_ref()?);
+        let burr_m = deepest.t_world_burr.position_m;
+        Some(ToolSummary {
+            tip_start_mm: first.t_world_tip.position_m.map(|x| x * 1e3),
+            tip_deepest_mm: deepest.t_world_tip.position_m.map(|x| x * 1e3),
+            tip_end_mm: last.t_world_tip.position_m.map(|x| x * 1e3),
+            target_error_mm: self.target_m.map(|target_m| distance_m(target_m, burr_m) * 1e3),
+            bend_deg: deepest.bend_rad.to_degrees(),
+            max_tension_n: self.peaks.tension_n,
+        })
+    }
+
+    /// Drilling and contact; none without a state.
+    pub fn drilling(&self) -> Option<DrillingSummary> {
+        let (last, peaks) = (self.last.as_ref()?, &self.peaks);
+        Some(DrillingSummary {
+            removed_voxels: last.removed_total,
+            removed_volume_mm3: self.voxel_volume_mm3.map(|volume| volume * last.removed_total as f64),
+            cutting_energy_j: last.cutting_energy_j,
+            crushing_energy_j: last.crushing_energy_j,
+            max_burr_force_n: peaks.burr_force_n,
+            max_contact_force_n: peaks.contact_force_n,
+            max_wall_force_n: peaks.wall_force_n,
+            max_flange_force_n: peaks.flange_force_n,
+            max_stop_excess_deg: peaks.stop_excess_rad.to_degrees(),
+            max_contacts: peaks.contacts,
+            contact_share: ratio(peaks.ticks_in_contact as f64, self.ticks as f64).unwrap_or(0.0).min(1.0),
+        })
+    }
+}
+
+/// Keeps a copy, in the memory of the one before.
+fn put(kept: &mut Option<Box<State>>, state: &State) {
+    match kept {
+        Some(kept) => **kept = *state,
+        None => *kept = Some(Box::new(*state)),
+    }
+}
+
+/// Volume of a voxel, if the scene states it, as it does for phantoms and for files that are resampled to cubes.
+fn voxel_volume_mm3(scene: &Scene) -> Option<f64> {
+    let volume = scene.volume.as_ref()?;
+    let edge_mm = volume.phantom.map(|_| volume.spacing_mm).or(volume.resample_mm)?;
+    Some(edge_mm * edge_mm * edge_mm)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_plane_follows_the_base() {
+        // A half turn about x + z swaps x and z and negates y: insertion along world +x, bend along world +z.
+        let h = std::f64::consts::FRAC_1_SQRT_2;
+        let mut state = State::zeroed();
+        state.t_world_base.orientation_xyzw = [h, 0.0, h, 0.0];
+        state.t_world_tip.position_m = [0.1, 0.2, 0.3];
+        let [bend_mm, insertion_mm] = Plane::of(&state).project_mm([0.105, 9.0, 0.301]);
+        assert!(
+            (bend_mm - 1.0).abs() < 1e-9 && (insertion_mm - 5.0).abs() < 1e-9,
+            "{bend_mm} {insertion_mm}"
+        );
+    }
+}

@@ -1,0 +1,70 @@
+//! A run of a sweep in this process: the physics, the scene's own controllers, and the X-ray frames that these look at.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use run_log::end::hash_text;
+use sim::{Drive, SharedScene, Sim, SimError};
+
+use super::row::{Ending, Row};
+use crate::report::course::Course;
+
+/// Ticks between two looks at whether the sweep is to end.
+const LOOK_TICKS: u64 = 64;
+
+/// What a run was.
+pub enum Ran {
+    /// It has a row.
+    Ended(Box<Row>),
+    /// The sweep was asked to end.
+    Interrupted,
+}
+
+/// Runs a scene to its end and fills the row in. `recorded` is the folder for its log.
+pub fn run(
+    shared: &Arc<SharedScene>,
+    mut row: Row,
+    recorded: Option<PathBuf>,
+    is_to_end: &dyn Fn() -> bool,
+) -> Ran {
+    let mut course = Course::of(shared.scene());
+    match follow(shared, &mut course, recorded, is_to_end) {
+        Ok(true) => row.outcome = Ending::Completed,
+        Ok(false) => return Ran::Interrupted,
+        Err(error) => {
+            row.outcome = match &error {
+                SimError::Physics { .. } => Ending::SimulationFailed,
+                _ => Ending::Failed,
+            };
+            row.reason = Some(error.to_string());
+        }
+    }
+    row.ticks = course.ticks;
+    row.simulated_s = (course.ticks * shared.scene().dt_ns()) as f64 * 1e-9;
+    row.final_hash = course.last.as_ref().map(|state| hash_text(state.hash));
+    (row.tool, row.drilling) = (course.tool(), course.drilling());
+    Ran::Ended(Box::new(row))
+}
+
+/// Whether the run came to its end.
+fn follow(
+    shared: &Arc<SharedScene>,
+    course: &mut Course,
+    recorded: Option<PathBuf>,
+    is_to_end: &dyn Fn() -> bool,
+) -> Result<bool, SimError> {
+    let mut sim = Sim::new(shared, &Drive::Nothing)?;
+    if let Some(folder) = recorded {
+        sim.record(&folder)?;
+    }
+    course.add(sim.state());
+    for tick in 0..shared.scene().tick_count() {
+        if tick % LOOK_TICKS == 0 && is_to_end() {
+            return Ok(false);
+        }
+        sim.step(&[], 1)?;
+        course.add(sim.state());
+    }
+    sim.close_recording()?;
+    Ok(true)
+}

@@ -1,0 +1,173 @@
+//! What the rows of a sweep say about its parameters.
+
+use serde_json::{Value, json};
+use sweep::{Design, Index, Study, indices, spearman};
+
+use super::row::{Ending, FIGURES, Row};
+use crate::failure::Failure;
+use crate::report::ReportError;
+use crate::report::axis::{Axis, bounds};
+use crate::report::panel::{COLOURS, INK, Panel, Rect};
+use crate::report::shapes::{Anchor, Figure, Point};
+
+/// How a figure depends on each parameter.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sensitivity {
+    /// The figure.
+    pub figure: String,
+    /// Rows with this figure, of all.
+    pub rows: [usize; 2],
+    /// Lowest, mean and highest value.
+    pub range: [f64; 3],
+    /// By parameter: rank correlation; Sobol indices of a Saltelli design.
+    pub parameters: Vec<(String, Option<f64>, Option<Index>)>,
+    /// Samples of a Saltelli design without the figure in one of their rows.
+    pub left_out: usize,
+}
+
+/// Refuses a name that no row has.
+///
+/// # Errors
+/// Bad input: names the figures.
+pub fn check_figure(name: &str) -> Result<(), Failure> {
+    if FIGURES.contains(&name) {
+        return Ok(());
+    }
+    Err(Failure::bad_input(format!(
+        "--of {name}: no figure of a row, expected one of {}",
+        FIGURES.join(", ")
+    )))
+}
+
+/// Of the rows that completed. `None` without any.
+pub fn sensitivity(study: &Study, rows: &[Row], figure: &str) -> Option<Sensitivity> {
+    let of = |row: &Row| row.figure(figure).filter(|_| row.outcome == Ending::Completed);
+    let values: Vec<f64> = rows.iter().filter_map(of).collect();
+    if values.is_empty() {
+        return None;
+    }
+    let fold = |pick: fn(f64, f64) -> f64| values.iter().copied().reduce(pick).unwrap_or(f64::NAN);
+    let range = [fold(f64::min), values.iter().sum::<f64>() / values.len() as f64, fold(f64::max)];
+    let keys = study.keys();
+    let sobol = (study.design == Design::Saltelli).then(|| {
+        let mut results = vec![None; study.count() as usize];
+        rows.iter().for_each(|row| results[row.point as usize] = of(row));
+        indices(&results, keys.len())
+    });
+    let (found, left_out) = sobol.flatten().unwrap_or_default();
+    let parameter = |(place, key): (usize, &&str)| {
+        let pairs: Vec<(f64, f64)> =
+            rows.iter().filter_map(|row| Some((row.parameter(key)?, of(row)?))).collect();
+        ((*key).to_owned(), spearman(&pairs), found.get(place).copied())
+    };
+    Some(Sensitivity {
+        figure: figure.to_owned(),
+        rows: [values.len(), rows.len()],
+        range,
+        parameters: keys.iter().enumerate().map(parameter).collect(),
+        left_out,
+    })
+}
+
+impl Sensitivity {
+    /// For people.
+    pub fn text(&self) -> String {
+        let [low, mean, high] = self.range;
+        let [with, all] = self.rows;
+        let mut lines =
+            vec![format!("{}: {low:.4} to {high:.4}, mean {mean:.4}, of {with} of {all} rows", self.figure)];
+        if self.left_out > 0 {
+            lines.push(format!(
+                "{} samples have a run without it and are left out of the indices",
+                self.left_out
+            ));
+        }
+        let width =
+            self.parameters.iter().map(|(key, ..)| key.len()).max().unwrap_or(0).max("parameter".len());
+        let has_indices = self.parameters.iter().any(|(.., index)| index.is_some());
+        let indices = if has_indices { "  first order        total" } else { "" };
+        lines.push(format!("{:width$}  rank correlation{indices}", "parameter"));
+        for (key, rank, index) in &self.parameters {
+            let rank = rank.map_or("-".to_owned(), |rank| format!("{rank:.3}"));
+            let index = index.map_or(String::new(), |index| {
+                format!(
+                    "  {:6.3} ± {:.3}  {:6.3} ± {:.3}",
+                    index.first_order, index.first_order_interval, index.total, index.total_interval
+                )
+            });
+            lines.push(format!("{key:width$}  {rank:>16}{index}"));
+        }
+        lines.join("\n")
+    }
+
+    /// For programs.
+    pub fn json(&self) -> Value {
+        let parameter = |(key, rank, index): &(String, Option<f64>, Option<Index>)| {
+            let index = index.map(|index| {
+                json!({
+                    "first_order": index.first_order,
+                    "first_order_interval": index.first_order_interval,
+                    "total": index.total,
+                    "total_interval": index.total_interval,
+                })
+            });
+            json!({"key": key, "rank_correlation": rank, "sobol": index})
+        };
+        json!({
+            "figure": self.figure,
+            "rows": {"with": self.rows[0], "all": self.rows[1]},
+            "lowest": self.range[0],
+            "mean": self.range[1],
+            "highest": self.range[2],
+            "samples_left_out": self.left_out,
+            "parameters": self.parameters.iter().map(parameter).collect::<Vec<_>>(),
+        })
+    }
+}
+
+const PANEL_WIDTH: f64 = 360.0;
+const PANEL_HEIGHT: f64 = 300.0;
+const HEAD: f64 = 40.0;
+/// Panels in a row.
+const COLUMNS: usize = 3;
+
+/// A picture: the figure against each parameter that is a number, a disc for each row that completed.
+///
+/// # Errors
+/// The built-in font is refused.
+pub fn draw(study: &Study, rows: &[Row], figure: &str) -> Result<Figure, ReportError> {
+    let of = |row: &Row| row.figure(figure).filter(|_| row.outcome == Ending::Completed);
+    let clouds: Vec<(&str, Vec<Point>)> = study
+        .keys()
+        .into_iter()
+        .map(|key| (key, rows.iter().filter_map(|row| Some((row.parameter(key)?, of(row)?))).collect()))
+        .filter(|(_, points): &(&str, Vec<Point>)| !points.is_empty())
+        .collect();
+    let lines = clouds.len().div_ceil(COLUMNS).max(1);
+    let size = |length: f64| length as u32;
+    let columns = clouds.len().clamp(1, COLUMNS);
+    let mut picture =
+        Figure::new(size(PANEL_WIDTH * columns as f64), size(HEAD + PANEL_HEIGHT * lines as f64))?;
+    let completed = rows.iter().filter(|row| of(row).is_some()).count();
+    picture.text((16.0, 20.0), &format!("{figure}: {completed} runs"), 18.0, INK, Anchor::Left);
+    for (place, (key, points)) in clouds.iter().enumerate() {
+        let (column, line) = ((place % COLUMNS) as f64, (place / COLUMNS) as f64);
+        let area = Rect {
+            x: column * PANEL_WIDTH,
+            y: HEAD + line * PANEL_HEIGHT,
+            width: PANEL_WIDTH,
+            height: PANEL_HEIGHT,
+        };
+        let around = |title: &str, values: Vec<f64>, ticks: usize| {
+            let (low, high) = bounds(values.into_iter()).unwrap_or((0.0, 1.0));
+            let margin = 0.06 * (high - low).max(1e-9);
+            Axis::linear(title, low - margin, high + margin, ticks)
+        };
+        let x = around(key, points.iter().map(|point| point.0).collect(), 4);
+        let y = around(figure, points.iter().map(|point| point.1).collect(), 5);
+        let mut panel = Panel::new(&mut picture, area, "", x, y);
+        points.iter().for_each(|point| panel.disc(*point, 3.0, COLOURS[0]));
+        panel.finish();
+    }
+    Ok(picture)
+}

@@ -1,0 +1,221 @@
+//! Runs the points of a sweep that have no row yet, several at a time.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+
+use ipc_types::process::EXIT_BAD_INPUT;
+use serde_json::Value;
+use sim::{SharedScene, SimError};
+use sweep::{Point, Record};
+
+use super::folder::{Folder, OpenedStudy};
+use super::in_process::{self, Ran};
+use super::launched;
+use super::row::{Ending, Row};
+use crate::failure::Failure;
+
+/// Which points of a study a process runs: all whose number leaves `index` when divided by `of`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Shard {
+    /// Which shard, from 0.
+    pub index: u64,
+    /// How many there are.
+    pub of: u64,
+}
+
+impl Shard {
+    /// Name of its table.
+    pub fn table(self) -> String {
+        format!("shard-{}-of-{}.parquet", self.index, self.of)
+    }
+
+    /// The numbers of its points.
+    pub fn points(self, count: u64) -> impl Iterator<Item = u64> {
+        (self.index..count).step_by(usize::try_from(self.of).unwrap_or(usize::MAX))
+    }
+}
+
+/// What has been done so far.
+#[derive(Debug, Clone, Copy)]
+pub struct Progress {
+    /// Points with a row, of those asked for.
+    pub done: u64,
+    /// Of these, rows of runs that did not complete.
+    pub incomplete: u64,
+    /// Points asked for.
+    pub of: u64,
+    /// Runs made by this process.
+    pub made: u64,
+    /// Since this process began.
+    pub elapsed_s: f64,
+}
+
+/// Which points to run, and how.
+#[derive(Debug, Clone)]
+pub struct Work {
+    /// Numbers of the points.
+    pub points: Vec<u64>,
+    /// Runs at a time.
+    pub jobs: usize,
+}
+
+/// Runs what has no row, and tells of each row. Ends early when `is_to_end` says so; then the runs under way are given up.
+///
+/// # Errors
+/// The study's scene is refused by itself; a row or a log cannot be written.
+pub fn run(
+    study: &OpenedStudy,
+    folder: &Folder,
+    work: &Work,
+    is_to_end: &(dyn Fn() -> bool + Sync),
+    tell: &(dyn Fn(&Row, Progress) + Sync),
+) -> Result<(), Failure> {
+    let began = Instant::now();
+    let mut left = Vec::new();
+    let mut progress =
+        Progress { done: 0, incomplete: 0, of: work.points.len() as u64, made: 0, elapsed_s: 0.0 };
+    for &point in &work.points {
+        match folder.row(point)? {
+            Some(row) => {
+                progress.done += 1;
+                progress.incomplete += u64::from(row.outcome != Ending::Completed);
+            }
+            None => left.push(point),
+        }
+    }
+    let next = AtomicU64::new(0);
+    let first = Mutex::new(None);
+    let progress = Mutex::new(progress);
+    let failure: Mutex<Option<Failure>> = Mutex::new(None);
+    let worker = || -> Result<(), Failure> {
+        let mut volumes = Volumes { own: None, first: &first };
+        loop {
+            let has_failed = failure.lock().unwrap_or_else(PoisonError::into_inner).is_some();
+            let Some(&index) = left.get(next.fetch_add(1, Ordering::Relaxed) as usize) else { return Ok(()) };
+            if has_failed || is_to_end() {
+                return Ok(());
+            }
+            let Ran::Ended(row) = one(study, folder, index, &mut volumes, is_to_end)? else { return Ok(()) };
+            folder.keep(&row)?;
+            let mut progress = progress.lock().unwrap_or_else(PoisonError::into_inner);
+            progress.done += 1;
+            progress.made += 1;
+            progress.incomplete += u64::from(row.outcome != Ending::Completed);
+            progress.elapsed_s = began.elapsed().as_secs_f64();
+            tell(&row, *progress);
+        }
+    };
+    let note = |result: Result<(), Failure>| {
+        if let Err(error) = result {
+            failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+        }
+    };
+    std::thread::scope(|scope| {
+        for _ in 0..work.jobs.min(left.len()) {
+            scope.spawn(|| note(worker()));
+        }
+    });
+    failure.into_inner().unwrap_or_else(PoisonError::into_inner).map_or(Ok(()), Err)
+}
+
+/// A worker's scene whose volume its next one may share. The first of all workers' is shared by all, so that they do not all read it.
+struct Volumes<'a> {
+    own: Option<Arc<SharedScene>>,
+    first: &'a Mutex<Option<Arc<SharedScene>>>,
+}
+
+impl Volumes<'_> {
+    /// The scene of these settings.
+    ///
+    /// # Errors
+    /// The scene or its volume is refused.
+    fn load(&mut self, study: &OpenedStudy, settings: &[String]) -> Result<Arc<SharedScene>, SimError> {
+        let beside = |other: Option<&SharedScene>| {
+            SharedScene::load_beside(other, study.scene.as_deref(), settings, None)
+        };
+        let shared = match &self.own {
+            Some(own) => beside(Some(own))?,
+            None => {
+                let mut first = self.first.lock().unwrap_or_else(PoisonError::into_inner);
+                let shared = beside(first.as_deref())?;
+                first.get_or_insert_with(|| Arc::clone(&shared));
+                shared
+            }
+        };
+        self.own = Some(Arc::clone(&shared));
+        Ok(shared)
+    }
+}
+
+/// Runs a point.
+fn one(
+    study: &OpenedStudy,
+    folder: &Folder,
+    index: u64,
+    volumes: &mut Volumes,
+    is_to_end: &dyn Fn() -> bool,
+) -> Result<Ran, Failure> {
+    let point = study.study.point(index);
+    let mut row = empty_row(study, &point)?;
+    let settings = study.settings(&point);
+    let shared = match volumes.load(study, &settings) {
+        Ok(shared) => shared,
+        Err(SimError::Input(failure)) if failure.code == EXIT_BAD_INPUT => {
+            row.outcome = Ending::Refused;
+            row.reason = Some(failure.message);
+            return Ok(Ran::Ended(Box::new(row)));
+        }
+        Err(other) => return Err(Failure::failed(other.to_string())),
+    };
+    let controllers = &shared.scene().controller;
+    if let Some(external) = controllers.iter().find(|controller| controller.external && !controller.optional)
+    {
+        return Err(Failure::bad_input(format!(
+            "controller `{}` is a program that somebody else starts, which a sweep cannot wait for; give its `command` in the scene",
+            external.name
+        )));
+    }
+    let has_programs = controllers.iter().any(|controller| controller.command.is_some());
+    if has_programs || study.study.record == Record::All {
+        row.log = Some(folder.claim_run(index)?);
+    }
+    let run_folder = row.log.as_ref().map(|run| folder.path().join(run));
+    match run_folder {
+        Some(run_folder) if has_programs => {
+            let mut arguments: Vec<String> =
+                study.scene.iter().map(|scene| scene.display().to_string()).collect();
+            arguments.extend(["--mode".to_owned(), "lockstep".to_owned()]);
+            arguments.extend(settings.into_iter().flat_map(|setting| ["--set".to_owned(), setting]));
+            launched::run(&arguments, row, &run_folder, is_to_end)
+        }
+        run_folder => Ok(in_process::run(&shared, row, run_folder, is_to_end)),
+    }
+}
+
+fn empty_row(study: &OpenedStudy, point: &Point) -> Result<Row, Failure> {
+    let value = |(key, value): &(String, toml::Value)| (key.clone(), json_of(value));
+    Ok(Row {
+        point: point.index,
+        parameters: point.values.iter().map(value).collect(),
+        outcome: Ending::Failed,
+        reason: None,
+        ticks: 0,
+        simulated_s: 0.0,
+        final_hash: None,
+        tool: None,
+        drilling: None,
+        log: None,
+        command: study.command(point)?,
+    })
+}
+
+fn json_of(value: &toml::Value) -> Value {
+    match value {
+        toml::Value::Integer(number) => Value::from(*number),
+        toml::Value::Float(number) => Value::from(*number),
+        toml::Value::Boolean(yes) => Value::from(*yes),
+        toml::Value::String(text) => Value::from(text.clone()),
+        other => Value::from(other.to_string()),
+    }
+}

@@ -1,0 +1,32 @@
+"""Runs the points of a sweep on Dask workers: dask_run.py TRABECULA STUDY FOLDER [SCHEDULER]
+
+SCHEDULER is the address of a scheduler whose workers see the same folder; without it, two workers on this machine.
+Needs `dask` and `distributed` from PyPI.
+"""
+
+import shlex
+import subprocess
+import sys
+
+from dask.distributed import Client, as_completed
+
+
+def run(command):
+    """Makes one run; its row is in the folder afterwards."""
+    return subprocess.run(shlex.split(command), stdin=subprocess.DEVNULL, capture_output=True, text=True).returncode
+
+
+def main(trabecula, study, folder, scheduler=None):
+    listed = subprocess.run([trabecula, "sweep", "list", study, "-o", folder], check=True, capture_output=True, text=True)
+    commands = listed.stdout.splitlines()
+    client = Client(scheduler) if scheduler else Client(n_workers=2, threads_per_worker=1, dashboard_address=None)
+    # A point whose worker is killed is run again: a row is kept only when it is whole.
+    futures = client.map(run, commands, pure=False, retries=3)
+    codes = [future.result() for future in as_completed(futures)]
+    client.close()
+    print(f"{codes.count(0)} of {len(codes)} points run")
+    return 0 if codes.count(0) == len(codes) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

@@ -1,0 +1,53 @@
+//! Why a study is refused.
+
+use std::path::PathBuf;
+
+use foreign_text::{foreign, foreign_line};
+use thiserror::Error;
+
+/// Why a study is refused.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum StudyError {
+    /// Not TOML, an unknown or missing key, or a value of a wrong type.
+    #[error("{}, line {line}: {}", .file.display(), foreign_line(.cause))]
+    Malformed {
+        /// The study's file.
+        file: PathBuf,
+        /// Line, from 1.
+        line: usize,
+        /// What is wrong.
+        cause: String,
+    },
+    /// A value that is not allowed.
+    #[error("{}: `{key}` is {}, expected {expected}", .file.display(), foreign(.given))]
+    Value {
+        /// The study's file.
+        file: PathBuf,
+        /// Key with its path.
+        key: String,
+        /// What was given.
+        given: String,
+        /// What is allowed.
+        expected: String,
+    },
+    /// Keys that contradict each other, or one that the design needs.
+    #[error("{}: `{key}` {}", .file.display(), foreign(.problem))]
+    Contradiction {
+        /// The study's file.
+        file: PathBuf,
+        /// Key with its path.
+        key: String,
+        /// What is wrong and what to do.
+        problem: String,
+    },
+    /// A table of points that is none.
+    #[error("{}, line {line}: {}", .file.display(), foreign_line(.problem))]
+    Table {
+        /// The table's file.
+        file: PathBuf,
+        /// Line, from 1.
+        line: usize,
+        /// What is wrong and what is expected.
+        problem: String,
+    },
+}

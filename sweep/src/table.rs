@@ -1,0 +1,58 @@
+//! Points from a CSV file: the first line names the keys, each further line holds the values of a point, as in TOML.
+
+use std::path::Path;
+
+use toml::Value;
+
+use crate::error::StudyError;
+use crate::study::{MAX_PARAMETERS, MAX_POINTS};
+
+/// Keys and rows.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Table {
+    pub keys: Vec<String>,
+    pub rows: Vec<Vec<Value>>,
+}
+
+impl Table {
+    /// # Errors
+    /// Lines of different length, values that are not TOML, no rows or too many.
+    pub fn parse(text: &str, file: &Path) -> Result<Table, StudyError> {
+        let bad = |line: usize, problem: String| StudyError::Table { file: file.to_owned(), line, problem };
+        let mut lines = (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty());
+        let (first, header) =
+            lines.next().ok_or_else(|| bad(1, "is empty, expected a line of keys".to_owned()))?;
+        let keys: Vec<String> = header.split(',').map(|key| key.trim().to_owned()).collect();
+        if keys.len() > MAX_PARAMETERS {
+            return Err(bad(first, format!("{} keys, allowed are {MAX_PARAMETERS}", keys.len())));
+        }
+        let mut rows = Vec::new();
+        for (number, line) in lines {
+            if rows.len() as u64 == MAX_POINTS {
+                return Err(bad(number, format!("more than {MAX_POINTS} points")));
+            }
+            // TOML's own reader splits at commas outside of texts and lists.
+            let list = format!("row = [{line}]").parse::<toml::Table>();
+            let row = match list.ok().and_then(|mut table| table.remove("row")) {
+                Some(Value::Array(row)) => row,
+                _ => {
+                    return Err(bad(
+                        number,
+                        "is no list of values as in TOML; a text needs quotes, as in \"planar\"".to_owned(),
+                    ));
+                }
+            };
+            if row.len() != keys.len() {
+                return Err(bad(
+                    number,
+                    format!("{} values, the first line names {} keys", row.len(), keys.len()),
+                ));
+            }
+            rows.push(row);
+        }
+        if rows.is_empty() {
+            return Err(bad(first, "names keys, but no point follows".to_owned()));
+        }
+        Ok(Table { keys, rows })
+    }
+}

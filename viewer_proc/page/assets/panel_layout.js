@@ -1,0 +1,90 @@
+// Which panels are shown and how large they are; the browser keeps it.
+
+import { store, stored } from "/assets/kept.js";
+
+const KEPT = "panels";
+/** Panels that can be hidden: id and name. @type {[string, string][]} */
+const PANELS = [["plots", "Plots"], ["timing", "Ticks"], ["x-ray", "X-ray"], ["connected", "Parts"], ["log", "Messages"]];
+/** Handles: id, property of the style sheet, default, least and greatest size in pixels, which coordinate, and which way it grows. */
+const HANDLES = [
+  { id: "plots-handle", property: "--plots-height", size: 214, least: 110, most: 900, key: "clientY", way: -1 },
+  { id: "aside-handle", property: "--aside-width", size: 384, least: 240, most: 1200, key: "clientX", way: -1 },
+];
+const KEY_STEP_PX = 20;
+
+/** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
+const element = (id) => document.getElementById(id);
+
+export class PanelLayout {
+  /** @param {() => void} changed */
+  constructor(changed) {
+    this.changed = changed;
+    const kept = stored(KEPT);
+    /** @type {{hidden: string[], sizes: Record<string, number>}} */
+    this.layout = { hidden: Array.isArray(kept?.hidden) ? kept.hidden : [], sizes: typeof kept?.sizes === "object" && kept.sizes ? kept.sizes : {} };
+    const menu = element("panels-menu");
+    for (const [id, name] of PANELS) {
+      const label = menu.appendChild(document.createElement("label"));
+      const box = label.appendChild(document.createElement("input"));
+      box.type = "checkbox";
+      box.dataset.panel = id;
+      box.addEventListener("change", () => this.#hide(id, !box.checked));
+      label.append(` ${name}`);
+    }
+    HANDLES.forEach((handle) => this.#listen(handle));
+    this.#apply();
+  }
+
+  #hide(id, hidden) {
+    this.layout.hidden = this.layout.hidden.filter((one) => one !== id);
+    if (hidden) this.layout.hidden.push(id);
+    this.#keep();
+  }
+
+  #keep() {
+    store(KEPT, this.layout);
+    this.#apply();
+  }
+
+  #apply() {
+    for (const [id] of PANELS) {
+      const hidden = this.layout.hidden.includes(id);
+      element(id).classList.toggle("put-away", hidden);
+      /** @type {HTMLInputElement} */ (document.querySelector(`input[data-panel="${id}"]`)).checked = !hidden;
+    }
+    for (const { property, least, most } of HANDLES) {
+      const size = this.layout.sizes[property];
+      if (Number.isFinite(size)) document.body.style.setProperty(property, `${Math.min(most, Math.max(least, size))}px`);
+      else document.body.style.removeProperty(property);
+    }
+    document.body.classList.toggle("no-plots", this.layout.hidden.includes("plots"));
+    this.changed();
+  }
+
+  #listen({ id, property, size, least, most, key, way }) {
+    const handle = element(id);
+    const now = () => this.layout.sizes[property] ?? (parseFloat(getComputedStyle(document.body).getPropertyValue(property)) || size);
+    const set = (value) => ((this.layout.sizes[property] = Math.min(most, Math.max(least, Math.round(value)))), this.#keep());
+    let pressed;
+    handle.addEventListener("pointerdown", (event) => {
+      pressed = { at: event[key], size: now() };
+      handle.setPointerCapture(event.pointerId);
+    });
+    handle.addEventListener("pointermove", (event) => pressed && set(pressed.size + way * (event[key] - pressed.at)));
+    for (const end of ["pointerup", "pointercancel"]) handle.addEventListener(end, () => (pressed = undefined));
+    handle.addEventListener("keydown", (event) => {
+      const steps = { ArrowUp: 1, ArrowLeft: 1, ArrowDown: -1, ArrowRight: -1 }[event.key];
+      if (!steps) return;
+      event.preventDefault();
+      event.stopPropagation();
+      set(now() + steps * KEY_STEP_PX);
+    });
+  }
+
+  /** All panels, in their first size. */
+  restore() {
+    this.layout = { hidden: [], sizes: {} };
+    store(KEPT, undefined);
+    this.#apply();
+  }
+}

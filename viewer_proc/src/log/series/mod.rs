@@ -1,0 +1,360 @@
+//! Fields of a log over time, for plots: what has been read of the log, and what a request gets of it.
+//!
+//! A background thread ([`super::background`]) reads the log once and fills [`Bins`]. A picture of any span then costs no reading, except a
+//! short span of a long log, whose bins are coarser than its ticks: that is read from the file.
+
+pub mod bins;
+
+mod place;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Mutex;
+
+use run_log::topics;
+use serde::{Deserialize, Serialize};
+
+use super::file::LogFile;
+use crate::board::lock;
+use bins::{Bins, Columns, MOST_BINS};
+pub(super) use place::FieldPlace;
+
+/// Most fields kept of one log: 128 MiB.
+pub const MOST_FIELDS: usize = 32;
+/// What the page plots at first, so that the first pass over a log reads it already.
+const FIRST: [(&str, &str); 6] = [
+    ("/state", "tendon_tension_n[0]"),
+    ("/state", "tendon_tension_n[1]"),
+    ("/state", "bend_rad"),
+    ("/state", "burr_force_n"),
+    ("/state", "burr_speed_rad_per_s"),
+    ("/timing/tick", "step_ns"),
+];
+/// Most columns of a request.
+const MOST_COLUMNS: u32 = 8192;
+/// Most ticks read from the file for one request: 64 MB of states.
+const MOST_TICKS_READ: u64 = 1 << 14;
+/// How long after its tick a message of the timing lane may have been recorded.
+const MOST_LATE_NS: u64 = 100_000_000;
+/// Most misses kept, with their causes: 16 MiB. The others are only counted.
+const MOST_MISSES: usize = 1 << 20;
+
+/// A `/series` request: fields of a log over a span of time.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct SeriesRequest {
+    /// The fields.
+    pub fields: Vec<FieldName>,
+    /// Begin of the span, ns of simulated time.
+    pub from_ns: u64,
+    /// Its end, ns.
+    pub to_ns: u64,
+    /// Number of columns to divide it into.
+    pub columns: u32,
+    /// Whether the second log is meant.
+    #[serde(default)]
+    pub second: bool,
+}
+
+/// A scalar field of a topic's messages.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct FieldName {
+    /// Topic.
+    pub topic: String,
+    /// Path of the field, such as `t_world_burr.position_m[2]`.
+    pub field: String,
+}
+
+/// One of a log's two files.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Lane {
+    /// `run.mcap`.
+    Run,
+    /// `timing.mcap`.
+    Timing,
+}
+
+impl Lane {
+    fn of(topic: &str) -> Lane {
+        if topics::RUN.iter().any(|known| known.name() == topic) { Lane::Run } else { Lane::Timing }
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Progress {
+    Waiting,
+    Reading,
+    Read,
+}
+
+#[derive(Debug)]
+struct Series {
+    place: FieldPlace,
+    bins: Bins,
+    progress: Progress,
+    /// Number of the last request for it.
+    used: u64,
+}
+
+#[derive(Debug, Default)]
+struct Found {
+    series: BTreeMap<FieldName, Series>,
+    /// Time and letter of the cause, in the order of the log.
+    misses: Vec<(u64, char)>,
+    missed: u64,
+    /// Share of the log that has been read, while it is being read.
+    reading: Option<f64>,
+    requests: u64,
+}
+
+/// What has been read of a log so far. Shared by the thread that reads it and by those that answer.
+#[derive(Debug)]
+pub(super) struct LogSeries {
+    begin_ns: u64,
+    end_ns: u64,
+    dt_ns: u64,
+    found: Mutex<Found>,
+}
+
+/// Where misses lie in a span of time.
+#[derive(Debug, Default, Serialize)]
+struct Misses {
+    /// Columns with one.
+    at: Vec<u32>,
+    /// The letter of the first one's cause in each.
+    letters: String,
+    /// Number of misses in each.
+    count: Vec<u64>,
+}
+
+#[derive(Debug, Serialize)]
+struct Answer {
+    ok: bool,
+    from_ns: u64,
+    to_ns: u64,
+    columns: u32,
+    /// Share of the log that has been read, or none if all of what was asked for has been.
+    reading: Option<f64>,
+    series: Vec<Columns>,
+    misses: Misses,
+}
+
+impl LogSeries {
+    /// Nothing read yet of a log with these bounds.
+    pub(super) fn new((begin_ns, end_ns): (u64, u64), dt_ns: u64) -> LogSeries {
+        let found = Mutex::default();
+        let series = LogSeries { begin_ns, end_ns: end_ns.max(begin_ns), dt_ns: dt_ns.max(1), found };
+        for (topic, field) in FIRST {
+            // A field that a later version lacks is only not read in advance.
+            let _ = series.want(&FieldName { topic: topic.to_owned(), field: field.to_owned() });
+        }
+        series
+    }
+
+    /// First and last simulated time, ns.
+    pub(super) fn bounds_ns(&self) -> (u64, u64) {
+        (self.begin_ns, self.end_ns)
+    }
+
+    fn bins(&self) -> Bins {
+        Bins::new(self.begin_ns, self.end_ns, self.dt_ns, MOST_BINS)
+    }
+
+    /// Keeps a field from now on; the one that nobody has asked for the longest makes room.
+    ///
+    /// # Errors
+    /// There is no such field.
+    pub(super) fn want(&self, name: &FieldName) -> Result<(), String> {
+        let mut found = lock(&self.found);
+        found.requests += 1;
+        let used = found.requests;
+        if let Some(series) = found.series.get_mut(name) {
+            series.used = used;
+            return Ok(());
+        }
+        let place = FieldPlace::of(name)?;
+        while found.series.len() >= MOST_FIELDS {
+            let oldest = found.series.iter().min_by_key(|(_, series)| series.used);
+            let Some(oldest) = oldest.map(|(name, _)| name.clone()) else { break };
+            found.series.remove(&oldest);
+        }
+        let series = Series { place, bins: self.bins(), progress: Progress::Waiting, used };
+        found.series.insert(name.clone(), series);
+        Ok(())
+    }
+
+    /// Begins a pass over a file: the topics of the fields that wait for it.
+    pub(super) fn begin(&self, lane: Lane) -> BTreeSet<String> {
+        let mut found = lock(&self.found);
+        let waiting = found
+            .series
+            .iter_mut()
+            .filter(|(name, series)| series.progress == Progress::Waiting && Lane::of(&name.topic) == lane);
+        let topics = waiting.map(|(name, series)| {
+            series.progress = Progress::Reading;
+            name.topic.clone()
+        });
+        topics.collect()
+    }
+
+    /// Adds a message of the pass.
+    pub(super) fn add(&self, topic: &str, log_time_ns: u64, body: &[u8]) {
+        let mut found = lock(&self.found);
+        let reading = found
+            .series
+            .iter_mut()
+            .filter(|(name, series)| series.progress == Progress::Reading && name.topic == topic);
+        for (_, series) in reading {
+            if let Some(value) = series.place.read(body) {
+                series.bins.add(series.place.time_ns(body, log_time_ns, self.dt_ns), value);
+            }
+        }
+    }
+
+    /// Adds a late tick with the letter of its cause.
+    pub(super) fn add_miss(&self, time_ns: u64, letter: char) {
+        let mut found = lock(&self.found);
+        found.missed += 1;
+        if found.misses.len() < MOST_MISSES {
+            found.misses.push((time_ns, letter));
+        }
+    }
+
+    /// How much of the log has been read; `None` at the end of a pass.
+    pub(super) fn set_reading(&self, share: Option<f64>) {
+        lock(&self.found).reading = share;
+    }
+
+    /// Ends the pass.
+    pub(super) fn end(&self, lane: Lane) {
+        let mut found = lock(&self.found);
+        let read = found
+            .series
+            .iter_mut()
+            .filter(|(name, series)| series.progress == Progress::Reading && Lane::of(&name.topic) == lane);
+        read.for_each(|(_, series)| series.progress = Progress::Read);
+    }
+
+    /// Share of the log that has been read, `None` if nothing is being read.
+    pub(super) fn reading(&self) -> Option<f64> {
+        lock(&self.found).reading
+    }
+
+    /// Missed ticks up to a time, and in the whole log.
+    pub(super) fn missed(&self, time_ns: u64) -> (u64, u64) {
+        let found = lock(&self.found);
+        let until = found.misses.partition_point(|(time, _)| *time <= time_ns) as u64;
+        // Of a log with more misses than are kept, those behind the last kept one are not told apart.
+        let all_kept = found.missed == found.misses.len() as u64;
+        (if all_kept || until < found.misses.len() as u64 { until } else { found.missed }, found.missed)
+    }
+
+    /// Answers a request; `file` gives one of the log's files, for a span that is shorter than the bins can show.
+    ///
+    /// # Errors
+    /// What is wrong with the request.
+    pub(super) fn answer<'a>(
+        &self,
+        request: &SeriesRequest,
+        file: impl Fn(Lane) -> Option<&'a LogFile>,
+    ) -> Result<String, String> {
+        request.check()?;
+        request.fields.iter().try_for_each(|name| self.want(name))?;
+        let series = request.fields.iter().map(|name| self.columns(name, request, &file)).collect();
+        let found = lock(&self.found);
+        let all_read = request
+            .fields
+            .iter()
+            .all(|name| found.series.get(name).is_none_or(|series| series.progress == Progress::Read));
+        let answer = Answer {
+            ok: true,
+            from_ns: request.from_ns,
+            to_ns: request.to_ns,
+            columns: request.columns,
+            reading: if all_read { None } else { Some(found.reading.unwrap_or(0.0)) },
+            series,
+            misses: misses(&found.misses, request),
+        };
+        serde_json::to_string(&answer).map_err(|error| error.to_string())
+    }
+
+    fn columns<'a>(
+        &self,
+        name: &FieldName,
+        request: &SeriesRequest,
+        file: impl Fn(Lane) -> Option<&'a LogFile>,
+    ) -> Columns {
+        let (place, width_ns, shown) = {
+            let found = lock(&self.found);
+            let Some(series) = found.series.get(name) else { return Columns::default() };
+            let shown = series.bins.columns(request.from_ns, request.to_ns, request.columns);
+            let width_ns = if series.progress == Progress::Read { series.bins.width_ns() } else { u64::MAX };
+            (series.place.clone(), width_ns, shown)
+        };
+        let span_ns = request.to_ns - request.from_ns;
+        let is_coarse = width_ns > self.dt_ns && span_ns / width_ns < u64::from(request.columns);
+        if !is_coarse || span_ns / self.dt_ns > MOST_TICKS_READ {
+            return shown;
+        }
+        let read = file(Lane::of(&name.topic)).and_then(|log| self.read_span(name, &place, request, log));
+        // Where the file cannot be read, the bins still show what they have.
+        read.unwrap_or(shown)
+    }
+
+    /// The span's messages, from the file.
+    fn read_span(
+        &self,
+        name: &FieldName,
+        place: &FieldPlace,
+        request: &SeriesRequest,
+        log: &LogFile,
+    ) -> Option<Columns> {
+        let (from, to) = (request.from_ns, request.to_ns.min(self.end_ns));
+        let mut bins = Bins::new(from.max(self.begin_ns), to, self.dt_ns, MOST_BINS);
+        let mut reading = log.after(from.checked_sub(1), &[&name.topic]).ok()?;
+        let mut left = 2 * MOST_TICKS_READ;
+        while let Some(message) = reading.next_message().ok()? {
+            left = left.checked_sub(1)?;
+            if message.time_ns > to.saturating_add(MOST_LATE_NS) {
+                break;
+            }
+            if let Some(value) = place.read(message.body()) {
+                bins.add(place.time_ns(message.body(), message.time_ns, self.dt_ns), value);
+            }
+        }
+        Some(bins.columns(request.from_ns, request.to_ns, request.columns))
+    }
+}
+
+impl SeriesRequest {
+    fn check(&self) -> Result<(), String> {
+        let SeriesRequest { fields, from_ns, to_ns, columns, .. } = self;
+        if from_ns >= to_ns {
+            return Err(format!("the span from {from_ns} to {to_ns} ns is empty"));
+        }
+        if !(1..=MOST_COLUMNS).contains(columns) {
+            return Err(format!("{columns} columns; expected 1 to {MOST_COLUMNS}"));
+        }
+        if fields.len() > MOST_FIELDS {
+            return Err(format!("{} fields; expected at most {MOST_FIELDS}", fields.len()));
+        }
+        Ok(())
+    }
+}
+
+fn misses(all: &[(u64, char)], request: &SeriesRequest) -> Misses {
+    let mut found = Misses::default();
+    let (from, span) = (request.from_ns, u128::from(request.to_ns - request.from_ns));
+    let begin = all.partition_point(|(time, _)| *time < from);
+    for (time, letter) in all[begin..].iter().take_while(|(time, _)| *time <= request.to_ns) {
+        let column = u128::from(time.saturating_sub(from)) * u128::from(request.columns) / span;
+        let column = column.min(u128::from(request.columns) - 1) as u32;
+        if found.at.last() != Some(&column) {
+            found.at.push(column);
+            found.letters.push(*letter);
+            found.count.push(0);
+        }
+        if let Some(count) = found.count.last_mut() {
+            *count += 1;
+        }
+    }
+    found
+}
