@@ -21,7 +21,7 @@ fn slice(view: &mut View, request: Value) -> (u64, Vec<i16>) {
     // A log is read in the background; until then it says so.
     let bytes = wait_for("a slice", || {
         let (encoding, bytes) = view.call_raw(SLICE, request.clone());
-        let text = String::from_utf8_lossy(&bytes);
+        let text = String::from_utf8_lossy(&bytes).into_owned();
         assert!(encoding == "trabecula.slice" || text.contains("the log is being read"), "{text}");
         (encoding == "trabecula.slice").then_some(bytes)
     });
