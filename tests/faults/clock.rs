@@ -50,6 +50,7 @@ fn no_loop_reads_the_wall_clock() {
     let mut folders: Vec<PathBuf> = [
         "src",
         "lab",
+        "inputs/src",
         "ipc_types/src",
         "volume_io/src",
         "voxel_grid/src",
