@@ -17,6 +17,33 @@ pub fn refuse_existing<P: AsRef<Path>>(files: &[P]) -> Result<(), Failure> {
     Ok(output_file::refuse_existing(files)?)
 }
 
+/// The place of a figure that is written as `.png` and `.svg`, from its path with or without either ending.
+///
+/// # Errors
+/// Bad input: the path has no file name, or one of the files exists.
+pub fn figure_place(path: &Path) -> Result<FigurePlace<'_>, Failure> {
+    let folder = path.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let stem = [".png", ".svg"].iter().find_map(|ending| name.strip_suffix(ending)).unwrap_or(&name);
+    if stem.is_empty() {
+        return Err(Failure::bad_input("--output has no file name"));
+    }
+    let files = ["png", "svg"].map(|ending| folder.join(format!("{stem}.{ending}")));
+    refuse_existing(&files)?;
+    Ok(FigurePlace { folder, stem: stem.to_owned(), files })
+}
+
+/// Where a figure goes.
+#[derive(Debug)]
+pub struct FigurePlace<'a> {
+    /// Its folder.
+    pub folder: &'a Path,
+    /// Its name without an ending.
+    pub stem: String,
+    /// Its files.
+    pub files: [PathBuf; 2],
+}
+
 /// Paths of these names in a folder.
 pub fn within(folder: &Path, names: &[&str]) -> Vec<PathBuf> {
     names.iter().map(|name| folder.join(name)).collect()

@@ -29,11 +29,13 @@ pub fn run<C>(
     }
 }
 
-/// Prepares this process: exceeding the file size limit becomes an error instead of killing the process.
+/// Prepares this process: exceeding the file size limit becomes an error instead of killing the process, and remarks about the cache of
+/// volumes are told.
 ///
 /// # Errors
 /// The system refuses the signal handler.
 fn start() -> Result<(), Failure> {
+    crate::cache::tell_remarks_by(|text| tell!("trabecula: {text}"));
     signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::new(AtomicBool::new(false)))
         .map(drop)
         .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))

@@ -238,6 +238,7 @@ const NO_CAPACITIES: &[(&str, &str)] = &[
     ("MOST_ASKED", "viewer_proc/src/live/subscriptions.rs"),
     ("MOST_CHARACTERS", "foreign_text/src/lib.rs"),
     ("MOST_COMPLAINTS", "bridge_proc/src/igtl/connection.rs"),
+    ("MOST_LATE_NS", "viewer_proc/src/log/series/mod.rs"),
     ("MOST_OF_A_LINE", "foreign_text/src/lib.rs"),
     ("MOST_REMOVED", "viewer_proc/src/log/marks.rs"),
     ("MOST_ROWS", "viewer_proc/src/log/mod.rs"),

@@ -108,7 +108,7 @@ fn a_measured_run_is_the_same_in_a_simulation_in_the_hub_and_in_its_replay() {
     assert!(sim.state().tendon_tension_n[0] > 1.0, "the controller drives on what it measures");
     assert!(sim.close_recording().unwrap());
 
-    let log = LogFile::at(&place.path().join("log/run.mcap"));
+    let log = LogFile::at(place.path().join("log/run.mcap"));
     let mut logged: Vec<SensorReading> = Vec::new();
     let mut stream = MessageStream::open(&log, ReadOptions::default()).unwrap();
     while let Some(message) = stream.next_message().unwrap() {

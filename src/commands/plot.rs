@@ -1,6 +1,6 @@
 //! `trabecula plot LOG FIELD…`: plots fields of a log over simulated time.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
 use ipc_types::messages::{Tick, TickRange};
@@ -10,7 +10,7 @@ use run_log::fields::Scalar;
 use run_log::{LogError, Topic};
 
 use crate::failure::Failure;
-use crate::output::refuse_existing;
+use crate::output::figure_place;
 use crate::report::axis::{Axis, bounds};
 use crate::report::panel::{INK, Panel, Rect};
 use crate::report::shapes::{Anchor, Figure, Point, Stroke};
@@ -52,17 +52,7 @@ pub fn run(arguments: &PlotArguments) -> Result<(), Failure> {
         let text = format!("{} fields given; a figure shows at most {MAX_PANELS}", arguments.fields.len());
         return Err(Failure::bad_input(text));
     }
-    let folder =
-        arguments.output.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
-    let stem = arguments.output.file_name().map(|name| name.to_string_lossy().into_owned());
-    let stem = stem.ok_or_else(|| Failure::bad_input("--output has no file name"))?;
-    // `-o x.svg` means the figure `x`.
-    let stem = [".png", ".svg"].iter().find_map(|ending| stem.strip_suffix(ending)).unwrap_or(&stem);
-    if stem.is_empty() {
-        return Err(Failure::bad_input("--output has no file name"));
-    }
-    let paths = ["png", "svg"].map(|ending| folder.join(format!("{stem}.{ending}")));
-    refuse_existing(&paths)?;
+    let place = figure_place(&arguments.output)?;
     let mut panels = Vec::new();
     for field in &arguments.fields {
         let mut chosen = columns(description, std::slice::from_ref(field))?;
@@ -73,8 +63,8 @@ pub fn run(arguments: &PlotArguments) -> Result<(), Failure> {
     let mut lines = Lines(vec![Timeline::new(BINS, 1_000_000, Extremes::EMPTY); all.len()]);
     read_rows(&LogFile::at(&log), &arguments.topic, &all, TickRange::ALL, &mut lines)?;
     let title = format!("{}  {}", log.display(), arguments.topic);
-    draw(&title, &panels, &lines)?.write(folder, stem)?;
-    paths.iter().for_each(|path| say!("{}", path.display()));
+    draw(&title, &panels, &lines)?.write(place.folder, &place.stem)?;
+    place.files.iter().for_each(|path| say!("{}", path.display()));
     Ok(())
 }
 

@@ -10,7 +10,7 @@ use ipc_types::signals::EndRequest;
 use serde_json::json;
 
 use crate::failure::{EXIT_INTERRUPTED, Failure};
-use crate::output::refuse_existing;
+use crate::output::{figure_place, refuse_existing};
 use crate::say::Figures;
 use crate::sweep::folder::{Folder, OpenedStudy, joined};
 use crate::sweep::parquet::table;
@@ -309,14 +309,9 @@ fn plot(arguments: &PlotArguments) -> Result<(), Failure> {
     report::check_figure(&arguments.of)?;
     let folder = Folder::open(&arguments.folder)?;
     let rows = folder.rows()?;
-    let output = arguments.output.with_extension("");
-    let files = [output.with_extension("png"), output.with_extension("svg")];
-    refuse_existing(&files)?;
+    let place = figure_place(&arguments.output)?;
     let picture = report::draw(&folder.study()?, &rows, &arguments.of)?;
-    let above = output.parent().filter(|above| *above != Path::new("")).unwrap_or(Path::new("."));
-    let stem = output.file_name().map(|name| name.to_string_lossy().into_owned());
-    let stem = stem.ok_or_else(|| Failure::bad_input("--output has no file name"))?;
-    output_file::write_all(&picture.files(above, &stem)?)?;
-    say!("written      {}, .svg", files[0].display());
+    picture.write(place.folder, &place.stem)?;
+    say!("written      {}, .svg", place.files[0].display());
     Ok(())
 }

@@ -26,7 +26,6 @@ mod run_lane;
 pub mod shapes;
 mod summary;
 mod table;
-pub mod timeline;
 pub mod timing_figure;
 mod timing_lane;
 mod tip_figure;
@@ -39,6 +38,8 @@ use std::path::{Path, PathBuf};
 
 use inputs::failure::Failure;
 use output_file::OutputError;
+
+pub use run_log::timeline;
 
 pub use live::{LiveSnapshot, LiveStats, progress_line};
 pub use summary::{DrillingSummary, MissSummary, NOT_SHARED, Summary, ToolSummary};

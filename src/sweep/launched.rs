@@ -15,6 +15,8 @@ use crate::report::Summary;
 const LOOK: Duration = Duration::from_millis(20);
 /// How long a session that is asked to end may take to finish its log.
 const ENDING_LIMIT: Duration = Duration::from_secs(30);
+/// How long to wait for the last words of one that has ended.
+const SAID_LIMIT: Duration = Duration::from_secs(5);
 
 /// Runs `trabecula run` with these arguments into a folder, and fills the row in from its `summary.json`. The folder keeps the log, because
 /// what a program of the user's did cannot be made again from the row.
@@ -59,7 +61,8 @@ pub fn run(
 fn end_of(mut child: Child, is_to_end: &dyn Fn() -> bool) -> Result<Option<(ExitStatus, String)>, Failure> {
     let failed = |cause: std::io::Error| Failure::failed(format!("a run cannot be waited for: {cause}"));
     let pipe = child.stderr.take();
-    let reader = std::thread::spawn(move || pipe.map(std::io::read_to_string));
+    let (heard, said) = std::sync::mpsc::channel();
+    std::thread::spawn(move || heard.send(pipe.map(std::io::read_to_string)));
     let mut asked: Option<Instant> = None;
     let status = loop {
         if let Some(status) = child.try_wait().map_err(failed)? {
@@ -79,7 +82,8 @@ fn end_of(mut child: Child, is_to_end: &dyn Fn() -> bool) -> Result<Option<(Exit
         }
         std::thread::sleep(LOOK);
     };
-    let said = reader.join().ok().flatten().and_then(Result::ok).unwrap_or_default();
+    // A program that the run has left behind may hold the pipe open: then its words are not waited for.
+    let said = said.recv_timeout(SAID_LIMIT).ok().flatten().and_then(Result::ok).unwrap_or_default();
     Ok(asked.is_none().then_some((status, said)))
 }
 

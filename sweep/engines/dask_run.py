@@ -10,14 +10,21 @@ import sys
 
 from dask.distributed import Client, as_completed
 
+#: Seconds after which the list of points is given up.
+LIST_LIMIT_S = 600
+#: Seconds after which a run is given up; its point fails.
+RUN_LIMIT_S = 86_400
+
 
 def run(command):
     """Makes one run; its row is in the folder afterwards."""
-    return subprocess.run(shlex.split(command), stdin=subprocess.DEVNULL, capture_output=True, text=True).returncode
+    words = shlex.split(command)
+    return subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, timeout=RUN_LIMIT_S).returncode
 
 
 def main(trabecula, study, folder, scheduler=None):
-    listed = subprocess.run([trabecula, "sweep", "list", study, "-o", folder], check=True, capture_output=True, text=True)
+    words = [trabecula, "sweep", "list", study, "-o", folder]
+    listed = subprocess.run(words, check=True, capture_output=True, text=True, timeout=LIST_LIMIT_S)
     commands = listed.stdout.splitlines()
     client = Client(scheduler) if scheduler else Client(n_workers=2, threads_per_worker=1, dashboard_address=None)
     # A point whose worker is killed is run again: a row is kept only when it is whole.

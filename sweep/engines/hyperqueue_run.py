@@ -11,6 +11,9 @@ import sys
 from hyperqueue import Client, Job, LocalCluster
 from hyperqueue.cluster import WorkerConfig
 
+#: Seconds after which the list of points is given up.
+LIST_LIMIT_S = 600
+
 
 def finish(client, commands):
     job = Job()
@@ -21,7 +24,8 @@ def finish(client, commands):
 
 
 def main(trabecula, study, folder, server=None):
-    listed = subprocess.run([trabecula, "sweep", "list", study, "-o", folder], check=True, capture_output=True, text=True)
+    words = [trabecula, "sweep", "list", study, "-o", folder]
+    listed = subprocess.run(words, check=True, capture_output=True, text=True, timeout=LIST_LIMIT_S)
     commands = listed.stdout.splitlines()
     if server:
         finish(Client(server), commands)

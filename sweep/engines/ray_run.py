@@ -9,15 +9,22 @@ import sys
 
 import ray
 
+#: Seconds after which the list of points is given up.
+LIST_LIMIT_S = 600
+#: Seconds after which a run is given up; its point fails.
+RUN_LIMIT_S = 86_400
+
 
 @ray.remote(max_retries=3)
 def run(command):
     """Makes one run; its row is in the folder afterwards."""
-    return subprocess.run(shlex.split(command), stdin=subprocess.DEVNULL, capture_output=True, text=True).returncode
+    words = shlex.split(command)
+    return subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, timeout=RUN_LIMIT_S).returncode
 
 
 def main(trabecula, study, folder, address=None):
-    listed = subprocess.run([trabecula, "sweep", "list", study, "-o", folder], check=True, capture_output=True, text=True)
+    words = [trabecula, "sweep", "list", study, "-o", folder]
+    listed = subprocess.run(words, check=True, capture_output=True, text=True, timeout=LIST_LIMIT_S)
     commands = listed.stdout.splitlines()
     if address:
         ray.init(address=address)

@@ -92,7 +92,7 @@ impl Study {
         if is_csv != read.points.is_some() {
             return Err(contradiction("points", "names the table of `design = \"csv\"`, and of no other"));
         }
-        if is_csv == !read.parameter.is_empty() {
+        if is_csv != read.parameter.is_empty() {
             let problem = if is_csv { "stands beside `design = \"csv\"`" } else { "is missing" };
             return Err(contradiction("parameter", problem));
         }

@@ -282,14 +282,15 @@ fn notices(view: &mut View, count: usize) -> Vec<String> {
     (0..count).map(|_| text(view.next(channel))).collect()
 }
 
-/// Texts of the time line's marks of a kind. They come in a message of their own.
+/// Texts of the time line's marks of a kind. A log is read while it is shown, so they come some time after it.
 fn marks(view: &mut View, kind: &str) -> Vec<String> {
     let playback = view.subscribe("/view/playback");
     loop {
         let told: Value = serde_json::from_slice(&view.next(playback)).unwrap();
-        if let Some(marks) = told["events"].as_array() {
-            let marks = marks.iter().filter(|mark| mark["kind"] == kind);
-            return marks.map(|mark| mark["text"].as_str().unwrap().to_owned()).collect();
+        let marks = told["events"].as_array().into_iter().flatten().filter(|mark| mark["kind"] == kind);
+        let texts: Vec<String> = marks.map(|mark| mark["text"].as_str().unwrap().to_owned()).collect();
+        if !texts.is_empty() {
+            return texts;
         }
     }
 }

@@ -16,6 +16,7 @@ use std::io;
 use std::os::fd::OwnedFd;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 use std::time::{Duration, Instant, SystemTime};
 
 use ipc_types::session::{Unfit, open_private};
@@ -40,15 +41,21 @@ pub struct Made {
     pub volume: Volume,
     /// Its hash.
     pub sha256: [u8; 32],
-    /// What its reader assumed or changed, and what was wrong with the cache.
+    /// What its reader assumed or changed.
     pub notes: Vec<String>,
 }
 
-impl Made {
-    /// With a note about the cache, which is not kept with the volume.
-    fn with_note(mut self, note: Option<String>) -> Made {
-        self.notes.extend(note);
-        self
+/// Where remarks go: they are about this machine, not about a volume, so no result carries them.
+static REMARKS: OnceLock<fn(&str)> = OnceLock::new();
+
+/// Has what is wrong with the cache told by this function; a program without it says nothing. The first call counts.
+pub fn tell_remarks_by(tell: fn(&str)) {
+    let _ = REMARKS.set(tell);
+}
+
+fn remark(text: &str) {
+    if let Some(tell) = REMARKS.get() {
+        tell(text);
     }
 }
 
@@ -73,8 +80,10 @@ pub fn through(
         Some(Ok(cache)) => through_folder(&cache, key, make),
         Some(Err((path, cause))) => {
             let is_to_say = !matches!(cause, Unfit::System(_) | Unfit::Missing);
-            let note = is_to_say.then(|| format!("{}: not used as a cache: {cause}", path.display()));
-            Ok(fresh(make)?.with_note(note))
+            if is_to_say {
+                remark(&format!("{}: not used as a cache: {cause}", path.display()));
+            }
+            fresh(make)
         }
         None => fresh(make),
     }
@@ -94,21 +103,21 @@ fn through_folder(
     key: &Key,
     make: impl FnOnce() -> Result<(Volume, Vec<String>), VolumeError>,
 ) -> Result<Made, VolumeError> {
-    let note = match cache.find(key) {
+    match cache.find(key) {
         Ok(Some(made)) => return Ok(made),
-        Ok(None) => None,
+        Ok(None) => {}
         Err(damage) => {
+            remark(&format!("{}: {damage}; it is made anew", cache.file(key).display()));
             cache.remove(&key.name());
-            Some(format!("{}: {damage}; it is made anew", cache.file(key).display()))
         }
-    };
+    }
     let began = Instant::now();
     let made = fresh(make)?;
     if began.elapsed() >= WORTH_KEEPING && key.is_current() {
         // A cache that cannot be written costs time only.
         let _ = cache.keep(key, &made);
     }
-    Ok(made.with_note(note))
+    Ok(made)
 }
 
 /// The cache folder, open.

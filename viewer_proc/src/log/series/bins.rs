@@ -1,28 +1,10 @@
 //! One field over a whole log: least, greatest and mean value of equal spans of time. Pure: no clock, no files.
 
+use run_log::timeline::{Bin, Extremes, Timeline};
 use serde::Serialize;
 
 /// Most bins of one field: 4 MiB. An hour at 1 kHz then has bins of 32 ms.
 pub const MOST_BINS: usize = 1 << 17;
-
-#[derive(Debug, Clone, Copy)]
-struct Bin {
-    low: f64,
-    high: f64,
-    sum: f64,
-    count: u32,
-}
-
-impl Bin {
-    const EMPTY: Bin = Bin { low: f64::INFINITY, high: f64::NEG_INFINITY, sum: 0.0, count: 0 };
-
-    fn merge(&mut self, other: &Bin) {
-        self.low = self.low.min(other.low);
-        self.high = self.high.max(other.high);
-        self.sum += other.sum;
-        self.count = self.count.saturating_add(other.count);
-    }
-}
 
 /// A field's values. A bin holds one tick at first; if there are more ticks than bins, bins are merged in pairs, so that the memory is
 /// bounded and no peak is lost.
@@ -30,9 +12,8 @@ impl Bin {
 pub struct Bins {
     begin_ns: u64,
     end_ns: u64,
-    width_ns: u64,
-    most: usize,
-    bins: Vec<Bin>,
+    /// From `begin_ns` on.
+    line: Timeline<Extremes>,
 }
 
 /// Values for a picture: only the columns that have any, in rising order.
@@ -53,12 +34,12 @@ pub struct Columns {
 impl Bins {
     /// No values yet of a log from `begin_ns` to `end_ns`, with a tick of `dt_ns` and at most `most` bins (at least 2).
     pub fn new(begin_ns: u64, end_ns: u64, dt_ns: u64, most: usize) -> Bins {
-        Bins { begin_ns, end_ns, width_ns: dt_ns.max(1), most: most.max(2), bins: Vec::new() }
+        Bins { begin_ns, end_ns, line: Timeline::new(most, dt_ns, Extremes::EMPTY) }
     }
 
     /// Simulated time that a bin spans, ns.
     pub fn width_ns(&self) -> u64 {
-        self.width_ns
+        self.line.width_ns()
     }
 
     /// Adds a sample. What is no number, or lies outside the log's bounds, is left out: it shows as a hole.
@@ -66,40 +47,23 @@ impl Bins {
         if !value.is_finite() || time_ns < self.begin_ns || time_ns > self.end_ns {
             return;
         }
-        let from_begin = time_ns - self.begin_ns;
-        while from_begin / self.width_ns >= self.most as u64 {
-            self.double();
-        }
-        let index = (from_begin / self.width_ns) as usize;
-        if index >= self.bins.len() {
-            self.bins.resize(index + 1, Bin::EMPTY);
-        }
-        self.bins[index].merge(&Bin { low: value, high: value, sum: value, count: 1 });
-    }
-
-    fn double(&mut self) {
-        self.width_ns = self.width_ns.saturating_mul(2);
-        let pairs = self.bins.chunks(2).map(|pair| {
-            let mut bin = pair[0];
-            pair.iter().skip(1).for_each(|other| bin.merge(other));
-            bin
-        });
-        self.bins = pairs.collect();
+        self.line.bin(time_ns - self.begin_ns).add(value);
     }
 
     /// Least, greatest and mean value of each of `columns` equal columns between two times.
     pub fn columns(&self, from_ns: u64, to_ns: u64, columns: u32) -> Columns {
-        let mut found = Columns { width_ns: self.width_ns, ..Columns::default() };
+        let mut found = Columns { width_ns: self.width_ns(), ..Columns::default() };
         let (span, count) = (u128::from(to_ns.saturating_sub(from_ns)), u128::from(columns));
         if span == 0 || columns == 0 || to_ns < self.begin_ns {
             return found;
         }
-        let first = from_ns.saturating_sub(self.begin_ns) / self.width_ns;
-        let last = (to_ns - self.begin_ns) / self.width_ns;
-        let mut current: Option<(u32, Bin)> = None;
-        for index in first..=last.min((self.bins.len() as u64).saturating_sub(1)) {
-            let Some(bin) = self.bins.get(index as usize).filter(|bin| bin.count > 0) else { continue };
-            let time_ns = self.begin_ns + index * self.width_ns;
+        let first = from_ns.saturating_sub(self.begin_ns) / self.width_ns();
+        let last = (to_ns - self.begin_ns) / self.width_ns();
+        let bins = self.line.bins();
+        let mut current: Option<(u32, Extremes)> = None;
+        for index in first..=last.min((bins.len() as u64).saturating_sub(1)) {
+            let Some(bin) = bins.get(index as usize).filter(|bin| bin.range().is_some()) else { continue };
+            let time_ns = self.begin_ns + index * self.width_ns();
             let here = u128::from(time_ns.saturating_sub(from_ns)) * count / span;
             let column = here.min(count - 1) as u32;
             match &mut current {
@@ -115,12 +79,12 @@ impl Bins {
 }
 
 impl Columns {
-    fn push(&mut self, column: Option<(u32, Bin)>) {
-        let Some((at, bin)) = column else { return };
+    fn push(&mut self, column: Option<(u32, Extremes)>) {
+        let Some((at, Some([low, mean, high]))) = column.map(|(at, bin)| (at, bin.range())) else { return };
         self.at.push(at);
-        self.low.push(bin.low as f32);
-        self.high.push(bin.high as f32);
-        self.mean.push((bin.sum / f64::from(bin.count)) as f32);
+        self.low.push(low as f32);
+        self.high.push(high as f32);
+        self.mean.push(mean as f32);
     }
 }
 
@@ -178,7 +142,7 @@ mod tests {
         for time in 0..100_000u64 {
             bins.add(time, if time == 77_777 { 5.0 } else { 1.0 });
         }
-        assert!(bins.bins.len() <= 64 && bins.bins.capacity() < 1000);
+        assert!(bins.line.bins().len() <= 64 && bins.line.bins().capacity() < 1000);
         let whole = bins.columns(0, 100_000, 10);
         assert_eq!(whole.at, (0..10).collect::<Vec<_>>());
         assert_eq!(whole.high.iter().filter(|high| **high == 5.0).count(), 1);

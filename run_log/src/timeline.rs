@@ -34,6 +34,16 @@ impl<B: Bin> Timeline<B> {
         &mut self.bins[index]
     }
 
+    /// Simulated time that a bin spans, ns.
+    pub fn width_ns(&self) -> u64 {
+        self.width_ns
+    }
+
+    /// The bins up to the last that was asked for, in order.
+    pub fn bins(&self) -> &Vec<B> {
+        &self.bins
+    }
+
     /// Middle of each bin (s) and the bin, in order.
     pub fn iter(&self) -> impl Iterator<Item = (f64, &B)> {
         let width_s = self.width_ns as f64 * 1e-9;
