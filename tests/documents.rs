@@ -204,7 +204,7 @@ const NO_CAPACITIES: &[(&str, &str)] = &[
     ("LONGEST_GAP", "run_log/src/gaps.rs"),
     ("LONGEST_LOOK_NS", "hub/src/patience.rs"),
     ("LONGEST_NS", "src/report/distribution.rs"),
-    ("LONGEST_STRIDE_NS", "viewer_proc/src/log/mod.rs"),
+    ("LONGEST_STRIDE_NS", "viewer_proc/src/log/playback.rs"),
     ("MAX_BACKLOG_STEPS", "viewer_proc/src/live/control.rs"),
     ("MAX_CONTACTS", "simulation/src/manipulator/constant_curvature/mod.rs"),
     ("MAX_CONTACTS", "simulation/src/manipulator/spatial/mod.rs"),
@@ -241,7 +241,7 @@ const NO_CAPACITIES: &[(&str, &str)] = &[
     ("MOST_LATE_NS", "viewer_proc/src/log/series/mod.rs"),
     ("MOST_OF_A_LINE", "foreign_text/src/lib.rs"),
     ("MOST_REMOVED", "viewer_proc/src/log/marks.rs"),
-    ("MOST_ROWS", "viewer_proc/src/log/mod.rs"),
+    ("MOST_ROWS", "viewer_proc/src/log/compare.rs"),
 ];
 
 fn sources(folder: &Path, found: &mut Vec<String>) {

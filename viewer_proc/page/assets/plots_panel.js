@@ -122,8 +122,8 @@ export class PlotsPanel {
     const head = box.appendChild(document.createElement("h2"));
     head.append(title);
     head.appendChild(document.createElement("span")).textContent = unit;
-    head.append(this.#button("+", `Add a line to ${title}`, () => this.picker.open(this.choices.indexOf(choice))));
-    head.append(this.#button("×", `Remove the plot ${title}`, () => ((this.choices = this.choices.filter((one) => one !== choice)), this.#keep())));
+    head.append(this.#button("add", choice, "+", `Add a line to ${title}`, () => this.picker.open(this.choices.indexOf(choice))));
+    head.append(this.#button("remove", choice, "×", `Remove the plot ${title}`, () => ((this.choices = this.choices.filter((one) => one !== choice)), this.#keep())));
     const values = head.appendChild(document.createElement("span"));
     values.className = "values";
     const canvas = box.appendChild(document.createElement("canvas"));
@@ -134,8 +134,10 @@ export class PlotsPanel {
     return { choice, plot: new Plot([], unit, choice.least ?? 1e-9), values, canvas, title, unit };
   }
 
-  #button(text, label, act) {
+  /** Each has a name of its own, by which tools and tests tell it from those of the other plots. */
+  #button(what, choice, text, label, act) {
     const button = document.createElement("button");
+    button.id = `plot-${this.choices.indexOf(choice)}-${what}`;
     Object.assign(button, { textContent: text, title: label, className: "small" });
     button.setAttribute("aria-label", label);
     button.addEventListener("click", act);
