@@ -1,6 +1,6 @@
 //! Fields of a log over time, for plots: what has been read of the log, and what a request gets of it.
 //!
-//! A background thread ([`super::background`]) reads the log once and fills [`Bins`]. A picture of any span then costs no reading, except a
+//! A background thread (`background`) reads the log once and fills [`Bins`]. A picture of any span then costs no reading, except a
 //! short span of a long log, whose bins are coarser than its ticks: that is read from the file.
 
 pub mod bins;
