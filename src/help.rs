@@ -43,7 +43,12 @@ pub const EXAMPLES: &[Examples] = &[
     ),
     (
         "view",
-        &["trabecula view", "trabecula view out/run", "trabecula view out/run out/other --port 0 --no-open"],
+        &[
+            "trabecula view",
+            "trabecula view out/run",
+            "trabecula view out/run out/other --port 0 --no-open",
+            "trabecula view scene.toml",
+        ],
     ),
     (
         "sweep run",

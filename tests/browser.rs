@@ -198,3 +198,12 @@ fn logs_are_scrubbed_and_compared_on_the_page() {
     twice(|| check(&python, "log", &Viewer::start(&place, &[&first]), &[]));
     twice(|| check(&python, "two", &Viewer::start(&place, &[&first, &second]), &[]));
 }
+
+#[test]
+fn a_scene_is_shown_on_the_page_before_its_run() {
+    let Some(python) = browser_python() else { return };
+    let place = Place::new();
+    let file = place.path("scene.toml");
+    fs::write(&file, recorded_scene(6.0, 1.0)).unwrap();
+    twice(|| check(&python, "plan", &Viewer::start(&place, &[&file]), &[]));
+}

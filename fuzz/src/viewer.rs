@@ -74,7 +74,7 @@ fn obey(service: u32, payload: &[u8]) {
         let outcome = player.apply(playback).map(|()| Reply::Done);
         player.advance(Duration::from_millis(40));
         assert!((1_000..=9_000_000_000).contains(&player.time_ns()));
-        assert!(!response(outcome).is_empty());
+        assert!(!response(outcome).1.is_empty());
     }
 }
 
@@ -105,6 +105,7 @@ pub fn seeds() -> Vec<Vec<u8>> {
         r#"{"token":"t","action":"play","speed":-2}"#,
         r#"{"token":"t","action":"step","ticks":-4}"#,
         r#"{"token":"t","action":"next","kind":"miss"}"#,
+        r#"{"centre_m":[0,0,0.1],"right":[1,0,0],"down":[0,1,0],"side_m":[0.1,0.1],"columns":64,"rows":64}"#,
         "GET / HTTP/1.1\r\nHost: localhost:8765\r\n\r\n",
         "HEAD /app.js?a=1 HTTP/1.1\r\nHost: 127.0.0.1:8765\r\nOrigin: http://127.0.0.1:8765\r\n\r\n",
         "GET /ws HTTP/1.1\r\nHost: 127.0.0.1:8765\r\nConnection: keep-alive, Upgrade\r\nUpgrade: WebSocket\r\n\

@@ -20,4 +20,5 @@ pub mod show;
 pub mod sweep;
 pub mod tool;
 pub mod view;
+pub mod view_plan;
 pub mod volume;

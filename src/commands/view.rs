@@ -11,9 +11,11 @@ use ipc_types::session::{SESSION_VARIABLE, Searched, only_session};
 use simulation::manipulator_parameters;
 use viewer_proc::live::{self, LiveOptions};
 use viewer_proc::log::{self, LogOptions, LogVolume, SceneHelp};
+use viewer_proc::plan;
 use viewer_proc::server::Server;
 use viewer_proc::{ServerOptions, ToolShape, ViewerError};
 
+use super::view_plan;
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::redirect_file::{self, RedirectFile};
@@ -24,7 +26,7 @@ const LEAVE_LIMIT: Duration = Duration::from_secs(2);
 /// Arguments of `view`.
 #[derive(Debug, Args)]
 pub struct ViewArguments {
-    /// Log to show: a run's folder or its `run.mcap`; default: a running session.
+    /// Log to show: a run's folder or its `run.mcap`; or a scene (`.toml`) before its run; default: a running session.
     #[arg(conflicts_with = "session")]
     log: Option<PathBuf>,
     /// Second log, to compare with the first.
@@ -93,6 +95,9 @@ pub fn run(arguments: &ViewArguments) -> Result<(), Failure> {
     })
     .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
     redirect_file::sweep(&redirect_file::folder());
+    if let Some(scene) = arguments.log.as_deref().filter(|path| is_scene(path)) {
+        return view_plan(scene, arguments, &end);
+    }
     if let Some(log) = &arguments.log {
         return view_logs(log, arguments, &end);
     }
@@ -107,6 +112,22 @@ pub fn run(arguments: &ViewArguments) -> Result<(), Failure> {
     let mut _redirect_file = None;
     let ready = |server: &Server| _redirect_file = arguments.server.ready(server, &options.session);
     live::view(&options, tool_shape, ready, &end).map_err(|error| failure(&error))
+}
+
+fn is_scene(path: &Path) -> bool {
+    path.extension().is_some_and(|ending| ending == "toml")
+}
+
+/// A scene before its run.
+fn view_plan(scene: &Path, arguments: &ViewArguments, end: &EndRequest) -> Result<(), Failure> {
+    if arguments.second.is_some() {
+        return Err(Failure::bad_input("a scene before its run is shown alone: give one file"));
+    }
+    let planned = view_plan::load(scene, arguments.volume_files)?;
+    let folder = redirect_file::folder();
+    let mut _redirect_file = None;
+    let ready = |server: &Server| _redirect_file = arguments.server.ready(server, &folder);
+    plan::view(planned, &arguments.server.options(), ready, end).map_err(|error| failure(&error))
 }
 
 fn view_logs(log: &Path, arguments: &ViewArguments, end: &EndRequest) -> Result<(), Failure> {

@@ -4,6 +4,7 @@ use ipc_types::scene::Scene;
 use nalgebra::Vector3;
 use plotters::style::RGBColor;
 use volume_io::Volume;
+use voxel_grid::slice::ANATOMICAL;
 
 use super::facts::{Facts, Sample};
 use super::shape::{Shapes, length};
@@ -34,22 +35,6 @@ const PROFILE_HEIGHT: f64 = 230.0;
 const WHITE: RGBColor = RGBColor(255, 255, 255);
 const PATH: RGBColor = RGBColor(204, 121, 167);
 const BLACK: RGBColor = RGBColor(0, 0, 0);
-
-/// A named plane: its axes, and the letters at the left, right, upper and lower edge.
-struct View {
-    name: &'static str,
-    right: [f64; 3],
-    down: [f64; 3],
-    letters: [&'static str; 4],
-}
-
-/// As radiologists look at them: axial from the feet, coronal from the front, sagittal from the patient's left; +x is left, +y posterior,
-/// +z the head.
-const VIEWS: [View; 3] = [
-    View { name: "axial", right: [1.0, 0.0, 0.0], down: [0.0, 1.0, 0.0], letters: ["R", "L", "A", "P"] },
-    View { name: "coronal", right: [1.0, 0.0, 0.0], down: [0.0, 0.0, -1.0], letters: ["R", "L", "H", "F"] },
-    View { name: "sagittal", right: [0.0, 1.0, 0.0], down: [0.0, 0.0, -1.0], letters: ["A", "P", "H", "F"] },
-];
 
 /// What a picture shows.
 pub struct Pictured<'a> {
@@ -82,7 +67,7 @@ pub fn draw(of: &Pictured<'_>) -> Result<Figure, ReportError> {
     let half_mm = half_mm(of.shapes);
     let mut top = head + legend;
     for (name, sample) in &places {
-        for (column, view) in VIEWS.iter().enumerate() {
+        for (column, view) in ANATOMICAL.iter().enumerate() {
             let x = MARGIN + column as f64 * (side + GAP);
             let title = format!("{name}, {}", view.name);
             figure.text((x, top + 0.5 * STRIP), &title, TEXT, INK, Anchor::Left);

@@ -63,7 +63,9 @@ class Page:
     def settled(self, read: Callable[[], object]) -> object:
         """What has stood still for a second: what was asked for before has come."""
         seen, since = read(), time.monotonic()
+        end = since + LIMIT_S
         while time.monotonic() - since < 1.0:
+            assert time.monotonic() < end, f"still changing after {LIMIT_S:.0f} s, now {str(seen)[:200]}"
             time.sleep(0.05)
             if (now := read()) != seen:
                 seen, since = now, time.monotonic()

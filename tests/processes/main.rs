@@ -65,6 +65,7 @@ mod sent;
 mod session_commands;
 mod sessions;
 mod simulations;
+mod slices;
 mod stalled_recorder;
 mod strays;
 mod stress;

@@ -43,7 +43,7 @@ impl View {
     }
 
     /// Subscribes under the channel's own number.
-    fn subscribe(&mut self, topic: &str) -> u32 {
+    pub fn subscribe(&mut self, topic: &str) -> u32 {
         let channel = self.channels.iter().find(|channel| channel["topic"] == topic).unwrap();
         let id = channel["id"].as_u64().unwrap() as u32;
         let text = json!({"op": "subscribe", "subscriptions": [{"id": id, "channelId": id}]});
@@ -51,7 +51,7 @@ impl View {
         id
     }
 
-    fn next(&mut self, subscription: u32) -> Vec<u8> {
+    pub fn next(&mut self, subscription: u32) -> Vec<u8> {
         loop {
             if let Message::Binary(bytes) = self.socket.read().unwrap()
                 && bytes[0] == 1
@@ -62,11 +62,18 @@ impl View {
         }
     }
 
-    fn next_state(&mut self, subscription: u32) -> State {
+    pub fn next_state(&mut self, subscription: u32) -> State {
         State::read_from_bytes(&self.next(subscription)[4..]).unwrap()
     }
 
-    fn call(&mut self, service: u32, mut body: Value) -> Value {
+    pub fn call(&mut self, service: u32, body: Value) -> Value {
+        let (encoding, payload) = self.call_raw(service, body);
+        assert_eq!(encoding, "json");
+        serde_json::from_slice(&payload).unwrap()
+    }
+
+    /// Encoding and bytes of an answer.
+    pub fn call_raw(&mut self, service: u32, mut body: Value) -> (String, Vec<u8>) {
         body["token"] = json!(self.token);
         let mut bytes = vec![2];
         [service, 1, 4].iter().for_each(|word: &u32| bytes.extend_from_slice(&word.to_le_bytes()));
@@ -77,7 +84,8 @@ impl View {
             if let Message::Binary(bytes) = self.socket.read().unwrap()
                 && bytes[0] == 3
             {
-                return serde_json::from_slice(&bytes[17..]).unwrap();
+                let end = 13 + u32::from_le_bytes(bytes[9..13].try_into().unwrap()) as usize;
+                return (String::from_utf8(bytes[13..end].to_vec()).unwrap(), bytes[end..].to_vec());
             }
         }
     }
@@ -276,7 +284,7 @@ fn a_log_is_shown_at_any_time_and_a_port_in_use_is_refused() {
 }
 
 /// Texts of the notices that a log's viewer shows, the first ones.
-fn notices(view: &mut View, count: usize) -> Vec<String> {
+pub fn notices(view: &mut View, count: usize) -> Vec<String> {
     let channel = view.subscribe("/view/notice");
     let text = |bytes: Vec<u8>| serde_json::from_slice::<Value>(&bytes).unwrap()["text"].to_string();
     (0..count).map(|_| text(view.next(channel))).collect()

@@ -20,6 +20,8 @@ pub const PLAYBACK: &str = "/view/playback";
 pub const PACE: &str = "/view/pace";
 /// The state at the position on the time line, which a slow client gets less often but never late (logs only).
 pub const VIEW_STATE: &str = "/view/state";
+/// The state of the tick at which the frame that is shown was taken, so that the tool can be drawn over it (logs only).
+pub const FRAME_STATE: &str = "/view/frame_state";
 /// Notices for the user (JSON).
 pub const NOTICE: &str = "/view/notice";
 /// Comparison of two logs (JSON; logs only).
@@ -96,10 +98,11 @@ impl Channels {
         channels
     }
 
-    /// Adds the channels that only logs have: [`VIEW_STATE`], and those of a second log, shown beside the first under the prefix
-    /// [`SECOND`].
+    /// Adds the channels that only logs have: [`VIEW_STATE`], [`FRAME_STATE`], and those of a second log, shown beside the first under
+    /// the prefix [`SECOND`].
     pub fn add_log(&mut self, has_second: bool) {
         self.logged(VIEW_STATE, Topic::State.description(), Policy::Newest);
+        self.logged(FRAME_STATE, Topic::State.description(), Policy::Newest);
         if !has_second {
             return;
         }

@@ -1,7 +1,10 @@
 //! Content of `/view/info`: the scene as the page needs it.
 
-use ipc_types::scene::Scene;
+use ipc_types::scene::{Scene, planned_path_mm};
 use serde_json::{Value, json};
+use voxel_grid::slice::ANATOMICAL;
+
+use crate::slice::{DRILLED, MOST_PIXELS, OUTSIDE};
 
 /// The viewer's controller name in a scene.
 pub const CONTROLLER: &str = "viewer";
@@ -37,6 +40,8 @@ pub enum Origin {
     Live(String),
     /// A log, by its file.
     Log(String),
+    /// A scene before its run, by its file.
+    Plan(String),
 }
 
 /// The message.
@@ -44,12 +49,14 @@ pub fn info(scene: &Scene, origin: &Origin, tool: &ToolShape, volume: Option<&Vo
     let (kind, key, place) = match origin {
         Origin::Live(folder) => ("live", "session", folder),
         Origin::Log(file) => ("log", "path", file),
+        Origin::Plan(file) => ("plan", "path", file),
     };
     let mut value = json!({
         "kind": kind,
         "scene": scene_part(scene),
         "tool": tool_part(tool),
         "volume": volume.map(|v| json!({"min_m": v.min_m, "max_m": v.max_m, "spacing_m": v.spacing_m})),
+        "slices": scene.volume.as_ref().map(|_| slice_planes(scene)),
         "controllers": scene.controller_names(),
         // What the viewer's own controller may drive.
         "drives": scene.controller.iter().find(|controller| controller.name == CONTROLLER).map(|own| &own.drives),
@@ -61,6 +68,7 @@ pub fn info(scene: &Scene, origin: &Origin, tool: &ToolShape, volume: Option<&Vo
             "source_detector_m": metres(drr.source_detector_mm),
             "columns": drr.columns, "rows": drr.rows, "pixel_pitch_m": metres(drr.pixel_pitch_mm),
             "rate_hz": drr.rate_hz,
+            "display": drr.display,
         })),
         // The detector's whole range: 16 bits per pixel.
         "window": scene.drr.as_ref().map(|_| json!({"low": 0, "high": 65535})),
@@ -81,43 +89,26 @@ fn scene_part(scene: &Scene) -> Value {
         "mode": scene.run.mode,
         "tick_count": scene.tick_count(),
         "target_m": drilling.and_then(|drilling| drilling.target_mm).map(|target| target.map(metres)),
-        "planned_path_m": planned_path(scene),
+        "planned_path_m": planned_path_mm(scene).map(|path| path.into_iter().map(|point| point.map(metres)).collect::<Vec<_>>()),
+        "burr_start_m": scene.tool.burr_start_mm.map(metres),
+        "predrill": scene.predrill.iter().map(|hole| json!({
+            "from_m": hole.from_mm.map(metres), "to_m": hole.to_mm.map(metres), "radius_m": 0.5 * metres(hole.diameter_mm),
+        })).collect::<Vec<_>>(),
     })
 }
 
-/// Planned path of the burr, as far as the scene defines it: from its start along the tool to where the bend begins, then to the target if
-/// there is one, otherwise straight to the end of the insertion.
-fn planned_path(scene: &Scene) -> Option<Vec<[f64; 3]>> {
-    let start = scene.tool.burr_start_mm;
-    let along = |length_mm: f64| -> [f64; 3] {
-        let direction = unit(scene.tool.direction);
-        core::array::from_fn(|axis| metres(start[axis] + length_mm * direction[axis]))
-    };
-    let path = scene.controller.iter().find_map(|controller| {
-        let skiving = controller.skiving.as_ref().map(|skiving| vec![along(0.0), along(skiving.depth_mm)]);
-        let drilling = controller.curved_drilling.as_ref().map(|drilling| match drilling.target_mm {
-            Some(target) => bent(along(0.0), along(drilling.ramp_start_mm), target.map(metres)),
-            None => vec![along(0.0), along(drilling.insertion_mm)],
-        });
-        drilling.or(skiving)
-    });
-    path.filter(|points| points.len() > 1)
-}
-
-/// Straight to the knee, then a parabola that continues the line and ends at the target: the path of a tool whose tension rises evenly.
-fn bent(start: [f64; 3], knee: [f64; 3], target: [f64; 3]) -> Vec<[f64; 3]> {
-    const PIECES: usize = 24;
-    let direction = unit(core::array::from_fn(|axis| knee[axis] - start[axis]));
-    let rest: [f64; 3] = core::array::from_fn(|axis| target[axis] - knee[axis]);
-    let length: f64 = (0..3).map(|axis| rest[axis] * direction[axis]).sum();
-    let point = |piece: usize| {
-        let t = piece as f64 / PIECES as f64;
-        core::array::from_fn(|axis| {
-            let sideways = rest[axis] - length * direction[axis];
-            knee[axis] + t * length * direction[axis] + t * t * sideways
-        })
-    };
-    core::iter::once(start).chain((0..=PIECES).map(point)).collect()
+/// The planes of the slices: the anatomical ones, and the plane of feed and bend.
+fn slice_planes(scene: &Scene) -> Value {
+    let mut planes: Vec<Value> = ANATOMICAL
+        .iter()
+        .map(|plane| json!({"name": plane.name, "right": plane.right, "down": plane.down, "letters": plane.letters}))
+        .collect();
+    let along = unit(scene.tool.direction);
+    let toward = scene.tool.bend_toward;
+    let part: f64 = (0..3).map(|axis| toward[axis] * along[axis]).sum();
+    let up = unit(core::array::from_fn(|axis| toward[axis] - part * along[axis]));
+    planes.push(json!({"name": "along the path", "right": along, "down": up.map(|x| -x), "letters": null}));
+    json!({"planes": planes, "most_pixels": MOST_PIXELS, "outside": OUTSIDE, "drilled": DRILLED})
 }
 
 /// The vector normalised to length 1.

@@ -23,7 +23,9 @@
 //! |---|---|
 //! | [`live`] | a running session: messages, run control, driving |
 //! | [`log`] | logs on a time line |
+//! | [`plan`] | a scene before its run |
 //! | [`surface`] | the bone's surface, block by block |
+//! | [`mod@slice`] | planes through the CT, on request |
 //! | [`server`], [`protocol`], [`services`] | HTTP, WebSocket, the requests of clients |
 //! | [`board`], [`channels`] | what clients subscribe to; [`hub::viewer`] decides what each of them gets |
 //! | [`scene_update`] | the tool for other viewers |
@@ -36,10 +38,12 @@ pub mod error;
 pub mod info;
 pub mod live;
 pub mod log;
+pub mod plan;
 pub mod protocol;
 pub mod scene_update;
 pub mod server;
 pub mod services;
+pub mod slice;
 pub mod surface;
 
 pub use error::ViewerError;

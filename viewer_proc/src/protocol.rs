@@ -142,13 +142,12 @@ pub fn time(time_ns: u64) -> Vec<u8> {
 }
 
 /// The response to a call.
-pub fn service_response(service: u32, call: u32, payload: &[u8]) -> Vec<u8> {
-    let encoding = b"json";
+pub fn service_response(service: u32, call: u32, encoding: &str, payload: &[u8]) -> Vec<u8> {
     let mut bytes = vec![SERVICE_RESPONSE];
     for word in [service, call, encoding.len() as u32] {
         bytes.extend_from_slice(&word.to_le_bytes());
     }
-    bytes.extend_from_slice(encoding);
+    bytes.extend_from_slice(encoding.as_bytes());
     bytes.extend_from_slice(payload);
     bytes
 }

@@ -7,11 +7,14 @@ use serde_json::{Value, json};
 use tokio::sync::oneshot;
 
 use crate::log::series::SeriesRequest;
+use crate::slice::Slice;
 
 /// Service names; their numbers start at 1 in this order.
-pub const SERVICES: [&str; 5] = ["/control", "/drive", "/frame", "/playback", "/series"];
-/// Number of the service that only reads, so that it needs no token beyond the one for watching.
+pub const SERVICES: [&str; 6] = ["/control", "/drive", "/frame", "/playback", "/series", "/slice"];
+/// Number of `/series`.
 const SERIES: u32 = 5;
+/// Number of `/slice`.
+pub const SLICE: u32 = 6;
 
 /// Actions of `/control`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -144,6 +147,8 @@ pub enum Request {
     Playback(Playback),
     /// Fields of a log over time.
     Series(SeriesRequest),
+    /// Show a slice of the CT.
+    Slice(Slice),
 }
 
 /// Answer to a request that was executed.
@@ -153,6 +158,13 @@ pub enum Reply {
     Done,
     /// A JSON object with `"ok": true` and what was asked for.
     Json(String),
+    /// What was asked for, in an encoding of its own.
+    Bytes {
+        /// Name of the encoding.
+        encoding: &'static str,
+        /// The content.
+        bytes: Vec<u8>,
+    },
 }
 
 /// What came of a request: an answer, or what is wrong.
@@ -167,6 +179,18 @@ pub struct Call {
     pub answer: oneshot::Sender<Outcome>,
 }
 
+impl Call {
+    /// Answers. The client may have left.
+    pub fn reply(self, reply: Reply) {
+        let _ = self.answer.send(Ok(reply));
+    }
+
+    /// Says why not. The client may have left.
+    pub fn refuse(self, why: &str) {
+        let _ = self.answer.send(Err(why.to_owned()));
+    }
+}
+
 /// Queue of calls to the source.
 pub type Calls = mpsc::Receiver<Call>;
 
@@ -177,7 +201,7 @@ pub type Calls = mpsc::Receiver<Call>;
 pub fn read_request(service: u32, payload: &[u8], token: &str) -> Result<Request, String> {
     let value: Value = serde_json::from_slice(payload).map_err(|error| format!("not JSON: {error}"))?;
     let given = value.get("token").and_then(Value::as_str).unwrap_or("");
-    if service != SERIES && !same(given, token) {
+    if service != SERIES && service != SLICE && !same(given, token) {
         return Err(NO_TOKEN.to_owned());
     }
     let malformed = |error: serde_json::Error| format!("malformed request: {error}");
@@ -196,6 +220,7 @@ pub fn read_request(service: u32, payload: &[u8], token: &str) -> Result<Request
         }
         4 => Request::Playback(serde_json::from_value(value).map_err(malformed)?),
         SERIES => Request::Series(serde_json::from_value(value).map_err(malformed)?),
+        SLICE => Request::Slice(serde_json::from_value(value).map_err(malformed)?),
         other => return Err(format!("there is no service {other}")),
     };
     Ok(request)
@@ -211,14 +236,15 @@ pub(crate) fn same(given: &str, token: &str) -> bool {
     given.len() == token.len() && difference == 0
 }
 
-/// The answer as JSON.
-pub fn response(outcome: Outcome) -> Vec<u8> {
+/// Encoding and bytes of an answer: JSON, unless it has an encoding of its own.
+pub fn response(outcome: Outcome) -> (&'static str, Vec<u8>) {
     let text = match outcome {
         Ok(Reply::Done) => json!({"ok": true}).to_string(),
         Ok(Reply::Json(text)) => text,
+        Ok(Reply::Bytes { encoding, bytes }) => return (encoding, bytes),
         Err(error) => json!({"ok": false, "error": error}).to_string(),
     };
-    text.into_bytes()
+    ("json", text.into_bytes())
 }
 
 #[cfg(test)]

@@ -4,7 +4,9 @@ use crate::error::VolumeError;
 use std::fmt;
 use std::path::Path;
 
-use voxel_grid::{GridError, MAX_ORIGIN_M, MAX_VOXELS, PERPENDICULAR_TOLERANCE, Placement, VoxelGrid};
+use voxel_grid::{
+    GridError, MAX_ORIGIN_M, MAX_VOXELS, PERPENDICULAR_TOLERANCE, Placement, VoxelGrid, sample,
+};
 
 /// A CT volume in Hounsfield units on a rectangular grid in the world frame (LPS, metres).
 ///
@@ -70,33 +72,13 @@ impl Volume {
 
     /// Whether a world position lies in the volume's box, to the voxels' faces.
     pub fn holds(&self, world_m: [f64; 3]) -> bool {
-        let voxel = self.world_to_voxel(world_m);
-        (0..3).all(|axis| (-0.5..=self.dims[axis] as f64 - 0.5).contains(&voxel[axis]))
+        sample::holds(self.dims, self.world_to_voxel(world_m))
     }
 
     /// Hounsfield units at a world position (LPS, metres), linear between the eight voxel centres around it; beyond the outermost centres
     /// those of the nearest. `None` outside the volume's box.
     pub fn hu_at(&self, world_m: [f64; 3]) -> Option<f64> {
-        if !self.holds(world_m) {
-            return None;
-        }
-        let voxel = self.world_to_voxel(world_m);
-        let (mut low, mut high, mut share) = ([0.0; 3], [0.0; 3], [0.0; 3]);
-        for axis in 0..3 {
-            let place = voxel[axis].clamp(0.0, (self.dims[axis] - 1) as f64);
-            low[axis] = place.floor();
-            high[axis] = place.ceil();
-            share[axis] = place - low[axis];
-        }
-        let mut sum = 0.0;
-        for corner in 0..8_usize {
-            let upper = [0, 1, 2].map(|axis| corner >> axis & 1 == 1);
-            let weight: f64 =
-                (0..3).map(|axis| if upper[axis] { share[axis] } else { 1.0 - share[axis] }).product();
-            let at = [0, 1, 2].map(|axis| (if upper[axis] { high[axis] } else { low[axis] }) as usize);
-            sum += weight * f64::from(self.at(at)?);
-        }
-        Some(sum)
+        sample::hu_at(self.dims, &self.hu, self.world_to_voxel(world_m))
     }
 
     /// Smallest, largest and mean Hounsfield units.

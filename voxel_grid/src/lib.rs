@@ -8,6 +8,8 @@
 //! DICOM, where the row direction is stored and the slice direction is the normal of the image. ITK applies the same tolerance and
 //! correction to NIfTI files. Axes further off are sheared and refused: only resampling could put the voxels where the file says.
 //!
+//! [`sample`] reads Hounsfield units between voxel centres, [`slice`] is a plane through them as pixels.
+//!
 //! ```
 //! use voxel_grid::{GridError, VoxelGrid};
 //!
@@ -20,6 +22,9 @@
 //! ));
 //! # Ok::<(), GridError>(())
 //! ```
+
+pub mod sample;
+pub mod slice;
 
 /// Most voxels of a volume (2^29, 1 GiB of `i16`), to limit what a hostile header can claim.
 pub const MAX_VOXELS: usize = 1 << 29;

@@ -4,7 +4,8 @@ import { add, cross, lookAt, multiply, perspective, scale, subtract, unit } from
 
 /** @typedef {import("/assets/vector.js").Vector} Vector */
 
-const FIELD_OF_VIEW_RAD = (32 * Math.PI) / 180;
+/** Vertical angle of the picture. */
+export const FIELD_OF_VIEW_RAD = (32 * Math.PI) / 180;
 const STEEPEST_RAD = 1.55;
 const KEY_TURN_RAD = 0.08;
 const DISTANCE_M = [0.01, 6];

@@ -102,7 +102,10 @@ export class Connection extends EventTarget {
     } else if (kind === SERVICE_RESPONSE) {
       const start = 13 + view.getUint32(9, true);
       const call = view.getUint32(5, true);
-      this.calls.get(call)?.(JSON.parse(new TextDecoder().decode(new Uint8Array(data, start))));
+      const text = (from, bytes) => new TextDecoder().decode(new Uint8Array(data, from, bytes));
+      // What is not JSON is handed on as it is.
+      const isJson = text(13, start - 13) === "json";
+      this.calls.get(call)?.(isJson ? JSON.parse(text(start)) : { ok: true, bytes: new DataView(data, start) });
       this.calls.delete(call);
     } else if (kind !== TIME) {
       console.warn(`unknown binary message ${kind} of the server`);
@@ -132,7 +135,8 @@ export class Connection extends EventTarget {
 
   /**
    * Calls a service; never throws.
-   * @param {string} name @param {object} request @returns {Promise<{ok: boolean, error?: string, [more: string]: any}>}
+   * @param {string} name @param {object} request @returns {Promise<{ok: boolean, error?: string, bytes?: DataView, [more: string]: any}>}
+   *   `bytes`: an answer that is not JSON
    */
   call(name, request) {
     if (this.socket?.readyState !== WebSocket.OPEN) return Promise.resolve({ ok: false, error: "not connected" });

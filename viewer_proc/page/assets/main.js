@@ -2,23 +2,31 @@
 
 import { Actions } from "/assets/actions.js";
 import { Connection, json } from "/assets/connection.js";
+import { Cursor } from "/assets/cursor.js";
 import { Drive } from "/assets/drive.js";
 import { connectDrivePanel, showDrive } from "/assets/drive_panel.js";
 import { commands } from "/assets/commands.js";
+import { showGuidance } from "/assets/guidance.js";
+import { CLICK_PX, Measures } from "/assets/measure.js";
 import { Model } from "/assets/model.js";
 import { Notices } from "/assets/notices.js";
 import { drawGizmo, fillLegend, showScaleBar } from "/assets/overlays.js";
 import { Rate, showFrame, showRun, showStream, showTicks, silence } from "/assets/panels.js";
+import { showPlan } from "/assets/plan_view.js";
 import { Film } from "/assets/figure.js";
 import { PanelLayout } from "/assets/panel_layout.js";
 import { PlotsPanel, STEP_TIME } from "/assets/plots_panel.js";
 import { SceneView } from "/assets/scene_view.js";
+import { SceneOverlay } from "/assets/scene_overlay.js";
+import { sliceCommands } from "/assets/slice_commands.js";
+import { Slices } from "/assets/slices.js";
 import { endParts, showComparison, showParts } from "/assets/tables.js";
 import { Theme } from "/assets/theme.js";
 import { TimeLine } from "/assets/time_line.js";
 import { drawTimingStrip } from "/assets/timing_strip.js";
 import { Work } from "/assets/work.js";
 import { XRay, decodeImage } from "/assets/x_ray.js";
+import { XRayOverlay } from "/assets/x_ray_overlay.js";
 
 /** Readouts change this often, so that they can be read. */
 const TEXT_MS = 100;
@@ -30,7 +38,7 @@ const token = new URLSearchParams(location.hash.slice(1)).get("token") ?? undefi
 const notices = new Notices(element("notices"), element("banner"));
 const model = new Model();
 const connection = new Connection(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws${token ? `?token=${token}` : ""}`, token);
-const dirty = { scene: true, xRay: false, plots: true };
+const dirty = { scene: true, slices: true, xRay: false, plots: true };
 const page = { model, connection, notices, work: new Work(), asked: 0 };
 connection.took = (milliseconds) => page.work.message(milliseconds);
 let scheduled = false;
@@ -38,10 +46,10 @@ let connected = false;
 /** What the viewer said last: when it has gone, probably why. @type {string | undefined} */
 let said;
 
-/** Asks for a new picture of one part, or of all. @param {"scene" | "xRay" | "plots"} [what] */
+/** Asks for a new picture of one part, or of all. @param {"scene" | "slices" | "xRay" | "plots"} [what] */
 function changed(what) {
   if (what) dirty[what] = true;
-  else Object.assign(dirty, { scene: true, xRay: true, plots: true });
+  else Object.assign(dirty, { scene: true, slices: true, xRay: true, plots: true });
   if (scheduled || !page.theme) return;
   scheduled = true;
   requestAnimationFrame(draw);
@@ -62,6 +70,11 @@ page.call = async (service, request) => {
 
 page.xRay = new XRay(element("x-ray-canvas"), () => changed("xRay"));
 page.xRay.listen();
+page.cursor = new Cursor(() => changed());
+page.measures = new Measures(() => (showMeasures(), changed()));
+page.xRayOverlay = new XRayOverlay(element("x-ray-overlay"), page.xRay, model, page.cursor, page.measures);
+// Whoever may watch may see slices: they need no control token.
+page.slices = new Slices(model, page.cursor, page.measures, (request) => connection.call("/slice", request), () => changed("slices"));
 page.plots = new PlotsPanel(element("plots-grid"), model, {
   changed: () => changed("plots"),
   ask: (request) => connection.call("/series", request),
@@ -82,18 +95,39 @@ page.drive = new Drive((request) => connection.call("/drive", request), () => sh
 connectDrivePanel(page.drive);
 try {
   page.view = new SceneView(element("scene-canvas"), () => changed("scene"));
+  Object.assign(page.view, { cursor: page.cursor, measures: page.measures });
+  page.sceneOverlay = new SceneOverlay(element("scene-overlay"), page.view, page.measures);
+  listenToClicks(element("scene-canvas"));
   const lost = "The browser has lost its 3D picture: load the page again.";
   element("scene-canvas").addEventListener("webglcontextlost", () => notices.show("webgl", lost));
 } catch (error) {
   notices.show("webgl", `No 3D view: ${error instanceof Error ? error.message : error}. The X-ray, plots and controls work without it.`);
 }
 page.theme = new Theme(() => changed());
-page.actions = new Actions(commands(page));
+page.actions = new Actions([...commands(page), ...sliceCommands(page)]);
 page.actions.listen();
 /** The speed of the list, as run control takes it: a run in real time has its own speed without steps. */
 page.speed = () => (model.info?.scene?.mode === "realtime" && element("speed").value === "1" ? 0 : Number(element("speed").value));
 element("speed").addEventListener("change", () => page.call("/control", { action: "speed", speed: page.speed() }));
 new ResizeObserver(() => changed()).observe(document.body);
+
+/** In the 3D view a click measures, a double click puts the cross-hair there; a drag turns. @param {HTMLCanvasElement} canvas */
+function listenToClicks(canvas) {
+  let travelled = 0;
+  const place = (event) => page.view.placeAt(event.offsetX, event.offsetY, model);
+  canvas.addEventListener("pointerdown", () => (travelled = 0));
+  canvas.addEventListener("pointermove", (event) => (travelled += Math.abs(event.movementX) + Math.abs(event.movementY)));
+  canvas.addEventListener("click", (event) => page.measures.on && travelled < CLICK_PX && page.measures.add(place(event)));
+  canvas.addEventListener("dblclick", (event) => !page.measures.on && page.cursor.place(place(event)));
+}
+
+function showMeasures() {
+  const { measures } = page;
+  element("measure").setAttribute("aria-pressed", String(measures.on));
+  element("measure-facts").textContent = measures.text;
+  element("measure-clear").hidden = measures.lines.length === 0;
+  document.body.classList.toggle("measuring", measures.on);
+}
 
 function showDriveNow() {
   const named = model.info?.controllers?.includes("viewer") ?? false;
@@ -112,11 +146,14 @@ function takeInfo(data) {
   document.title = `${info.scene?.name ?? "Trabecula"} · Trabecula`;
   if (info.drives) page.drive.parts = info.drives;
   if (info.tool?.tendon_max_n) page.drive.tendonMostN = info.tool.tendon_max_n;
+  page.xRay.denseIsBright = info.c_arm?.display === "bone_bright";
   if (info.c_arm) {
     element("c-arm-primary").value = String(info.c_arm.primary_angle_deg);
     element("c-arm-secondary").value = String(info.c_arm.secondary_angle_deg);
   }
   takeLegend(document.body.classList.contains("compare"));
+  page.slices.takeInfo();
+  showPlan(info);
   showDriveNow();
   changed();
 }
@@ -184,6 +221,7 @@ function takeState(data, timeNs, channel) {
   model.takeState(data, timeNs, channel);
   if (model.info?.kind !== "log") page.plots.axis.move(model.time ?? 0);
   changed("scene");
+  changed("slices");
   changed("plots");
 }
 
@@ -193,6 +231,7 @@ for (const prefix of ["", "/second"]) {
 }
 connection.on("/view/miss", (data) => (model.takeMiss(data), changed("plots")));
 connection.on("/drr/frame", (...message) => (model.takeFrame(...message), changed("xRay")));
+connection.on("/view/frame_state", (...message) => (model.takeFrameState(...message), changed("xRay")));
 connection.on("/view/asked_frame", takeAskedFrame);
 connection.on("/view/pace", takePace);
 connection.on("/run/status", (...message) => (model.takeStatus(...message), changed("plots")));
@@ -240,15 +279,19 @@ function draw() {
   const began = performance.now();
   const { colours } = page.theme;
   const waits = dirty.scene && page.view?.busy;
-  const idle = waits && !dirty.xRay && !dirty.plots;
+  const idle = waits && !dirty.slices && !dirty.xRay && !dirty.plots;
   if (dirty.scene && page.view && !waits) drawScene(colours);
-  if (dirty.xRay) page.xRay.draw();
+  if (dirty.slices) page.slices.draw();
+  if (dirty.xRay) {
+    page.xRay.draw();
+    page.xRayOverlay.draw();
+  }
   if (dirty.plots) {
     page.plots.draw(colours);
     drawTimingStrip(element("timing-canvas"), page.plots.samples(STEP_TIME), page.plots.misses(), page.plots.times(), model.periodNs, colours);
     if (model.info?.kind === "log") page.timeLine.draw(colours);
   }
-  Object.assign(dirty, { scene: false, xRay: false, plots: false });
+  Object.assign(dirty, { scene: false, slices: false, xRay: false, plots: false });
   if (waits) changed("scene");
   if (!idle) page.work.picture(performance.now() - began);
 }
@@ -257,6 +300,7 @@ function drawScene(colours) {
   const { view } = page;
   view.dark = page.theme.dark;
   view.draw(model);
+  page.sceneOverlay.draw();
   drawGizmo(element("gizmo"), view.camera.view, colours);
   showScaleBar(element("scale-bar"), view.camera.metresPerPixel(view.canvas.clientHeight));
 }
@@ -268,6 +312,7 @@ function showTexts() {
   const now = performance.now();
   showRun(model, connected, page.timeLine.state, rate.add(model.info?.kind === "log" ? page.timeLine.state.time_ns / 1e9 : model.time, now));
   showFrame(model, page.xRay);
+  showGuidance(model);
   const [from, to] = page.plots.range();
   showTicks(model, page.plots.misses(), from, to, page.theme.colours);
   const { reading } = page.plots;

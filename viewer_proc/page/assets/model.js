@@ -2,6 +2,7 @@
 
 import { layoutOf, reader } from "/assets/schema.js";
 import { armFrames } from "/assets/arm.js";
+import { FrameStates } from "/assets/frame_states.js";
 import { Trail, contactsOf } from "/assets/tool_model.js";
 import { json } from "/assets/connection.js";
 
@@ -14,7 +15,8 @@ const PHASES = ["connecting", "running", "paused", "ended"];
 /** Misses of a run that are kept. */
 const MOST_MISSES = 20000;
 
-const three = (layout, path) => [0, 1, 2].map((i) => reader(layout, `${path}[${i}]`));
+const many = (layout, path, count) => Array.from({ length: count }, (_, i) => reader(layout, `${path}[${i}]`));
+const three = (layout, path) => many(layout, path, 3);
 const poseReader = (layout, path) => ({
   position: three(layout, `${path}.position_m`),
   rotation: [0, 1, 2, 3].map((i) => reader(layout, `${path}.orientation_xyzw[${i}]`)),
@@ -25,7 +27,7 @@ const readPose = (at, view) => ({ position: at.position.map((f) => f(view)), rot
 function stateReaders(layout) {
   return {
     tick: reader(layout, "tick"), removed: reader(layout, "removed_total"),
-    layout, tension: reader(layout, "tendon_tension_n[0]"), burr: three(layout, "t_world_burr.position_m"),
+    layout, tension: reader(layout, "tendon_tension_n[0]"), force: reader(layout, "burr_force_n"), burr: three(layout, "t_world_burr.position_m"),
     linkCount: reader(layout, "joint_count"), base: poseReader(layout, "t_world_base"), burrPose: poseReader(layout, "t_world_burr"),
     links: Array.from({ length: LINKS }, (_, i) => poseReader(layout, `t_world_link[${i}]`)), flange: poseReader(layout, "t_world_flange"),
     armAngles: Array.from({ length: ARM_JOINTS }, (_, i) => reader(layout, `arm_joint_position_rad[${i}]`)),
@@ -56,6 +58,7 @@ export class Model {
   constructor() {
     this.readers = new Map();
     this.info = undefined;
+    this.frameStates = new FrameStates();
     this.trail = new Trail();
     /** Simulated time of the newest state, seconds. @type {number | undefined} */
     this.time = undefined;
@@ -90,6 +93,17 @@ export class Model {
     return this.state && posesOf(this.stateRead, this.state);
   }
 
+  /** Centre of the burr. @returns {import("/assets/vector.js").Vector | undefined} */
+  get tip() {
+    return this.state && this.stateRead.burr.map((f) => f(this.state));
+  }
+
+  /** Where the tool was at a tick, or at one that is no more than so many away. @param {number} tick @param {number} most */
+  posesAt(tick, most) {
+    const state = this.frameStates.near(tick, most);
+    return state && posesOf(this.stateRead, state);
+  }
+
   /** The second log's. */
   get second() {
     return this.secondState && posesOf(this.stateRead, this.secondState);
@@ -113,6 +127,7 @@ export class Model {
     const read = this.#read(channel, stateReaders);
     const second = channel.topic.startsWith("/second");
     this.stateRead = read;
+    if (!second) this.frameStates.add(read.tick(data), data);
     if (second) {
       this.secondState = data;
       return;
@@ -121,6 +136,12 @@ export class Model {
     this.time = timeNs / 1e9;
     this.stateAt = performance.now();
     this.trail.add(read.burr.map((f) => f(data)), timeNs);
+  }
+
+  /** The state at the frame that is shown, of a log. @type {import("/assets/connection.js").Handler} */
+  takeFrameState(data, _timeNs, channel) {
+    this.stateRead ??= this.#read(channel, stateReaders);
+    this.frameStates.add(this.stateRead.tick(data), data);
   }
 
   /** A late tick with its cause; those from before the page was opened come at once. @param {DataView} data */
@@ -143,6 +164,11 @@ export class Model {
   /** Tension of the first tendon, N. */
   get tension() {
     return this.state ? this.stateRead.tension(this.state) : undefined;
+  }
+
+  /** Force on the burr, N. */
+  get force() {
+    return this.state ? this.stateRead.force(this.state) : undefined;
   }
 
   get periodNs() {
@@ -173,9 +199,12 @@ export class Model {
     const read = this.#read(channel, (layout) => ({
       sequence: reader(layout, "sequence"), tick: reader(layout, "tick"),
       primary: reader(layout, "projection.primary_angle_rad"), secondary: reader(layout, "projection.secondary_angle_rad"), end: layout.bytes,
+      projection: { intrinsics: many(layout, "projection.intrinsics", 9), rotation: many(layout, "projection.rotation", 9), translation: three(layout, "projection.translation_m") },
     }));
-    const { end, ...fields } = read;
-    return { frame: Object.fromEntries(Object.entries(fields).map(([name, f]) => [name, f(data)])), end };
+    const { end, projection, ...fields } = read;
+    const values = (readers) => Object.fromEntries(Object.entries(readers).map(([name, f]) => [name, f(data)]));
+    const matrices = Object.fromEntries(Object.entries(projection).map(([name, all]) => [name, all.map((f) => f(data))]));
+    return { frame: { ...values(fields), projection: matrices }, end };
   }
 
   /**
@@ -200,6 +229,7 @@ export class Model {
   /** Forgets what belongs to a run, for a new connection. */
   clear() {
     this.trail.clear();
+    this.frameStates.clear();
     this.misses = [];
     this.time = this.status = undefined;
     this.state = this.secondState = this.frame = this.heldFrame = this.stateAt = this.pace = undefined;

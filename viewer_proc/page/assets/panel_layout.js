@@ -5,10 +5,10 @@ import { store, stored } from "/assets/kept.js";
 const KEPT = "panels";
 /** Panels that can be hidden: id and name. @type {[string, string][]} */
 const PANELS = [["plots", "Plots"], ["timing", "Ticks"], ["x-ray", "X-ray"], ["connected", "Parts"], ["log", "Messages"]];
-/** Handles: id, property of the style sheet, default, least and greatest size in pixels, which coordinate, and which way it grows. */
+/** Handles: id, property of the style sheet, least and greatest size in pixels, which coordinate, and which way it grows. */
 const HANDLES = [
-  { id: "plots-handle", property: "--plots-height", size: 214, least: 110, most: 900, key: "clientY", way: -1 },
-  { id: "aside-handle", property: "--aside-width", size: 384, least: 240, most: 1200, key: "clientX", way: -1 },
+  { id: "plots-handle", property: "--plots-height", least: 110, most: 900, key: "clientY", way: -1 },
+  { id: "aside-handle", property: "--aside-width", least: 240, most: 1200, key: "clientX", way: -1 },
 ];
 const KEY_STEP_PX = 20;
 
@@ -61,9 +61,10 @@ export class PanelLayout {
     this.changed();
   }
 
-  #listen({ id, property, size, least, most, key, way }) {
+  #listen({ id, property, least, most, key, way }) {
     const handle = element(id);
-    const now = () => this.layout.sizes[property] ?? (parseFloat(getComputedStyle(document.body).getPropertyValue(property)) || size);
+    // The panel's own size until one is set: the style sheet's depends on the window.
+    const now = () => this.layout.sizes[property] ?? (key === "clientY" ? handle.parentElement.offsetHeight : handle.parentElement.offsetWidth);
     const set = (value) => ((this.layout.sizes[property] = Math.min(most, Math.max(least, Math.round(value)))), this.#keep());
     let pressed;
     handle.addEventListener("pointerdown", (event) => {

@@ -34,12 +34,13 @@ export function showRun(model, connected, playback, rate) {
   const isLog = model.info?.kind === "log";
   const phase = !connected ? (model.hasEnded ? "ended" : "lost") : isLog ? (playback.playing ? "running" : "paused") : model.phase;
   const held = phase === "running" && model.pace ? ` at ${model.pace} ×` : "";
-  set("phase", isLog && connected ? (playback.playing ? "Playing" : "Paused") : PHASE_WORDS[phase] + held);
+  const isPlan = model.info?.kind === "plan" && connected;
+  set("phase", isPlan ? "Before the run" : isLog && connected ? (playback.playing ? "Playing" : "Paused") : PHASE_WORDS[phase] + held);
   element("phase").dataset.state = phase;
   set("scene-name", model.info?.scene?.name ?? "waiting for the scene");
   // The end of a long path tells the logs apart.
   const path = model.info?.path ?? "";
-  set("kind", isLog ? `log ${path.split("/").slice(-2).join("/")}` : model.info ? `live, ${model.info.scene?.mode ?? ""}` : "");
+  set("kind", isLog || isPlan ? `${model.info.kind} ${path.split("/").slice(-2).join("/")}` : model.info ? `live, ${model.info.scene?.mode ?? ""}` : "");
   element("kind").title = path;
   set("pause", phase === "paused" ? "Resume" : "Pause");
   const tickCount = model.status?.tick_count || (isLog && model.info.scene?.tick_count);

@@ -61,19 +61,23 @@ export class PartsList {
     this.shapes.cone.push(...neck, ...fromZ(unit(along)), radius * 2.4, radius * 2.4, head, ...colour);
   }
 
-  /** A line of thin capsules through points; `dash` draws every other piece of that length. */
+  /** A line of thin capsules through points; `dash` draws every other piece of that length, counted along the whole line. */
   path(points, radius, colour, dash = 0) {
+    let passed = 0;
     for (let i = 1; i < points.length; i++) {
       if (dash === 0) {
         this.capsule(points[i - 1], points[i], radius, colour);
         continue;
       }
       const along = subtract(points[i], points[i - 1]);
-      const pieces = Math.max(1, Math.round(length(along) / dash));
-      for (let k = 0; k < pieces; k += 2) {
-        const at = (part) => add(points[i - 1], scale(along, Math.min(1, part / pieces)));
-        this.cylinder(at(k), at(k + 1), radius, colour);
+      const span = length(along);
+      const at = (way) => add(points[i - 1], scale(along, (way - passed) / (span || 1)));
+      const end = passed + span;
+      for (let k = 2 * Math.floor(passed / (2 * dash)); k * dash < end; k += 2) {
+        const [from, to] = [Math.max(passed, k * dash), Math.min(end, (k + 1) * dash)];
+        if (to > from) this.cylinder(at(from), at(to), radius, colour);
       }
+      passed = end;
     }
   }
 

@@ -3,6 +3,8 @@
 import { Camera } from "/assets/camera.js";
 import { InstancedShape, program } from "/assets/gl.js";
 import { PartsList } from "/assets/parts_list.js";
+import { addFrustum, addPlannedTool } from "/assets/plan_view.js";
+import { cameraRay, nearest, pick } from "/assets/pick.js";
 import { PART_FRAGMENT, PART_VERTEX, SURFACE_FRAGMENT, SURFACE_VERTEX } from "/assets/shaders.js";
 import { cone, cube, cylinder, sphere } from "/assets/shapes.js";
 import { Surface } from "/assets/surface.js";
@@ -10,6 +12,8 @@ import { COLOURS, addArm, addBodies, addContacts, addTool, bendingPlane } from "
 
 /** How the bone is shown. */
 export const BONE_MODES = ["section", "glass", "solid", "hidden"];
+/** Within this distance from the line of sight to the tool the arm fades. */
+const FADE_M = 0.03;
 /** @typedef {import("/assets/vector.js").Vector} Vector */
 /** @type {Record<"bone" | "inside" | "background", Vector>} */
 const LIGHT_SIDE = { bone: [0.93, 0.88, 0.78], inside: [0.78, 0.62, 0.5], background: [0.925, 0.94, 0.955] };
@@ -42,6 +46,10 @@ export class SceneView {
     const shapes = { cylinder: cylinder(), cone: cone(), sphere: sphere(), cube: cube() };
     this.shapes = Object.fromEntries(Object.entries(shapes).map(([name, shape]) => [name, new InstancedShape(gl, shape)]));
     this.boneMode = BONE_MODES[0];
+    /** The cross-hair and the distances. @type {import("/assets/cursor.js").Cursor | undefined} */
+    this.cursor = undefined;
+    /** @type {import("/assets/measure.js").Measures | undefined} */
+    this.measures = undefined;
     this.dark = false;
     this.pictures = 0;
     gl.enable(gl.DEPTH_TEST);
@@ -100,12 +108,20 @@ export class SceneView {
     list.path(info?.scene?.planned_path_m ?? [], 0.00045, COLOURS.planned, 0.001);
     list.path(trail.points, 0.0004, COLOURS.drilled);
     if (info?.scene?.target_m) list.target(info.scene.target_m, 0.004, COLOURS.target);
+    addFrustum(list, info);
+    if (this.cursor?.point && !this.cursor.follows) list.target(this.cursor.point, 0.006, COLOURS.cursor);
+    for (const { from, to } of this.measures?.lines ?? []) list.capsule(from, to, 0.0005, COLOURS.measure);
+    if (this.measures?.begun) list.sphere(this.measures.begun, 0.001, COLOURS.measure);
     return list;
   }
 
-  #drawParts(list, clipFromWorld) {
+  /** @param {import("/assets/tool_model.js").Poses} [before] what stands before this tool fades */
+  #drawParts(list, clipFromWorld, before) {
     const { gl, parts } = this;
     gl.useProgram(parts.linked);
+    gl.uniform1f(parts.uniforms.u_fade, before ? FADE_M : 0);
+    gl.uniform3fv(parts.uniforms.u_toolBase, before?.base.position ?? [0, 0, 0]);
+    gl.uniform3fv(parts.uniforms.u_tip, before?.burr.position ?? [0, 0, 0]);
     gl.uniformMatrix4fv(parts.uniforms.u_clipFromWorld, false, clipFromWorld);
     gl.uniform3fv(parts.uniforms.u_eye, this.camera.eye);
     for (const [name, numbers] of Object.entries(list.shapes)) this.shapes[name].draw(numbers);
@@ -116,15 +132,27 @@ export class SceneView {
     const { gl } = this;
     const list = new PartsList();
     if (poses) addArm(list, poses);
+    addPlannedTool(list, info);
     if (second && info?.tool) addTool(list, second, info.tool, COLOURS.second);
     gl.colorMask(false, false, false, false);
     this.#drawParts(list, clipFromWorld);
     gl.colorMask(true, true, true, true);
     gl.depthFunc(gl.LEQUAL);
     gl.enable(gl.BLEND);
-    this.#drawParts(list, clipFromWorld);
+    this.#drawParts(list, clipFromWorld, poses);
     gl.disable(gl.BLEND);
     gl.depthFunc(gl.LESS);
+  }
+
+  /** The place of bone or burr under a place of the picture, else the one nearest to the cross-hair. @param {number} x @param {number} y pixels of the page */
+  placeAt(x, y, model) {
+    const { camera, canvas, boneMode } = this;
+    const ray = cameraRay(camera, x, y, canvas.clientWidth, canvas.clientHeight);
+    const { poses, info } = model;
+    const balls = poses ? [{ centre: poses.burr.position, radius: info?.tool?.burr_radius_m ?? 0.003 }] : [];
+    const cut = boneMode === "section" && poses ? bendingPlane(poses.base, camera.eye) : [0, 0, 0, 0];
+    const blocks = boneMode === "hidden" ? [] : this.surface.blocks.values();
+    return pick(ray, blocks, cut, balls) ?? nearest(ray, this.cursor?.point ?? camera.centre);
   }
 
   #drawBone(scene, clipFromWorld, colours) {

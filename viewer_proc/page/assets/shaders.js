@@ -38,12 +38,29 @@ in vec3 v_world;
 in vec3 v_normal;
 in vec4 v_colour;
 uniform vec3 u_eye;
+uniform vec3 u_toolBase;
+uniform vec3 u_tip;
+uniform float u_fade;
 out vec4 colour;
 ${LIGHT}
+/** 0 to 1: how near to the line of sight to the tool a point before it lies, within u_fade metres. */
+float beforeTool(vec3 point) {
+  vec3 sight = normalize(point - u_eye);
+  float most = 0.0;
+  for (int i = 0; i <= 4; i++) {
+    vec3 away = mix(u_toolBase, u_tip, float(i) / 4.0) - u_eye;
+    float ahead = dot(away, sight);
+    float beside = length(away - ahead * sight);
+    if (ahead > distance(point, u_eye)) most = max(most, 1.0 - smoothstep(0.6 * u_fade, u_fade, beside));
+  }
+  return most;
+}
 void main() {
   vec3 toEye = normalize(u_eye - v_world);
   vec3 normal = normalize(v_normal);
-  colour = vec4(shade(v_colour.rgb, normal, toEye, 0.35) * v_colour.a, v_colour.a);
+  float alpha = v_colour.a;
+  if (u_fade > 0.0) alpha *= 1.0 - 0.9 * beforeTool(v_world);
+  colour = vec4(shade(v_colour.rgb, normal, toEye, 0.35) * alpha, alpha);
 }`;
 
 export const SURFACE_VERTEX = `#version 300 es

@@ -68,8 +68,9 @@ export class Surface {
       if (i < 2) gl.enableVertexAttribArray(i);
       return buffer;
     });
-    const { origin, scale, indexCount } = mesh;
-    this.blocks.set(mesh.block, { vertexArray, buffers, origin, scale, indexCount });
+    const { origin, scale, indexCount, positions, indices } = mesh;
+    // Positions and indices stay here for what is clicked on.
+    this.blocks.set(mesh.block, { vertexArray, buffers, origin, scale, indexCount, positions, indices });
     this.triangles += indexCount / 3;
   }
 

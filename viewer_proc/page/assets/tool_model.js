@@ -17,7 +17,7 @@ const LEAP_M = 0.005;
 /** @type {Record<string, import("/assets/parts_list.js").Colour>} */
 export const COLOURS = {
   arm: [0.5, 0.51, 0.53, 0.4], shaft: [0.66, 0.67, 0.7, 1], linkEven: [0.16, 0.55, 0.78, 1], linkOdd: [0.52, 0.8, 0.93, 1],
-  burr: [0.96, 0.45, 0.08, 1], target: [0.85, 0.15, 0.65, 1], planned: [0.1, 0.62, 0.33, 1], drilled: [0.95, 0.75, 0.1, 1],
+  burr: [0.96, 0.45, 0.08, 1], cursor: [0.2, 0.72, 0.45, 1], measure: [0.9, 0.75, 0.05, 1], target: [0.85, 0.15, 0.65, 1], planned: [0.1, 0.62, 0.33, 1], drilled: [0.95, 0.75, 0.1, 1],
   force: [0.86, 0.1, 0.16, 1], body: [0.55, 0.5, 0.75, 1], second: [0.45, 0.4, 0.95, 0.45],
 };
 
@@ -57,6 +57,8 @@ export function addTool(list, poses, tool, one) {
     const link = tool.links?.[i] ?? { length_m: 0.001, outer_radius_m: 0.003 };
     const colour = one ?? (i % 2 === 0 ? COLOURS.linkEven : COLOURS.linkOdd);
     list.cylinder(pose.position, transform(pose, [0, 0, link.length_m]), link.outer_radius_m, colour);
+    // A ball in each joint: a bend would open a gap between the ends of two cylinders.
+    list.sphere(pose.position, link.outer_radius_m, colour);
   });
   list.sphere(poses.burr.position, burrRadius, one ?? COLOURS.burr);
 }

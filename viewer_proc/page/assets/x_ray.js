@@ -1,8 +1,10 @@
 // Frames: decoding, window and level, and the difference of two.
 
 const LEVELS = 65536;
-/** Shares of the pixels that the automatic window leaves out, dark and bright. */
-const CLIPPED = 0.005;
+/** Shares of the pixels that the automatic window leaves out. */
+const CLIPPED = { dense: 0.01, soft: 0.3 };
+/** A grey this near to an end of the range, as a share of it, is air or metal. */
+const AT_THE_END = 0.02;
 
 /**
  * @typedef {{width: number, height: number, pixels: Uint16Array}} Image
@@ -36,16 +38,25 @@ export function decodeImage(data, start = 4) {
   return { width, height, pixels: new Uint16Array(data.buffer.slice(from, from + bytes)) };
 }
 
-/** The window that shows all but the darkest and brightest pixels. @param {Image} image @returns {Window} */
-export function automaticWindow({ pixels }) {
+/**
+ * The window that spreads the greys of bone: without what is at the ends of the detector's range (air, metal), the shares of the pixels
+ * that it leaves out at the dense end and at the other one, where soft tissue may be as bright as air.
+ * @param {Image} image @param {boolean} [denseIsBright] @returns {Window}
+ */
+export function automaticWindow({ pixels }, denseIsBright = false) {
   const counts = new Uint32Array(LEVELS);
   for (const value of pixels) counts[value] += 1;
-  const bound = (from, step) => {
-    let value = from;
-    for (let left = pixels.length * CLIPPED; value > 0 && value < LEVELS - 1 && (left -= counts[value]) > 0; ) value += step;
+  const [first, last] = [LEVELS * AT_THE_END, LEVELS * (1 - AT_THE_END)].map(Math.round);
+  let inside = 0;
+  for (let value = first; value < last; value++) inside += counts[value];
+  // A frame of air or metal alone.
+  if (inside < pixels.length * CLIPPED.dense) return { level: LEVELS / 2, width: LEVELS };
+  const quantile = (share) => {
+    let value = first;
+    for (let left = inside * share; value < last && (left -= counts[value]) > 0; ) value += 1;
     return value;
   };
-  const [low, high] = [bound(1, 1), bound(LEVELS - 2, -1)];
+  const [low, high] = denseIsBright ? [quantile(CLIPPED.soft), quantile(1 - CLIPPED.dense)] : [quantile(CLIPPED.dense), quantile(1 - CLIPPED.soft)];
   return { level: (low + high) / 2, width: Math.max(16, high - low) };
 }
 
@@ -67,6 +78,8 @@ export class XRay {
     /** @type {"first" | "both" | "second" | "difference"} */
     this.shows = "first";
     this.inverted = false;
+    /** As the scene's display says. */
+    this.denseIsBright = false;
     this.window = { level: LEVELS / 2, width: LEVELS };
     this.table = new Uint32Array(LEVELS);
     this.frames = 0;
@@ -75,7 +88,7 @@ export class XRay {
   /** @param {Image} image @param {boolean} second of the second log */
   take(image, second) {
     if (!this.image && !second) {
-      this.window = automaticWindow(image);
+      this.window = automaticWindow(image, this.denseIsBright);
       this.#fillTable();
     }
     if (second && !this.second) this.shows = "both";
@@ -92,7 +105,7 @@ export class XRay {
 
   automatic() {
     if (!this.image) return;
-    this.window = automaticWindow(this.held ?? this.image);
+    this.window = automaticWindow(this.held ?? this.image, this.denseIsBright);
     this.#windowChanged();
   }
 

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use ipc_types::clock::now_ns;
 use ipc_types::messages::{Removed, RunStatus, Volume};
 use ipc_types::ports::{PortError, Subscriber};
 use ipc_types::services;
@@ -18,6 +19,8 @@ use voxel_grid::{GridError, VoxelGrid};
 use zerocopy::FromBytes;
 
 use crate::board::Board;
+use crate::services::Calls;
+use crate::slice::Slicer;
 use crate::surface::bone::Bone;
 
 /// Time between two polls of the removals; the queue holds half a second of them at 1 kHz.
@@ -35,6 +38,8 @@ pub(super) struct BoneThread {
     pub threshold_hu: i16,
     pub board: Arc<Board>,
     pub over: Arc<AtomicBool>,
+    /// Requests for slices.
+    pub asked: Calls,
 }
 
 impl BoneThread {
@@ -69,6 +74,7 @@ impl BoneThread {
 
     fn follow(&self, mut bone: Bone, hu: &[i16], mut removals: Removals) -> Result<(), BoneError> {
         let mut meshed: Option<Instant> = None;
+        let mut slicer = Slicer::new(now_ns());
         while !self.over.load(Ordering::Relaxed) {
             removals.poll(&self.board)?;
             while let Some((removed, voxels)) = removals.next() {
@@ -78,6 +84,8 @@ impl BoneThread {
                 bone.publish(hu, &self.board);
                 meshed = Some(Instant::now());
             }
+            self.asked.try_iter().for_each(|call| slicer.add(call));
+            slicer.answer(bone.field(), hu, now_ns());
             std::thread::sleep(POLL_PERIOD);
         }
         Ok(())

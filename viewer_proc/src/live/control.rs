@@ -173,11 +173,8 @@ impl Control {
                 let how = if reply.action() == Ok(ControlAction::Step) { "; pause first" } else { "" };
                 format!("refused at tick {}{how}", reply.tick)
             };
-            let _ = answer.send(if reply.status() == Ok(ControlStatus::Done) {
-                Ok(Reply::Done)
-            } else {
-                Err(refused())
-            });
+            let is_done = reply.status() == Ok(ControlStatus::Done);
+            let _ = answer.send(if is_done { Ok(Reply::Done) } else { Err(refused()) });
         }
         self.waiting.retain(|_, answer| !answer.is_closed());
         let elapsed = self.paced.elapsed();

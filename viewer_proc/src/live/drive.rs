@@ -68,8 +68,7 @@ impl Driver {
                 .map(|error| (error.0, "the viewer no longer drives: the run has ended")),
         };
         if let Some((call, text)) = refused {
-            // The client may have left.
-            let _ = call.answer.send(Err(text.to_owned()));
+            call.refuse(text);
         }
     }
 }
@@ -174,7 +173,7 @@ impl DriveThread {
                 Ok(())
             }
             Request::Frame(c_arm) => ask_frame(client, c_arm, self.drr.as_ref()),
-            Request::Control(_) | Request::Playback(_) | Request::Series(_) => {
+            Request::Control(_) | Request::Playback(_) | Request::Series(_) | Request::Slice(_) => {
                 Err("no request for the controller".to_owned())
             }
         }

@@ -22,6 +22,7 @@ use crate::error::ViewerError;
 use crate::info::{Origin, ToolShape, info};
 use crate::server::{Server, ServerOptions};
 use crate::services::{Call, Calls, Request};
+use crate::slice::NO_VOLUME;
 use crate::surface::bone::volume_box;
 use bone::BoneThread;
 use control::Control;
@@ -66,23 +67,28 @@ pub fn view(
     let origin = Origin::Live(name);
     board.publish_json(INFO, &info(&scene, &origin, &tool, None));
     let subscriptions = Subscriptions::open(&session, &scene, &tool)?;
-    if let Some(volume) = &scene.volume {
+    let slices = if let Some(volume) = &scene.volume {
+        let (slices, asked) = mpsc::sync_channel(CALL_QUEUE);
         let thread = BoneThread {
             session: options.session.clone(),
             threshold_hu: volume.bone_threshold_hu,
             board: Arc::clone(&board),
             over: Arc::clone(&over),
+            asked,
         };
         let (board, scene) = (Arc::clone(&board), scene.clone());
         thread.start(move |grid| {
             board.publish_json(INFO, &info(&scene, &origin, &tool, Some(&volume_box(grid))));
         });
-    }
+        Some(slices)
+    } else {
+        None
+    };
     let control = Control::open(&session)?;
     let driver = Driver::start(&options.session, &scene, Arc::clone(&over), Arc::clone(&board));
     ready(&server);
     let serving = std::thread::spawn(move || server.serve());
-    let mut live = Live { board, subscriptions, control, driver, called, dt_ns: scene.dt_ns() };
+    let mut live = Live { board, subscriptions, control, driver, slices, called, dt_ns: scene.dt_ns() };
     let watched = live.watch(&session, end);
     // The last messages are still on their way to the clients.
     std::thread::sleep(Duration::from_millis(200));
@@ -96,6 +102,8 @@ struct Live {
     subscriptions: Subscriptions,
     control: Control,
     driver: Driver,
+    /// To the thread that reads the volume; none: the scene has no volume.
+    slices: Option<mpsc::SyncSender<Call>>,
     called: Calls,
     dt_ns: u64,
 }
@@ -136,10 +144,17 @@ impl Live {
         match call.request {
             Request::Control(request) => self.control.ask(&request, call.answer),
             Request::Drive(_) | Request::Frame(_) => self.driver.hand_over(call),
-            Request::Playback(_) | Request::Series(_) => {
-                // The client may have left.
-                let _ = call.answer.send(Err("a running session has no time line".to_owned()));
-            }
+            Request::Slice(_) => self.slice(call),
+            Request::Playback(_) | Request::Series(_) => call.refuse("a running session has no time line"),
+        }
+    }
+
+    fn slice(&self, call: Call) {
+        let Some(slices) = &self.slices else { return call.refuse(NO_VOLUME) };
+        match slices.try_send(call) {
+            Ok(()) => {}
+            Err(mpsc::TrySendError::Full(call)) => call.refuse("the viewer is busy with earlier slices"),
+            Err(mpsc::TrySendError::Disconnected(call)) => call.refuse("the volume could not be read"),
         }
     }
 }

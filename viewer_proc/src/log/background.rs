@@ -30,6 +30,8 @@ pub(super) enum Found {
     Divergence(Mark),
     /// The volume that the run drilled.
     Volume(Box<LogVolume>),
+    /// There is none: why it is not shown; nothing if the scene has none.
+    NoVolume(Option<String>),
     /// Something for the user to know.
     Notice(String),
 }

@@ -1,9 +1,11 @@
 //! The bone at any time of a log.
 
+use ipc_types::clock::now_ns;
 use ipc_types::messages::Removed;
 use voxel_grid::VoxelGrid;
 
 use crate::board::Board;
+use crate::slice::Slicer;
 use crate::surface::Voxel;
 use crate::surface::bone::Bone;
 
@@ -59,6 +61,11 @@ impl LogBone {
 
     fn apply(&mut self, from: usize, to: usize) {
         self.removals[from..to].iter().for_each(|(_, removed, voxels)| self.bone.apply(removed, voxels));
+    }
+
+    /// Answers requests for slices at the time that is shown.
+    pub(super) fn answer(&self, slicer: &mut Slicer) {
+        slicer.answer(self.bone.field(), &self.hu, now_ns());
     }
 
     /// Meshes what has changed; returns whether more is pending.

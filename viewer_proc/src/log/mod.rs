@@ -149,17 +149,17 @@ pub fn view(
 
 /// The volume of the log's scene, if it is the run's.
 fn find_volume(scene: &Scene, header: &LogHeader, volume: &VolumeSource<'_>, found: &Sender<Found>) {
-    let refusal = match volume(scene) {
+    let refused = match volume(scene) {
         Ok(Some(volume)) if header.volume_sha256.is_none_or(|sha256| sha256 == volume.sha256) => {
             // The viewer may be ending.
             let _ = found.send(Found::Volume(Box::new(volume)));
             return;
         }
-        Ok(Some(_)) => "the scene's volume is not the one of the run; its SHA-256 differs".to_owned(),
-        Ok(None) => return,
-        Err(text) => text,
+        Ok(Some(_)) => Some("the scene's volume is not the one of the run; its SHA-256 differs".to_owned()),
+        Ok(None) => None,
+        Err(text) => Some(text),
     };
-    let _ = found.send(Found::Notice(format!("the bone is not shown: {refusal}")));
+    let _ = found.send(Found::NoVolume(refused));
 }
 
 fn find_divergence(both: Option<(PathBuf, PathBuf)>, found: &Sender<Found>, over: &AtomicBool) {

@@ -5,7 +5,8 @@ use std::sync::mpsc::{Receiver, SyncSender};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
-use ipc_types::messages::State;
+use ipc_types::clock::now_ns;
+use ipc_types::messages::{Frame, State};
 use ipc_types::process::EndRequest;
 use run_log::Topic;
 use serde_json::{Value, json};
@@ -20,10 +21,11 @@ use super::marks::{Mark, Outline};
 use super::player::Player;
 use super::series::{Lane, LogSeries, SeriesRequest};
 use crate::board::Board;
-use crate::channels::{COMPARE, INFO, PLAYBACK, SECOND, SECOND_TOPICS, VIEW_STATE};
+use crate::channels::{COMPARE, FRAME_STATE, INFO, PLAYBACK, SECOND, SECOND_TOPICS, VIEW_STATE};
 use crate::info::VolumeBox;
 use crate::scene_update::Drawer;
 use crate::services::{Call, Calls, Reply, Request};
+use crate::slice::{NO_VOLUME, Slicer};
 use crate::surface::bone::volume_box;
 
 /// Time between two polls.
@@ -41,6 +43,9 @@ const HISTORY_STATES: u64 = 400;
 const HISTORY_DELAY: Duration = Duration::from_millis(150);
 /// Topics whose newest message is shown at the current time.
 const SHOWN: [Topic; 5] = [Topic::Latched, Topic::State, Topic::DrrReply, Topic::DrrFrame, Topic::DrrImage];
+/// Answers to a request for a slice: the drilled voxels are not known yet, or there is no volume to show.
+const READING: &str = "the log is being read";
+const OTHER_VOLUME: &str = "the run's volume is not here; the messages say why";
 /// Requests for fields that may wait.
 const SERIES_QUEUE: usize = 16;
 /// How often the thread that answers them looks for the end.
@@ -66,6 +71,9 @@ pub(super) struct LogPlayback {
     volume: Option<LogVolume>,
     threshold_hu: i16,
     bone: Option<LogBone>,
+    slicer: Slicer,
+    /// Why there are no slices as long as there is no bone.
+    no_slices: &'static str,
     /// Makes the scene's message with the volume's box.
     info: Box<dyn Fn(&VolumeBox) -> Value>,
     /// Time up to which messages are on the board; `None` before the first.
@@ -126,6 +134,8 @@ impl LogPlayback {
             volume: None,
             threshold_hu: scenery.threshold_hu,
             bone: None,
+            slicer: Slicer::new(now_ns()),
+            no_slices: READING,
             info: scenery.info,
             shown_ns: None,
             streams: Vec::new(),
@@ -168,6 +178,10 @@ impl LogPlayback {
             self.send_history()?;
             let more = self.bone.as_mut().is_some_and(|bone| bone.publish(&self.board));
             self.tell()?;
+            match &self.bone {
+                Some(bone) => bone.answer(&mut self.slicer),
+                None => self.slicer.refuse(self.no_slices),
+            }
             if !more {
                 std::thread::sleep(POLL_PERIOD);
             }
@@ -185,6 +199,7 @@ impl LogPlayback {
                 }
                 return;
             }
+            Request::Slice(_) => return self.slicer.add(call),
             _ => Err("this is a log: what has happened cannot be steered".to_owned()),
         };
         // The client may have left.
@@ -209,6 +224,13 @@ impl LogPlayback {
                 self.board.publish_json(INFO, &(self.info)(&volume_box(&volume.grid)));
                 self.volume = Some(*volume);
             }
+            Found::NoVolume(refusal) => match refusal {
+                Some(text) => {
+                    self.no_slices = OTHER_VOLUME;
+                    self.board.notice("warning", &format!("the bone is not shown: {text}"));
+                }
+                None => self.no_slices = NO_VOLUME,
+            },
             Found::Notice(text) => self.board.notice("warning", &text),
         }
         // The bone needs both: its voxels, and which of them were drilled when.
@@ -269,6 +291,9 @@ impl LogPlayback {
         for stream in &mut self.streams {
             while let Some(message) = stream.ahead.take_if(|message| message.time_ns <= now) {
                 let topic = format!("{}{}", stream.prefix, message.topic);
+                if topic == Topic::DrrFrame.name() {
+                    publish_frame_state(&self.board, &self.logs.0.run, self.player.dt_ns, &message)?;
+                }
                 self.board.publish(&topic, message.time_ns, 0, message.payload);
                 stream.ahead = stream.reading.next_message()?;
             }
@@ -301,6 +326,9 @@ impl LogPlayback {
         {
             for topic in topics {
                 if let Some(message) = log.newest(*topic, now)? {
+                    if *topic == Topic::DrrFrame && prefix.is_empty() {
+                        publish_frame_state(&self.board, log, self.player.dt_ns, &message)?;
+                    }
                     self.board.publish(&format!("{prefix}{topic}"), message.time_ns, 0, message.payload);
                 }
             }
@@ -384,6 +412,15 @@ impl LogPlayback {
         }
         Ok(())
     }
+}
+
+/// Publishes the state of the tick at which a frame was taken: the tool may have moved on since.
+fn publish_frame_state(board: &Board, log: &LogFile, dt_ns: u64, frame: &Logged) -> Result<(), PlayError> {
+    let Ok((frame, _)) = Frame::read_from_prefix(frame.body()) else { return Ok(()) };
+    if let Some(state) = log.newest(Topic::State, frame.tick.saturating_mul(dt_ns))? {
+        board.publish(FRAME_STATE, state.time_ns, 0, state.payload);
+    }
+    Ok(())
 }
 
 /// Answers requests for fields until the viewer ends.

@@ -20,7 +20,8 @@ use super::{MAX_CLIENTS, Shared};
 use crate::assets::asset;
 use crate::board::Client;
 use crate::protocol::{self, ClientText, Level};
-use crate::services::{Call, NO_TOKEN, Outcome, SERVICES, read_request, response, same};
+use crate::services::{Call, NO_TOKEN, Outcome, Request, SERVICES, SLICE, read_request, response, same};
+use crate::slice::MOST_UNDER_WAY;
 
 /// Longest client message, bytes.
 pub const MAX_CLIENT_MESSAGE: usize = 64 << 10;
@@ -160,7 +161,7 @@ async fn serve(mut socket: Socket, shared: &Shared, may_watch: bool) {
 
 async fn session(socket: &mut Socket, client: &Arc<Client>, shared: &Shared) -> Result<(), End> {
     let (answers, mut answered) = mpsc::unbounded_channel();
-    let mut session = ClientSession { client, shared, answers };
+    let mut session = ClientSession { client, shared, answers, slices: 0 };
     say(socket, Message::text(protocol::server_info("trabecula", &shared.name))).await?;
     say(socket, Message::text(protocol::advertise(&shared.board.channels().advertisements()))).await?;
     say(socket, Message::text(protocol::advertise_services(&SERVICES))).await?;
@@ -174,7 +175,10 @@ async fn session(socket: &mut Socket, client: &Arc<Client>, shared: &Shared) -> 
                 Some(message) => session.handle(socket, message?).await?,
                 None => return Err(End::Gone),
             },
-            answer = answered.recv() => if let Some(answer) = answer { say(socket, answer).await? },
+            answer = answered.recv() => if let Some((service, answer)) = answer {
+                say(socket, answer).await?;
+                session.slices -= usize::from(service == SLICE);
+            },
             () = client.bell.notified(), if !more => {}
             () = tokio::time::sleep(pause) => {}
         }
@@ -194,8 +198,10 @@ async fn say(socket: &mut Socket, message: Message) -> Result<(), End> {
 struct ClientSession<'a> {
     client: &'a Arc<Client>,
     shared: &'a Shared,
-    /// Channel for the answers to calls.
-    answers: mpsc::UnboundedSender<Message>,
+    /// Channel for the answers to calls, with the service's number.
+    answers: mpsc::UnboundedSender<(u32, Message)>,
+    /// Slices asked for and not sent yet: what a client holds up is limited, because it reads them before it asks on.
+    slices: usize,
 }
 
 impl ClientSession<'_> {
@@ -273,10 +279,15 @@ impl ClientSession<'_> {
         let (service, number) = (call.service, call.call);
         let answer = match read_request(service, call.payload, &self.shared.token) {
             Err(error) => Err(error),
+            Ok(Request::Slice(_)) if self.slices >= MOST_UNDER_WAY => {
+                Err(format!("{MOST_UNDER_WAY} slices are under way, which is the limit: wait for one"))
+            }
             Ok(request) => {
+                let is_slice = matches!(request, Request::Slice(_));
                 let (answer, answered) = oneshot::channel();
                 match self.shared.calls.try_send(Call { request, answer }) {
                     Ok(()) => {
+                        self.slices += usize::from(is_slice);
                         self.answer_later(service, number, answered);
                         return Ok(());
                     }
@@ -286,7 +297,7 @@ impl ClientSession<'_> {
                 }
             }
         };
-        say(socket, Message::binary(protocol::service_response(service, number, &response(answer)))).await
+        say(socket, message(service, number, answer)).await
     }
 
     fn answer_later(&self, service: u32, call: u32, answered: oneshot::Receiver<Outcome>) {
@@ -297,10 +308,14 @@ impl ClientSession<'_> {
                 Ok(Err(_)) | Err(_) => Err("no answer: the run may have ended".to_owned()),
             };
             // The client may have left.
-            let _ =
-                answers.send(Message::binary(protocol::service_response(service, call, &response(outcome))));
+            let _ = answers.send((service, message(service, call, outcome)));
         });
     }
+}
+
+fn message(service: u32, call: u32, outcome: Outcome) -> Message {
+    let (encoding, payload) = response(outcome);
+    Message::binary(protocol::service_response(service, call, encoding, &payload))
 }
 
 async fn warn(socket: &mut Socket, text: &str) -> Result<(), End> {

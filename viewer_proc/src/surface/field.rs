@@ -52,6 +52,11 @@ impl Field {
         true
     }
 
+    /// Whether a voxel was drilled away; one outside of the grid was not.
+    pub fn is_removed(&self, index: usize) -> bool {
+        self.removed.get(index / 64).is_some_and(|word| word >> (index % 64) & 1 != 0)
+    }
+
     /// Linear indices of the removed voxels.
     pub fn removed(&self) -> Vec<u32> {
         let bits = |(word, bits): (usize, &u64)| {

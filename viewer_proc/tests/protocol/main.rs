@@ -21,7 +21,8 @@ use viewer_proc::ServerOptions;
 use viewer_proc::board::Board;
 use viewer_proc::channels::{Channels, INFO, NOTICE, SURFACE};
 use viewer_proc::server::{MAX_CLIENTS, Server};
-use viewer_proc::services::{Action, Request};
+use viewer_proc::services::{Action, Reply, Request, SLICE};
+use viewer_proc::slice::{ENCODING, MOST_UNDER_WAY};
 use zerocopy::IntoBytes;
 
 use running::{
@@ -320,6 +321,73 @@ fn a_client_that_never_reads_holds_nobody_up_and_is_told_what_it_lost() {
             }
         }
         assert!(heard.is_sorted() && (heard.len() as u64) < count, "{heard:?}");
+    });
+}
+
+/// A body of a `/slice` request.
+fn slice(columns: u64) -> Value {
+    json!({"centre_m": [0, 0, 0], "right": [1, 0, 0], "down": [0, 1, 0], "side_m": [0.1, 0.1], "columns": columns, "rows": 4})
+}
+
+/// A client that asks for a thousand slices has few under way; what it asks for beyond them is refused at once, and it stays connected.
+#[test]
+fn a_client_has_few_slices_under_way_and_the_rest_is_refused() {
+    with_server(async |running| {
+        let (mut socket, _) = running.client().await;
+        for number in 0..900 {
+            socket.send(call_bytes(SLICE, number, &slice(512))).await.unwrap();
+        }
+        for number in MOST_UNDER_WAY as u32..900 {
+            let (call, response) = next_response(&mut socket).await;
+            assert_eq!(call, number);
+            assert!(response["error"].as_str().unwrap().contains("under way"), "{response}");
+        }
+        let waiting: Vec<_> = running.called.try_iter().collect();
+        assert_eq!(waiting.len(), MOST_UNDER_WAY);
+        // Each answer makes room for one request.
+        for (number, call) in waiting.into_iter().enumerate() {
+            assert!(matches!(call.request, Request::Slice(_)));
+            call.reply(Reply::Bytes { encoding: ENCODING, bytes: vec![7, number as u8] });
+            let bytes = loop {
+                match socket.next().await.unwrap().unwrap() {
+                    Message::Binary(bytes) if bytes[0] == 3 => break bytes,
+                    _ => {}
+                }
+            };
+            assert!(
+                bytes.ends_with(&[b"trabecula.slice".as_slice(), &[7, number as u8]].concat()),
+                "{bytes:?}"
+            );
+        }
+        socket.send(call_bytes(SLICE, 1000, &slice(512))).await.unwrap();
+        while running.called.try_recv().is_err() {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    });
+}
+
+#[test]
+fn what_is_no_slice_is_refused_and_a_slice_needs_no_token_of_who_may_watch() {
+    with_server(async |running| {
+        let (mut socket, _) = running.client().await;
+        let mut far = slice(4);
+        far["centre_m"][1] = json!(1e300);
+        for (body, why) in
+            [(slice(0), "pixels"), (slice(513), "513"), (far, "a slice about"), (json!([]), "malformed")]
+        {
+            socket.send(call_bytes(SLICE, 5, &body)).await.unwrap();
+            let (_, response) = next_response(&mut socket).await;
+            assert!(response["error"].as_str().unwrap().contains(why), "{response}, expected `{why}`");
+        }
+        socket.send(call_bytes(SLICE, 6, &slice(4))).await.unwrap();
+        let call = loop {
+            match running.called.try_recv() {
+                Ok(call) => break call,
+                Err(_) => tokio::time::sleep(Duration::from_millis(1)).await,
+            }
+        };
+        call.refuse("there is no CT");
+        assert_eq!(next_response(&mut socket).await, (6, json!({"ok": false, "error": "there is no CT"})));
     });
 }
 

@@ -1,0 +1,89 @@
+// A scene before its run: the tool at the end of its path, pilot holes, the C-arm's rays, and what was measured.
+
+import { length, scale, subtract } from "/assets/vector.js";
+
+/** @typedef {import("/assets/vector.js").Vector} Vector */
+/** @typedef {import("/assets/parts_list.js").PartsList} PartsList */
+
+/** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
+const element = (id) => document.getElementById(id);
+/** Lines of the C-arm are as thin as can be seen from a metre away. */
+const LINE_M = 0.0006;
+/** The tool at the end of its path shows what lies in it. @type {import("/assets/parts_list.js").Colour} */
+const END = [1, 0.55, 0.24, 0.4];
+/** @type {import("/assets/parts_list.js").Colour} */
+const HOLE = [0.34, 0.71, 0.91, 0.35];
+/** @type {import("/assets/parts_list.js").Colour} */
+const RAYS = [0.45, 0.5, 0.58, 1];
+
+/** What the eye should see through. @param {PartsList} list @param {any} info of `/view/info` */
+export function addPlannedTool(list, info) {
+  const end = info?.plan?.tool_end;
+  if (end) {
+    for (let i = 1; i < end.line_m.length; i++) list.cylinder(end.line_m[i - 1], end.line_m[i], end.radius_m, END);
+    list.sphere(end.line_m.at(-1), end.burr_radius_m, END);
+  }
+  if (info?.plan) for (const hole of info.scene?.predrill ?? []) list.cylinder(hole.from_m, hole.to_m, hole.radius_m, HOLE);
+}
+
+/** Source, detector and the rays to its corners, with the isocentre. @param {PartsList} list @param {any} info of `/view/info` */
+export function addFrustum(list, info) {
+  const frustum = info?.plan?.frustum;
+  if (!frustum) return;
+  const { source_m: source, detector_m: corners } = frustum;
+  corners.forEach((corner, i) => {
+    list.cylinder(source, corner, LINE_M, RAYS);
+    list.cylinder(corner, corners[(i + 1) % corners.length], 2 * LINE_M, RAYS);
+  });
+  list.sphere(source, 8 * LINE_M, RAYS);
+  if (info.c_arm) list.target(info.c_arm.isocentre_m, 0.005, RAYS);
+}
+
+/** Radius of the circle through first, middle and last point of a bend, metres. @param {Vector[]} path @param {Vector} [start] where the bend cannot begin before */
+export function bendRadius(path, start) {
+  const from = start ? path.findIndex((point) => length(subtract(point, start)) < 1e-4) : 0;
+  const bend = path.slice(Math.max(0, from));
+  // The straight part before the bend: points on the line of the first step.
+  const direction = bend.length > 1 ? subtract(bend[1], bend[0]) : undefined;
+  if (!direction) return undefined;
+  const off = (point) => length(subtract(subtract(point, bend[0]), scale(direction, length(subtract(point, bend[0])) / length(direction))));
+  const first = bend.findIndex((point) => off(point) > 1e-5);
+  if (first < 1) return undefined;
+  const [a, b, c] = [bend[first], bend[Math.floor((first + bend.length - 1) / 2)], bend.at(-1)];
+  const [ab, bc, ca] = [length(subtract(b, a)), length(subtract(c, b)), length(subtract(a, c))];
+  const half = (ab + bc + ca) / 2;
+  const area = Math.sqrt(Math.max(0, half * (half - ab) * (half - bc) * (half - ca)));
+  return area > 1e-12 ? (ab * bc * ca) / (4 * area) : undefined;
+}
+
+/** @param {any} info of `/view/info` */
+export function showPlan(info) {
+  const facts = info?.plan?.facts;
+  document.body.classList.toggle("plan", info?.kind === "plan");
+  const rows = [];
+  const row = (name, text) => rows.push([name, text]);
+  const millimetres = (value) => (value == null ? "–" : `${value.toFixed(1)} mm`);
+  const place = (sample) => (sample ? `${sample.place_mm.map((x) => x.toFixed(1)).join(", ")} mm, ${sample.hu == null ? "outside of the CT" : `${sample.hu.toFixed(0)} HU`}` : "the path meets no bone");
+  if (facts) {
+    row("entry", place(facts.entry));
+    row("burr at the start", place(facts.burr_start));
+    row(facts.is_planned ? "target" : "30 mm ahead", place(facts.target));
+    row("path", `${millimetres(facts.path_mm)}, ${millimetres(facts.insertion_mm)} of them drilled, ${millimetres(facts.in_bone_mm)} in bone`);
+    const radius = bendRadius(info.scene.planned_path_m ?? [], info.scene.burr_start_m);
+    if (radius) row("radius of the bend", millimetres(radius * 1e3));
+    if (facts.mean_hu != null) row("bone on it", `${facts.least_hu.toFixed(0)} to ${facts.most_hu.toFixed(0)} HU, ${facts.mean_hu.toFixed(0)} on average`);
+    row("target to outside", `${millimetres(facts.target_depth_mm)}; ${millimetres(facts.bone_ahead_mm)} of bone ahead`);
+    row("the arm can feed", `${facts.arm_feed_mm.toFixed(0)} mm or more`);
+  } else if (info?.kind === "plan") {
+    row("CT", "the scene has none");
+  }
+  element("plan-rows").replaceChildren(...rows.map(([name, text]) => {
+    const line = document.createElement("tr");
+    line.appendChild(document.createElement("th")).textContent = name;
+    line.appendChild(document.createElement("td")).textContent = text;
+    return line;
+  }));
+  const count = facts?.findings.length ?? 0;
+  element("plan-facts").textContent = count === 0 ? "no warning" : `${count} ${count === 1 ? "warning" : "warnings"}: see Messages`;
+}
+

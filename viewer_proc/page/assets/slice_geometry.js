@@ -1,0 +1,78 @@
+// A plane through the tool: where it cuts cylinders and balls.
+
+import { add, cross, dot, length, scale, subtract, unit } from "/assets/vector.js";
+
+/** @typedef {import("/assets/vector.js").Vector} Vector */
+/** @typedef {[number, number]} Point to the right and down, metres */
+/** @typedef {{centre: Vector, right: Vector, down: Vector}} Plane unit vectors to the right and down the picture */
+
+const AROUND = 24;
+
+/** Away from the reader. @param {Plane} plane */
+export const normal = (plane) => cross(plane.right, plane.down);
+
+/** To the right, down and behind the plane, metres. @param {Plane} plane @param {Vector} point @returns {Vector} */
+export function place(plane, point) {
+  const away = subtract(point, plane.centre);
+  return [dot(away, plane.right), dot(away, plane.down), dot(away, normal(plane))];
+}
+
+/** @param {Plane} plane @param {Point} at @returns {Vector} */
+export const pointAt = (plane, [right, down]) => add(plane.centre, add(scale(plane.right, right), scale(plane.down, down)));
+
+/** The hull of points, in order around it. @param {Point[]} points @returns {Point[]} */
+function hull(points) {
+  const sorted = [...points].sort((a, b) => a[0] - b[0] || a[1] - b[1]);
+  const half = (list) => {
+    /** @type {Point[]} */
+    const chain = [];
+    for (const point of list) {
+      const turn = ([ax, ay], [bx, by]) => (bx - ax) * (point[1] - ay) - (by - ay) * (point[0] - ax);
+      while (chain.length > 1 && turn(chain.at(-2), chain.at(-1)) <= 0) chain.pop();
+      chain.push(point);
+    }
+    chain.pop();
+    return chain;
+  };
+  return [...half(sorted), ...half(sorted.reverse())];
+}
+
+/**
+ * What a plane cuts out of a closed cylinder: the hull of the places where it crosses the edges of a prism of as many sides.
+ * @param {Plane} plane @param {Vector} from @param {Vector} to @param {number} radius metres @returns {Point[]} empty: nothing
+ */
+export function cutCylinder(plane, from, to, radius) {
+  const along = subtract(to, from);
+  if (length(along) < 1e-9) return [];
+  const axis = unit(along);
+  const side = unit(cross(axis, Math.abs(axis[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0]));
+  const other = cross(axis, side);
+  const ring = Array.from({ length: AROUND }, (_, i) => {
+    const angle = (2 * Math.PI * i) / AROUND;
+    return add(scale(side, radius * Math.cos(angle)), scale(other, radius * Math.sin(angle)));
+  });
+  const low = ring.map((offset) => place(plane, add(from, offset)));
+  const high = ring.map((offset) => place(plane, add(to, offset)));
+  /** @type {Point[]} */
+  const points = [];
+  /** @param {Vector} a @param {Vector} b */
+  const edge = (a, b) => {
+    if (a[2] > 0 === b[2] > 0) return;
+    const share = a[2] / (a[2] - b[2]);
+    points.push([a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])]);
+  };
+  for (let i = 0; i < AROUND; i++) {
+    const next = (i + 1) % AROUND;
+    edge(low[i], high[i]);
+    edge(low[i], low[next]);
+    edge(high[i], high[next]);
+  }
+  return points.length > 2 ? hull(points) : [];
+}
+
+/** @param {Plane} plane @param {Vector} centre @param {number} radius @returns {{at: Point, radius: number} | undefined} */
+export function cutBall(plane, centre, radius) {
+  const [right, down, behind] = place(plane, centre);
+  const left = radius * radius - behind * behind;
+  return left > 0 ? { at: [right, down], radius: Math.sqrt(left) } : undefined;
+}
