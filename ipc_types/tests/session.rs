@@ -232,6 +232,27 @@ fn the_session_of_a_dead_host_is_wiped_by_the_next_host() {
     assert!(first.session.host_is_alive() && host_is_alive(first.session.folder()));
 }
 
+/// Whoever looks whether a host is alive holds a shared lock for a moment. A host that looked for dead sessions in that moment left this one
+/// behind.
+#[test]
+fn a_dead_session_that_somebody_looks_at_is_wiped_all_the_same() {
+    let (sessions, _host) = sessions();
+    for _ in 0..20 {
+        let (dead, lock) = locked(&sessions);
+        drop(lock);
+        let onlooker = File::open(dead.path()).unwrap();
+        flock(&onlooker, FlockOperation::LockShared).unwrap();
+        std::thread::scope(|scope| {
+            scope.spawn(move || {
+                std::thread::sleep(Duration::from_millis(3));
+                drop(onlooker);
+            });
+            ipc_types::session::wipe_dead_sessions();
+        });
+        assert!(!dead.path().exists());
+    }
+}
+
 /// Only dead sessions may be removed, never other folders beside them: sources, homes behind links.
 #[test]
 fn a_folder_of_the_users_is_never_wiped() {

@@ -11,6 +11,7 @@ use std::fs::File;
 use std::io::{self, Read, Write};
 use std::os::fd::{AsFd, OwnedFd};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use foreign_text::foreign_line;
 use rustix::fs::{AtFlags, Dir, FileType, FlockOperation, Mode, OFlags, flock, openat, unlinkat};
@@ -234,7 +235,7 @@ fn wipe_dead_in(sessions: &OwnedFd) -> usize {
 fn wipe_if_dead(sessions: &OwnedFd, id: &SessionId) -> bool {
     let name = id.to_string();
     let Ok(folder) = open_private(sessions, Path::new(&name)) else { return false };
-    if flock(&folder, FlockOperation::NonBlockingLockExclusive).is_err() {
+    if !lock_if_dead(&folder) {
         return false;
     }
     match read_file(&folder, MARKER) {
@@ -248,6 +249,23 @@ fn wipe_if_dead(sessions: &OwnedFd, id: &SessionId) -> bool {
         }
         _ => false,
     }
+}
+
+/// Locks a session's folder unless its host is alive. A host's lock is exclusive, one of a program that only looks ([`is_locked`]) is
+/// shared and gone within microseconds: next to that one the folder is still dead, and the lock is asked for again.
+fn lock_if_dead(folder: &OwnedFd) -> bool {
+    const TRIES: u32 = 50;
+    const PAUSE: Duration = Duration::from_millis(1);
+    for _ in 0..TRIES {
+        if flock(folder, FlockOperation::NonBlockingLockExclusive).is_ok() {
+            return true;
+        }
+        if is_locked(folder) {
+            return false;
+        }
+        std::thread::sleep(PAUSE);
+    }
+    false
 }
 
 fn session_names(sessions: &OwnedFd) -> impl Iterator<Item = SessionId> {
