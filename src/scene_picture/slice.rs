@@ -158,7 +158,7 @@ mod tests {
         let (volume, shapes) = ball();
         // No pixel's middle lies on a face of the volume, where rounding would decide.
         let pixels = plane(24.96).pixels(&volume, &shapes, 500, 500);
-        let size_mm = 2.0 * 24.96 / 500.0;
+        let size_mm: f64 = 2.0 * 24.96 / 500.0;
         let outside = pixels.chunks_exact(3).filter(|pixel| *pixel == OUTSIDE).count() as f64;
         // Half-way between air and bone, 150 HU, is a grey of 59.5.
         let bone = pixels.chunks_exact(3).filter(|pixel| pixel[0] >= 60 && *pixel != OUTSIDE).count() as f64;
