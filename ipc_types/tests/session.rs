@@ -183,12 +183,29 @@ fn sessions() -> (PathBuf, SessionHost) {
     (host.session.folder().parent().unwrap().to_owned(), host)
 }
 
-/// A private folder with a session's name, as a killed host leaves it.
-fn left_behind(sessions: &Path) -> TempDir {
-    locked(sessions).0
+/// A private folder with a session's name, as a killed host leaves it, but changed by `change` before any host can see it: until then its
+/// name is none of a session's. The hosts of other tests, which run at the same time, would remove it.
+fn changed(sessions: &Path, change: impl FnOnce(&Path, &str)) -> Placed {
+    let hidden = tempfile::Builder::new().prefix("hidden-").rand_bytes(11).tempdir_in(sessions).unwrap();
+    let name = name_of(hidden.path()).replace("hidden-", "");
+    fs::set_permissions(hidden.path(), Permissions::from_mode(0o700)).unwrap();
+    fs::write(hidden.path().join("session.id"), &name).unwrap();
+    change(hidden.path(), &name);
+    let placed = Placed(sessions.join(name));
+    fs::rename(hidden.keep(), &placed.0).unwrap();
+    placed
 }
 
-/// The same, not yet left: the hosts of other tests do not remove it before the lock is dropped.
+/// A folder that is removed on drop.
+struct Placed(PathBuf);
+
+impl Drop for Placed {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+/// A private folder with a session's name and its lock: once the lock is dropped it is as a killed host leaves it.
 fn locked(sessions: &Path) -> (TempDir, File) {
     let folder = tempfile::Builder::new().prefix("").rand_bytes(11).tempdir_in(sessions).unwrap();
     let lock =
@@ -263,33 +280,50 @@ fn a_dead_session_that_somebody_looks_at_is_wiped_all_the_same() {
 fn a_folder_of_the_users_is_never_wiped() {
     let (sessions, first) = sessions();
     let write = |folder: &Path, name: &str, text: &str| fs::write(folder.join(name), text).unwrap();
-    let home = tempfile::tempdir().unwrap();
-    write(home.path(), "main.rs", "home");
-    // A source folder with any name, one with a session's name, one with another name in its marker.
+    let source = |folder: &Path, name: &str| {
+        write(folder, "main.rs", "source");
+        fs::write(segment_of(Path::new(name)), "segment").unwrap();
+    };
+    // A source folder with any name.
     let sources = tempfile::Builder::new().prefix("src").tempdir_in(&sessions).unwrap();
-    let [unmarked, renamed, open, foreign, locked] = [(); 5].map(|()| left_behind(&sessions));
-    fs::remove_file(unmarked.path().join("session.id")).unwrap();
-    write(renamed.path(), "session.id", &name_of(unmarked.path()));
-    fs::set_permissions(open.path(), Permissions::from_mode(0o755)).unwrap();
-    let lock = fs::File::open(locked.path()).unwrap();
-    lock.lock().unwrap();
-    let mut all = vec![sources.path(), unmarked.path(), renamed.path(), open.path(), locked.path()];
+    source(sources.path(), &name_of(sources.path()));
+    let unmarked = changed(&sessions, |folder, name| {
+        source(folder, name);
+        fs::remove_file(folder.join("session.id")).unwrap();
+    });
+    let renamed = changed(&sessions, |folder, name| {
+        source(folder, name);
+        write(folder, "session.id", &name.chars().rev().collect::<String>());
+    });
+    let open = changed(&sessions, |folder, name| {
+        source(folder, name);
+        fs::set_permissions(folder, Permissions::from_mode(0o755)).unwrap();
+    });
+    let mut lock = None;
+    let locked = changed(&sessions, |folder, name| {
+        source(folder, name);
+        lock = File::open(folder).ok().filter(|lock| lock.lock().is_ok());
+    });
+    assert!(lock.is_some());
+    let mut all = vec![sources.path(), &unmarked.0, &renamed.0, &open.0, &locked.0];
+    let foreign;
     if rustix::process::geteuid().is_root() {
-        std::os::unix::fs::chown(foreign.path(), Some(65_534), None).unwrap();
-        all.push(foreign.path());
+        foreign = changed(&sessions, |folder, name| {
+            source(folder, name);
+            std::os::unix::fs::chown(folder, Some(65_534), None).unwrap();
+        });
+        all.push(&foreign.0);
     } else {
         println!("\n*** SKIPPED in part: only root can make another user's folder ***\n");
     }
-    for folder in &all {
-        write(folder, "main.rs", "source");
-        fs::write(segment_of(folder), "segment").unwrap();
-    }
     // A link with a session's name, to a folder with everything that a session has.
-    let linked = left_behind(&sessions);
-    let link = linked.path().to_owned();
-    let real = home.path().join("real");
-    fs::rename(linked.path(), &real).unwrap();
-    std::os::unix::fs::symlink(&real, &link).unwrap();
+    let home = tempfile::tempdir().unwrap();
+    write(home.path(), "main.rs", "home");
+    let real = tempfile::Builder::new().prefix("").rand_bytes(11).tempdir_in(home.path()).unwrap();
+    fs::set_permissions(real.path(), Permissions::from_mode(0o700)).unwrap();
+    write(real.path(), "session.id", &name_of(real.path()));
+    let link = sessions.join(name_of(real.path()));
+    std::os::unix::fs::symlink(real.path(), &link).unwrap();
     let file = tempfile::Builder::new().prefix("").rand_bytes(11).tempfile_in(&sessions).unwrap();
     drop(SessionHost::create(&plan(&[])).unwrap());
     drop(first);
@@ -298,7 +332,8 @@ fn a_folder_of_the_users_is_never_wiped() {
         assert_eq!(fs::read(segment_of(folder)).unwrap(), b"segment", "{}", folder.display());
         fs::remove_file(segment_of(folder)).unwrap();
     }
-    assert!(real.join("session.id").exists() && home.path().join("main.rs").exists() && file.path().exists());
+    let kept = [real.path().join("session.id"), home.path().join("main.rs"), file.path().to_owned()];
+    assert_eq!(kept.each_ref().map(|path| path.exists()), [true; 3], "{kept:?}");
     fs::remove_file(link).unwrap();
 }
 

@@ -4,6 +4,7 @@
 //! hash whoever commands it; all examples print the same lines.
 
 use std::fs;
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
@@ -100,16 +101,48 @@ pub fn python() -> Result<PathBuf, String> {
 
 fn make_python() -> Result<PathBuf, String> {
     let python = environment_with(NUMPY, "numpy")?;
-    // As the README says, but for the library, which is built already.
-    let pip = ["-m", "pip", "install", "-q", "--no-deps", "--force-reinstall", "--disable-pip-version-check"];
-    let install = Command::new(&python)
-        .args(pip)
-        .arg(clients().join("python"))
-        .env("TRABECULA_CLIENT_LIBRARY", library())
-        .limited_output()
-        .map_err(|error| error.to_string())?;
-    assert!(install.status.success(), "{}", String::from_utf8_lossy(&install.stderr));
+    install_package(&python, &[("TRABECULA_CLIENT_LIBRARY", &library())]);
     Ok(python)
+}
+
+/// Installs the package into an environment as the README says, but with libraries that are built already. What is there already and the
+/// same stays: another test, which may be another process, may be about to import it.
+pub fn install_package(python: &Path, libraries: &[(&str, &Path)]) {
+    let folder = python.ancestors().nth(2).unwrap();
+    let lock = fs::File::create(folder.join("package.lock")).unwrap();
+    lock.lock().unwrap();
+    let installed = folder.join("package.installed");
+    let wanted = fingerprint(libraries);
+    if fs::read_to_string(&installed).is_ok_and(|there| there == wanted) {
+        return;
+    }
+    let pip = ["-m", "pip", "install", "-q", "--no-deps", "--force-reinstall", "--disable-pip-version-check"];
+    let mut install = Command::new(python);
+    install.args(pip).arg(clients().join("python")).envs(libraries.iter().copied());
+    let done = install.limited_output().unwrap();
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    fs::write(installed, wanted).unwrap();
+}
+
+/// Of the package's sources and of the libraries that go into it.
+fn fingerprint(libraries: &[(&str, &Path)]) -> String {
+    let package = clients().join("python");
+    let mut sources: Vec<PathBuf> = [package.clone(), package.join("trabecula")]
+        .iter()
+        .flat_map(|folder| fs::read_dir(folder).unwrap())
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.is_file())
+        .collect();
+    sources.sort();
+    let mut hasher = DefaultHasher::new();
+    for source in sources {
+        (&source, fs::read(&source).unwrap()).hash(&mut hasher);
+    }
+    for (_, library) in libraries {
+        let facts = fs::metadata(library).unwrap();
+        (library, facts.len(), facts.modified().unwrap()).hash(&mut hasher);
+    }
+    format!("{:016x}", hasher.finish())
 }
 
 /// An environment with one pinned package; the error is the reason why there is none.

@@ -5,11 +5,10 @@ use std::process::Command;
 use std::sync::OnceLock;
 
 use ipc_types::session::{CONTROLLER_VARIABLE, SESSION_VARIABLE};
-use test_support::limited::Limited;
 use test_support::python::or_skip;
 
 use crate::common::program::Place;
-use crate::languages::{built, clients, library, output_of};
+use crate::languages::{built, clients, install_package, library, output_of};
 
 /// An environment with NumPy, Gymnasium and the package, made once a test run.
 fn python() -> Option<PathBuf> {
@@ -22,12 +21,7 @@ fn make_python() -> Option<PathBuf> {
     let hint = "`cargo build --release --workspace` builds it";
     assert!(native.exists(), "{}: not built; {hint}", native.display());
     let python = or_skip("sim-1", &["numpy==2.3.5", "gymnasium==1.4.0"], "numpy, gymnasium")?;
-    let pip = ["-m", "pip", "install", "-q", "--no-deps", "--force-reinstall", "--disable-pip-version-check"];
-    let mut install = Command::new(&python);
-    install.args(pip).arg(clients().join("python"));
-    install.env("TRABECULA_CLIENT_LIBRARY", library()).env("TRABECULA_SIM_LIBRARY", native);
-    let done = install.limited_output().unwrap();
-    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    install_package(&python, &[("TRABECULA_CLIENT_LIBRARY", &library()), ("TRABECULA_SIM_LIBRARY", &native)]);
     Some(python)
 }
 
