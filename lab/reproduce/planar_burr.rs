@@ -12,8 +12,8 @@ use super::rig::Block;
 use super::tunnel::FOAM_KG_PER_M3;
 use trabecula::failure::Failure;
 use trabecula::report::axis::Axis;
-use trabecula::report::panel::{INK, Panel, Rect};
-use trabecula::report::shapes::{Anchor, Figure, Stroke};
+use trabecula::report::panel::Panel;
+use trabecula::report::shapes::{Figure, Stroke};
 
 const RADIUS_M: f64 = 2.5e-3;
 const SPEED_RAD_S: f64 = 235.6;
@@ -117,11 +117,9 @@ fn moved(field: &BoneField, centre_m: Vector3<f64>) -> Vector3<f64> {
 }
 
 fn draw(runs: &[Run]) -> Result<Figure, Failure> {
-    let mut figure = Figure::new(1080, 420).map_err(|cause| Failure::failed(cause.to_string()))?;
     let title = "Planar burr, constant force upward, 5 N, dense side on the right: path of its centre";
-    figure.text((12.0, 20.0), title, 15.0, INK, Anchor::Left);
-    for (place, ratio) in [1.0, 5.0, 10.0].into_iter().enumerate() {
-        let cell = Rect { x: 360.0 * place as f64, y: 36.0, width: 360.0, height: 380.0 };
+    let mut figure = Figure::titled(400.0, title).map_err(|cause| Failure::failed(cause.to_string()))?;
+    for (cell, ratio) in figure.cells(3, 1, 0.0).into_iter().zip([1.0, 5.0, 10.0]) {
         let (x, y) = (Axis::linear("aside (mm)", -8.0, 1.0, 4), Axis::linear("depth (mm)", 0.0, 8.5, 4));
         let mut panel = Panel::new(&mut figure, cell, &format!("density 1 : {ratio}"), x, y);
         for (rule, name, colour) in RULES {

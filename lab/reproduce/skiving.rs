@@ -11,8 +11,8 @@ use super::rig::{Block, Outcome, Trial};
 use super::tunnel::FOAM_KG_PER_M3;
 use trabecula::failure::Failure;
 use trabecula::report::axis::Axis;
-use trabecula::report::panel::{INK, Panel, Rect};
-use trabecula::report::shapes::{Anchor, Figure, Stroke};
+use trabecula::report::panel::Panel;
+use trabecula::report::shapes::{Figure, Stroke};
 
 /// Density ratios of the far side to the near side.
 const RATIOS: [f64; 5] = [1.0, 2.0, 3.0, 5.0, 10.0];
@@ -172,14 +172,8 @@ fn clearance_mm_per_s(effort: Effort) -> f64 {
 type Quantity<'a> = (&'a str, &'a str, &'a dyn Fn(&Outcome) -> f64);
 
 fn draw(outcomes: &[(f64, f64, Outcome)], feeds: &[f64]) -> Result<Figure, Failure> {
-    let mut figure = Figure::new(980, 440).map_err(|cause| Failure::failed(cause.to_string()))?;
-    figure.text(
-        (12.0, 20.0),
-        "Skiving: a straight insertion that meets denser material",
-        15.0,
-        INK,
-        Anchor::Left,
-    );
+    let title = "Skiving: a straight insertion that meets denser material";
+    let mut figure = Figure::titled(420.0, title).map_err(|cause| Failure::failed(cause.to_string()))?;
     let at = |feed: f64, value: &dyn Fn(&Outcome) -> f64| -> Vec<(f64, f64)> {
         let own = outcomes.iter().filter(|(_, own, _)| *own == feed);
         own.map(|(ratio, _, outcome)| (*ratio, value(outcome))).collect()
@@ -188,8 +182,7 @@ fn draw(outcomes: &[(f64, f64, Outcome)], feeds: &[f64]) -> Result<Figure, Failu
     let bend = |outcome: &Outcome| -outcome.end.bend_rad.to_degrees();
     let quantities: [Quantity<'_>; 2] =
         [("Tip, away from the dense side", "mm", &drift), ("Bend away", "degrees", &bend)];
-    for (place, (title, unit, value)) in quantities.into_iter().enumerate() {
-        let cell = Rect { x: 490.0 * place as f64, y: 36.0, width: 490.0, height: 400.0 };
+    for (cell, (title, unit, value)) in figure.cells(2, 1, 0.0).into_iter().zip(quantities) {
         let all = outcomes.iter().map(|(.., outcome)| value(outcome)).chain([0.0]);
         let (x, y) = (Axis::linear("density ratio", 0.0, 10.5, 5), Axis::around(unit, all, 5));
         let mut panel = Panel::new(&mut figure, cell, title, x, y);

@@ -12,7 +12,7 @@ use super::tunnel::radius_mm;
 use trabecula::failure::Failure;
 use trabecula::report::axis::Axis;
 use trabecula::report::panel::{Panel, Rect};
-use trabecula::report::shapes::{Figure, Stroke};
+use trabecula::report::shapes::{Figure, Stroke, WIDTH};
 
 const FRICTIONS: [f64; 4] = [0.0, 0.1, 0.2, 0.3];
 const MAX_TENSION_N: f64 = 14.0;
@@ -113,8 +113,8 @@ fn at(values: &[(f64, f64)], tension: f64) -> f64 {
 }
 
 fn draw(loops: &[Loop]) -> Result<Figure, Failure> {
-    let mut figure = Figure::new(760, 480).map_err(|cause| Failure::failed(cause.to_string()))?;
-    let cell = Rect { x: 0.0, y: 8.0, width: 760.0, height: 468.0 };
+    let mut figure = Figure::new(500.0).map_err(|cause| Failure::failed(cause.to_string()))?;
+    let cell = Rect { x: 0.0, y: 8.0, width: WIDTH, height: 484.0 };
     let (x, y) =
         (Axis::linear("tension (N)", 0.0, MAX_TENSION_N, 7), Axis::linear("bend (degrees)", 0.0, 135.0, 6));
     let title = "Bend against tension: loading full, unloading dashed";

@@ -8,9 +8,9 @@ use rayon::prelude::*;
 use super::output::{Plan, Table};
 use super::rig::{Block, Outcome, Trial};
 use trabecula::failure::Failure;
-use trabecula::report::axis::Axis;
+use trabecula::report::axis::{Axis, bounds};
 use trabecula::report::panel::{INK, Panel, Rect};
-use trabecula::report::shapes::{Anchor, Figure, Stroke};
+use trabecula::report::shapes::{Figure, HEAD, Stroke, WIDTH};
 
 /// Tensions of Alambeigi et al. 2017, N.
 const TENSIONS_N: [f64; 4] = [6.0, 10.0, 15.0, 25.0];
@@ -22,6 +22,15 @@ pub const FOAM_KG_PER_M3: f64 = 160.0;
 pub const INSERTION_MM: f64 = 30.0;
 /// A tunnel in foam that is to follow the tool's own bend does so within this share of the bend in air at the same tension.
 const OF_AIR: f64 = 0.25;
+/// What is shown of the pilot hole before its end, mm along the feed.
+const PILOT_SHOWN_MM: f64 = -6.0;
+/// Around what was drilled, mm.
+const MARGIN_MM: f64 = 1.5;
+/// What a panel's titles and labels take of its width and height.
+const PANEL_EDGES: [f64; 2] = {
+    let area = Rect { x: 0.0, y: 0.0, width: 1000.0, height: 1000.0 }.plot_area();
+    [1000.0 - area.width, 1000.0 - area.height]
+};
 const REMOVED: RGBColor = RGBColor(214, 226, 236);
 const TOOL: RGBColor = RGBColor(0, 114, 178);
 
@@ -149,33 +158,42 @@ pub fn radius_mm(path: &[(f64, f64)]) -> f64 {
 
 fn draw(cases: &[Case]) -> Result<Figure, Failure> {
     let columns = cases.len() / TENSIONS_N.len();
-    let (wide, high, head) = (400.0, 330.0, 40.0);
-    let size = (wide * columns as f64, head + high * TENSIONS_N.len() as f64);
-    let mut figure =
-        Figure::new(size.0 as u32, size.1 as u32).map_err(|cause| Failure::failed(cause.to_string()))?;
-    let title = "Drilled voxels, tool, path of the burr";
-    figure.text((12.0, 20.0), title, 15.0, INK, Anchor::Left);
-    for (place, case) in cases.iter().enumerate() {
-        let cell = Rect {
-            x: (place % columns) as f64 * wide,
-            y: head + (place / columns) as f64 * high,
-            width: wide,
-            height: high,
-        };
-        draw_case(&mut figure, cell, case);
+    let shown = shown_mm(cases);
+    let per_mm = plot_width(columns) / (shown[0][1] - shown[0][0]);
+    let high = (shown[1][1] - shown[1][0]) * per_mm + PANEL_EDGES[1];
+    let title = "Drilled voxels (light), tool (blue), path of the burr's centre (dashed)";
+    let mut figure = Figure::titled(HEAD + high * TENSIONS_N.len() as f64, title)
+        .map_err(|cause| Failure::failed(cause.to_string()))?;
+    for (cell, case) in figure.cells(columns, TENSIONS_N.len(), 0.0).into_iter().zip(cases) {
+        draw_case(&mut figure, cell, case, shown);
     }
     Ok(figure)
 }
 
-fn draw_case(figure: &mut Figure, cell: Rect, case: &Case) {
+/// Width of a panel's plot, in a row of so many.
+fn plot_width(columns: usize) -> f64 {
+    WIDTH / columns as f64 - PANEL_EDGES[0]
+}
+
+/// What the panels show along the feed and the bend, each from and to, mm: every drilled voxel and path, and the pilot hole's end.
+fn shown_mm(cases: &[Case]) -> [[f64; 2]; 2] {
+    let drilled = cases.iter().flat_map(|case| case.slice.iter().chain(&case.path));
+    let points: Vec<(f64, f64)> = drilled.copied().chain([(PILOT_SHOWN_MM, 0.0)]).collect();
+    let range = |values: Vec<f64>| bounds(values.into_iter()).unwrap_or((0.0, 1.0));
+    let along = range(points.iter().map(|point| point.0).collect());
+    let bend = range(points.iter().map(|point| point.1).collect());
+    [along, bend].map(|(low, high)| [low - MARGIN_MM, high + MARGIN_MM])
+}
+
+fn draw_case(figure: &mut Figure, cell: Rect, case: &Case, [along, bend]: [[f64; 2]; 2]) {
     let title = format!(
         "{} N, {} mm/s: {:.0}°",
         case.tension_n,
         case.feed_mm_per_s,
         case.outcome.end.bend_rad.to_degrees()
     );
-    // Equal scale on both axes: the panel's frame is 324 by 256.
-    let (x, y) = (Axis::linear("along (mm)", -6.0, 38.0, 5), Axis::linear("bend (mm)", -6.0, 28.8, 4));
+    let x = Axis::linear("along (mm)", along[0], along[1], 5);
+    let y = Axis::linear("bend (mm)", bend[0], bend[1], 5);
     let mut panel = Panel::new(figure, cell, &title, x, y);
     let half = 0.5 * case.voxel_mm;
     for &(z, x) in &case.slice {

@@ -9,15 +9,15 @@ use super::report::Tested;
 use trabecula::report::ReportError;
 use trabecula::report::axis::{Axis, duration_label};
 use trabecula::report::panel::{COLOURS, INK, Key, Panel, Rect};
-use trabecula::report::shapes::{Anchor, Figure, Point, Shape, Stroke};
+use trabecula::report::shapes::{Anchor, Figure, HEAD, Point, Shape, Stroke, TextSize, WIDTH, text_width};
 use trabecula::report::timing_figure::draw_histogram;
 
-const WIDTH: u32 = 1060;
-const HEIGHT: u32 = 620;
-const HEAD: f64 = 40.0;
+const HEIGHT: f64 = 640.0;
 const SHORTEST_US: f64 = 0.1;
-/// Size of a map cell.
-const CELL: (f64, f64) = (96.0, 46.0);
+/// Greatest width of a map cell, and its height.
+const CELL: (f64, f64) = (120.0, 46.0);
+/// Width of a map's names of rows.
+const NAMES: f64 = 80.0;
 
 /// Colour of a cause, always shown with its letter (Okabe and Ito 2008).
 fn colour(cause: Cause) -> RGBColor {
@@ -41,21 +41,19 @@ pub fn combination(
     measured: &Measured,
     curves: &Curves,
 ) -> Result<Figure, ReportError> {
-    let mut figure = Figure::new(WIDTH, HEIGHT)?;
     let title = format!("{tested}: {} of {} ticks missed", measured.missed, measured.ticks);
-    figure.text((16.0, 20.0), &title, 18.0, INK, Anchor::Left);
-    let column = f64::from(WIDTH) / 3.0;
-    let cell = |i: f64| Rect { x: i * column, y: HEAD, width: column, height: 280.0 };
+    let mut figure = Figure::titled(HEIGHT, &title)?;
+    let cells = figure.cells(3, 2, 0.0);
     let panels = [
         ("Wake-up after the deadline", "lateness", &curves.lateness),
         ("Physics step", "step time", &curves.step),
         ("State to command", "round trip", &curves.round_trip),
     ];
-    for (index, (name, quantity, distribution)) in panels.into_iter().enumerate() {
+    for (cell, (name, quantity, distribution)) in cells.iter().zip(panels) {
         let one = [(String::new(), distribution)];
-        draw_histogram(&mut figure, cell(index as f64), name, quantity, &one, "no data in the log");
+        draw_histogram(&mut figure, *cell, name, quantity, &one, "no data in the log");
     }
-    let below = Rect { x: 0.0, y: HEAD + 290.0, width: f64::from(WIDTH), height: 290.0 };
+    let below = Rect { width: WIDTH, ..cells[3] };
     time_line(&mut figure, below, measured, curves);
     Ok(figure)
 }
@@ -92,7 +90,13 @@ fn time_line(figure: &mut Figure, outer: Rect, measured: &Measured, curves: &Cur
     }
     panel.finish_with_row();
     for ((x, y), cause) in letters {
-        figure.text((x, y - 9.0), &cause.letter().to_string(), 9.0, colour(cause), Anchor::Centre);
+        figure.text(
+            (x, y - 11.0),
+            &cause.letter().to_string(),
+            TextSize::Label,
+            colour(cause),
+            Anchor::Centre,
+        );
     }
 }
 
@@ -118,29 +122,32 @@ pub fn map(all: &[Tested]) -> Result<Figure, ReportError> {
             cores.push(tested.combination.cores);
         }
     }
-    let (wide, high) = (90.0 + CELL.0 * loads.len() as f64, 64.0 + CELL.1 * cores.len() as f64);
-    let (columns, rows) = (2.min(groups.len().max(1)), groups.len().div_ceil(2).max(1));
-    let size = (f64::from(columns as u32) * wide + 20.0, f64::from(rows as u32) * high + HEAD);
-    let mut figure = Figure::new(size.0.max(520.0) as u32, size.1 as u32)?;
-    let title = "p99 of the lateness of ticks, over cores and load";
-    figure.text((16.0, 20.0), title, 17.0, INK, Anchor::Left);
+    let high = 64.0 + CELL.1 * cores.len() as f64;
+    let room = |columns: usize| (WIDTH / columns as f64 - NAMES - 20.0) / loads.len().max(1) as f64;
+    // Two maps beside each other, where the names of their loads fit.
+    let load_width = loads.iter().map(|load| text_width(load, TextSize::Label) + 8.0).fold(0.0, f64::max);
+    let columns = if groups.len() > 1 && room(2) >= load_width { 2 } else { 1 };
+    let cell = (room(columns).min(CELL.0.max(load_width)), CELL.1);
+    let height = groups.len().div_ceil(columns).max(1) as f64 * high + HEAD;
+    let mut figure = Figure::titled(height, "p99 of the lateness of ticks, over cores and load")?;
     for (index, (name, members)) in groups.iter().enumerate() {
-        let (left, top) = ((index % 2) as f64 * wide + 10.0, (index / 2) as f64 * high + HEAD);
-        figure.text((left + 4.0, top + 12.0), name, 14.0, INK, Anchor::Left);
+        let left = (index % columns) as f64 * WIDTH / columns as f64 + 10.0;
+        let top = (index / columns) as f64 * high + HEAD;
+        figure.text((left + 4.0, top + 12.0), name, TextSize::Heading, INK, Anchor::Left);
         for (column, load) in loads.iter().enumerate() {
-            let x = left + 80.0 + CELL.0 * (column as f64 + 0.5);
-            figure.text((x, top + 34.0), load, 12.5, INK, Anchor::Centre);
+            let x = left + NAMES + cell.0 * (column as f64 + 0.5);
+            figure.text((x, top + 34.0), load, TextSize::Label, INK, Anchor::Centre);
         }
         for (row, count) in cores.iter().enumerate() {
-            let y = top + 44.0 + CELL.1 * row as f64;
+            let y = top + 44.0 + cell.1 * row as f64;
             let label = if *count == 1 { "1 core".to_owned() } else { format!("{count} cores") };
-            figure.text((left + 4.0, y + 0.5 * CELL.1), &label, 12.5, INK, Anchor::Left);
+            figure.text((left + 4.0, y + 0.5 * cell.1), &label, TextSize::Label, INK, Anchor::Left);
             for (column, load) in loads.iter().enumerate() {
                 let found = members.iter().find(|tested| {
                     tested.combination.cores == *count && tested.combination.load.to_string() == *load
                 });
                 let p99_us = found.and_then(|tested| tested.measured.lateness_us).map(|q| q.p99);
-                map_cell(&mut figure, (left + 80.0 + CELL.0 * column as f64, y), p99_us);
+                map_cell(&mut figure, (left + NAMES + cell.0 * column as f64, y), cell, p99_us);
             }
         }
     }
@@ -148,15 +155,49 @@ pub fn map(all: &[Tested]) -> Result<Figure, ReportError> {
 }
 
 /// White at 10 µs to dark blue at 100 ms, by decades, with the number inside.
-fn map_cell(figure: &mut Figure, (x, y): Point, p99_us: Option<f64>) {
+fn map_cell(figure: &mut Figure, (x, y): Point, cell: (f64, f64), p99_us: Option<f64>) {
     let shade = p99_us.map(|us| ((us.max(1.0).log10() - 1.0) / 4.0).clamp(0.0, 1.0));
     let mix = |from: f64, to: f64| shade.map_or(245, |s| (from + (to - from) * s) as u8);
     let fill = RGBColor(mix(255.0, 8.0), mix(255.0, 48.0), mix(255.0, 107.0));
-    let (right, lower) = (x + CELL.0 - 3.0, y + CELL.1 - 3.0);
+    let (right, lower) = (x + cell.0 - 3.0, y + cell.1 - 3.0);
     figure.add(Shape::Area { corners: vec![(x, y), (right, y), (right, lower), (x, lower)], fill });
     let outline = vec![(x, y), (right, y), (right, lower), (x, lower), (x, y)];
     figure.add(Shape::Line { points: outline, stroke: Stroke::full(RGBColor(190, 190, 190), 0.8) });
     let ink = if shade.is_some_and(|s| s > 0.5) { RGBColor(255, 255, 255) } else { INK };
     let text = p99_us.map_or("not run".to_owned(), duration_label);
-    figure.text((0.5 * (x + right), 0.5 * (y + lower)), &text, 13.0, ink, Anchor::Centre);
+    figure.text((0.5 * (x + right), 0.5 * (y + lower)), &text, TextSize::Label, ink, Anchor::Centre);
+}
+
+#[cfg(test)]
+mod tests {
+    use ipc_types::scene::{Policy, Wait};
+
+    use super::*;
+    use crate::stress::plan::Load;
+
+    /// Five loads and each of the policies and waits: as wide as it gets, so two maps do not fit beside each other.
+    #[test]
+    fn nothing_lies_over_anything_in_a_wide_map() {
+        let loads = ["none", "spin:1", "memory:16", "disk:64", "fork:8"];
+        let mut all = Vec::new();
+        for policy in [Policy::Other, Policy::Fifo] {
+            for load in loads {
+                for cores in [1, 2] {
+                    let load = Load::try_from(load.to_owned()).unwrap();
+                    let combination = Combination { cores, load, policy, wait: Wait::Hybrid };
+                    all.push(Tested {
+                        combination,
+                        measured: Measured::default(),
+                        busy_percent: 0.0,
+                        stolen_percent: 0.0,
+                        failure: None,
+                        not_permitted: Vec::new(),
+                        figure: String::new(),
+                    });
+                }
+            }
+        }
+        assert_eq!(map(&all).unwrap().collisions(), []);
+        assert_eq!(map(&all[..4]).unwrap().collisions(), []);
+    }
 }

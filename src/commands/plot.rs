@@ -12,13 +12,11 @@ use run_log::{LogError, Topic};
 use crate::failure::Failure;
 use crate::output::figure_place;
 use crate::report::axis::{Axis, bounds};
-use crate::report::panel::{INK, Panel, Rect};
-use crate::report::shapes::{Anchor, Figure, Point, Stroke};
+use crate::report::panel::{Panel, Rect};
+use crate::report::shapes::{Figure, HEAD, Point, Stroke, WIDTH};
 use crate::report::timeline::{Extremes, Timeline};
 
-const WIDTH: f64 = 1000.0;
 const PANEL_HEIGHT: f64 = 250.0;
-const HEAD: f64 = 40.0;
 /// Number of bins over the run. Each is drawn as its minimum and maximum, so that no peak is lost.
 const BINS: usize = 2000;
 /// Maximum number of lines per panel, and of panels per figure.
@@ -85,8 +83,7 @@ fn draw(
     lines: &Lines,
 ) -> Result<Figure, crate::report::ReportError> {
     let height = HEAD + PANEL_HEIGHT * panels.len() as f64;
-    let mut figure = Figure::new(WIDTH as u32, height as u32)?;
-    figure.text((16.0, 20.0), title, 15.0, INK, Anchor::Left);
+    let mut figure = Figure::titled(height, title)?;
     let mut rest = lines.0.iter();
     for (row, (field, columns)) in panels.iter().enumerate() {
         let outer = Rect { x: 0.0, y: HEAD + PANEL_HEIGHT * row as f64, width: WIDTH, height: PANEL_HEIGHT };

@@ -1,5 +1,7 @@
 //! Axes: map values to fractions of a length, with round ticks.
 
+use super::shapes::{TextSize, text_width};
+
 /// Tick positions within a decade.
 const DIGITS: [f64; 9] = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0];
 
@@ -10,6 +12,8 @@ pub struct Axis {
     pub title: String,
     /// Labelled ticks: value and label.
     pub ticks: Vec<(f64, String)>,
+    /// Ticks that are labelled where there is room: value and label.
+    pub fine: Vec<(f64, String)>,
     /// Ticks without a label.
     pub minor: Vec<f64>,
     low: f64,
@@ -31,7 +35,15 @@ impl Axis {
         let (first, last) = ((low / step - 1e-9).ceil() as i64, (high / step + 1e-9).floor() as i64);
         let ticks = (first..=last).map(|i| i as f64 * step);
         let ticks = ticks.map(|value| (value, label(value))).collect();
-        Axis { title: title.to_string(), ticks, minor: Vec::new(), low, high, logarithmic: false }
+        Axis {
+            title: title.to_string(),
+            ticks,
+            fine: Vec::new(),
+            minor: Vec::new(),
+            low,
+            high,
+            logarithmic: false,
+        }
     }
 
     /// A linear axis around the values, with a margin of 6 %, starting at 0 if none is negative.
@@ -42,21 +54,62 @@ impl Axis {
     }
 
     /// A logarithmic axis, from slightly below the smallest to slightly above the largest positive value; `label`
-    /// formats a tick. Ticks are powers of ten; for ranges under two decades also twice and five times these.
+    /// formats a tick. Ticks are powers of ten; where there is room also twice and five times these.
     pub fn logarithmic(title: &str, values: impl Iterator<Item = f64>, label: fn(f64) -> String) -> Axis {
         let (low, high) = bounds(values.filter(|&value| value > 0.0)).unwrap_or((1.0, 100.0));
         let (low, high) = (low.log10() - 0.15, high.log10() + 0.15);
-        let labelled: &[f64] = if high - low < 2.0 { &[1.0, 2.0, 5.0] } else { &[1.0] };
         let decades = low.floor() as i32..=high.ceil() as i32;
-        let (mut ticks, mut minor) = (Vec::new(), Vec::new());
+        let (mut ticks, mut fine, mut minor) = (Vec::new(), Vec::new(), Vec::new());
         for (n, digit) in decades.flat_map(|n| DIGITS.map(|digit| (n, digit))) {
             let value = digit * 10f64.powi(n);
             if value.log10() < low || value.log10() > high {
                 continue;
             }
-            if labelled.contains(&digit) { ticks.push((value, label(value))) } else { minor.push(value) }
+            match digit {
+                1.0 => ticks.push((value, label(value))),
+                2.0 | 5.0 => fine.push((value, label(value))),
+                _ => minor.push(value),
+            }
         }
-        Axis { title: title.to_string(), ticks, minor, low, high, logarithmic: true }
+        Axis { title: title.to_string(), ticks, fine, minor, low, high, logarithmic: true }
+    }
+
+    /// Removes ticks for which `keep` does not hold.
+    pub fn retain(&mut self, keep: impl Fn(f64) -> bool) {
+        self.ticks.retain(|(value, _)| keep(*value));
+        self.fine.retain(|(value, _)| keep(*value));
+        self.minor.retain(|value| keep(*value));
+    }
+
+    /// The axis on `length` figure units with as many labels as fit: the fine ticks' too, the ticks' alone, each second of them and so on.
+    /// `extent` is what a label takes of the length.
+    pub fn labelled(mut self, length: f64, extent: fn(&str) -> f64) -> Axis {
+        let mut all = [self.ticks.clone(), std::mem::take(&mut self.fine)].concat();
+        all.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let fit = |ticks: &[(f64, String)]| {
+            ticks.windows(2).all(|pair| {
+                let room = (self.share(pair[1].0) - self.share(pair[0].0)) * length;
+                0.5 * (extent(&pair[0].1) + extent(&pair[1].1)) <= room
+            })
+        };
+        let thinned = |every: usize| self.ticks.iter().step_by(every).cloned().collect::<Vec<_>>();
+        let tries = std::iter::once(all.clone()).chain((1..=self.ticks.len().max(1)).map(thinned));
+        let shown = tries.into_iter().find(|ticks| fit(ticks)).unwrap_or_default();
+        let unlabelled = all.iter().map(|(value, _)| *value);
+        let minor: Vec<f64> = unlabelled.filter(|value| shown.iter().all(|(own, _)| own != value)).collect();
+        self.minor.extend(minor);
+        self.ticks = shown;
+        self
+    }
+
+    /// What a label takes of a horizontal axis.
+    pub fn beside(label: &str) -> f64 {
+        text_width(label, TextSize::Label) + 10.0
+    }
+
+    /// What a label takes of a vertical axis.
+    pub fn above(_label: &str) -> f64 {
+        TextSize::Label.units() + 2.0
     }
 
     /// Position of a value as a fraction of the length: 0 at the low end, 1 at the high end, outside that range
@@ -140,11 +193,26 @@ mod tests {
         assert_eq!(labels(&Axis::linear("", f64::NAN, 1.0, 2)), ["0.0", "0.5", "1.0"]);
         let axis = Axis::logarithmic("", [0.0, f64::NAN, 30.0, 2000.0].into_iter(), duration_label);
         assert_eq!(labels(&axis), ["100 µs", "1 ms"]);
-        // Minor ticks of three decades from 30 / 1.41 to 2000 * 1.41, without 100 and 1000.
-        assert_eq!(axis.minor.len(), 7 + 8 + 1);
+        // Of three decades from 30 / 1.41 to 2000 * 1.41; 100 and 1000 are the ticks.
+        assert_eq!((axis.minor.len(), axis.fine.len()), (12, 4));
         assert!((axis.share(30.0) + axis.share(2000.0) - 1.0).abs() < 1e-12, "the same margin on both sides");
         assert_eq!(labels(&Axis::logarithmic("", [30.0].into_iter(), count_label)), [] as [&str; 0]);
         assert_eq!(axis.share(-1.0), 0.0);
+    }
+
+    #[test]
+    fn labels_are_as_many_as_fit() {
+        let axis = || Axis::logarithmic("", [1.0, 1e4].into_iter(), count_label);
+        let wide = |label: &str| 10.0 * label.len() as f64;
+        assert_eq!(labels(&axis().labelled(2000.0, wide)).len(), 13, "1, 2, 5 … 10,000");
+        assert_eq!(labels(&axis().labelled(200.0, wide)), ["1", "10", "100", "1000", "10000"]);
+        assert_eq!(labels(&axis().labelled(100.0, wide)), ["1", "100", "10000"]);
+        assert_eq!(labels(&axis().labelled(1.0, wide)), ["1"]);
+        assert_eq!(
+            axis().labelled(100.0, wide).minor.len(),
+            axis().minor.len() + 8 + 2,
+            "the others stay as lines"
+        );
     }
 
     #[test]

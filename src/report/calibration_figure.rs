@@ -4,22 +4,18 @@ use controllers::{Calibration, CalibrationRow};
 
 use super::ReportError;
 use super::axis::Axis;
-use super::panel::{INK, Panel, Rect};
-use super::shapes::{Anchor, Figure, Point, Stroke};
+use super::panel::Panel;
+use super::shapes::{Figure, Point, Stroke};
 
-const WIDTH: u32 = 1060;
-const HEIGHT: u32 = 460;
-const HEAD: f64 = 40.0;
+const HEIGHT: f64 = 400.0;
 
 /// Draws bend over tension, bend over displacement, and the tip's path in the bending plane.
 ///
 /// # Errors
 /// The built-in font is refused.
 pub fn draw(title: &str, calibration: &Calibration) -> Result<Figure, ReportError> {
-    let mut figure = Figure::new(WIDTH, HEIGHT)?;
-    figure.text((16.0, 20.0), title, 18.0, INK, Anchor::Left);
-    let width = f64::from(WIDTH) / 3.0;
-    let cell = |column: f64| Rect { x: column * width, y: HEAD, width, height: f64::from(HEIGHT) - HEAD };
+    let mut figure = Figure::titled(HEIGHT, title)?;
+    let cells = figure.cells(3, 1, 0.0);
     type Pick = fn(&CalibrationRow) -> Point;
     let panels: [(&str, &str, &str, Pick); 3] = [
         ("Bend over tension", "tension (N)", "bend (deg)", |row| (row.tension_n, row.bend_deg)),
@@ -30,7 +26,7 @@ pub fn draw(title: &str, calibration: &Calibration) -> Result<Figure, ReportErro
             (row.tip_mm[0], row.tip_mm[2])
         }),
     ];
-    for (column, (title, x, y, pick)) in panels.into_iter().enumerate() {
+    for (cell, (title, x, y, pick)) in cells.into_iter().zip(panels) {
         let points: Vec<Point> = calibration.rows.iter().map(pick).collect();
         let around = |title: &str, values: Vec<f64>| {
             let (low, high) = super::axis::bounds(values.into_iter()).unwrap_or((0.0, 1.0));
@@ -39,7 +35,7 @@ pub fn draw(title: &str, calibration: &Calibration) -> Result<Figure, ReportErro
         };
         let x = around(x, points.iter().map(|p| p.0).collect());
         let y = around(y, points.iter().map(|p| p.1).collect());
-        let mut panel = Panel::new(&mut figure, cell(column as f64), title, x, y);
+        let mut panel = Panel::new(&mut figure, cell, title, x, y);
         for (index, (rising, label)) in [(true, "up"), (false, "down")].into_iter().enumerate() {
             let rows = calibration.rows.iter().filter(|row| row.rising == rising);
             panel.line(&rows.map(pick).collect::<Vec<_>>(), Stroke::of_palette(index, 1.8), label);

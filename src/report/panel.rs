@@ -3,7 +3,7 @@
 use plotters::style::RGBColor;
 
 use super::axis::Axis;
-use super::shapes::{Anchor, Figure, Point, Shape, Stroke, text_width};
+use super::shapes::{Anchor, Figure, Point, Shape, Stroke, TextSize, text_width};
 
 /// Colour of text and frame.
 pub const INK: RGBColor = RGBColor(40, 40, 40);
@@ -15,15 +15,13 @@ pub const DASHES: [&[f64]; 4] = [&[], &[7.0, 3.0], &[2.0, 2.0], &[8.0, 2.5, 2.0,
 const GRID: RGBColor = RGBColor(225, 225, 225);
 const FAINT_GRID: RGBColor = RGBColor(243, 243, 243);
 
-const TITLE_SIZE: f64 = 15.0;
-const LABEL_SIZE: f64 = 12.5;
 /// Height of a legend line, and width of its key.
-const LEGEND_LINE: f64 = 17.0;
+const LEGEND_LINE: f64 = 18.0;
 const KEY_WIDTH: f64 = 32.0;
-const LEFT: f64 = 62.0;
+const LEFT: f64 = 68.0;
 const RIGHT: f64 = 14.0;
 const TOP: f64 = 30.0;
-const BOTTOM: f64 = 44.0;
+const BOTTOM: f64 = 48.0;
 
 /// A rectangle in figure units.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,13 +38,24 @@ pub struct Rect {
 
 impl Rect {
     /// The area left for the plot after titles and labels.
-    pub fn plot_area(self) -> Rect {
+    pub const fn plot_area(self) -> Rect {
         Rect {
             x: self.x + LEFT,
             y: self.y + TOP,
             width: self.width - LEFT - RIGHT,
             height: self.height - TOP - BOTTOM,
         }
+    }
+
+    /// Whether two have an area in common.
+    pub fn overlaps(self, other: Rect) -> bool {
+        let along = |a: f64, a_length: f64, b: f64, b_length: f64| a < b + b_length && b < a + a_length;
+        along(self.x, self.width, other.x, other.width) && along(self.y, self.height, other.y, other.height)
+    }
+
+    /// Whether another lies in it as a whole.
+    pub fn holds(self, other: Rect) -> bool {
+        self.contains((other.x, other.y)) && self.contains((other.x + other.width, other.y + other.height))
     }
 
     fn contains(self, (x, y): Point) -> bool {
@@ -78,6 +87,7 @@ pub struct Panel<'a> {
     legend: Vec<(Key, String)>,
     /// Points along the curves, used to place the legend.
     seen: Vec<Point>,
+    title_width: f64,
 }
 
 impl Stroke {
@@ -96,8 +106,10 @@ impl<'a> Panel<'a> {
     /// Draws grid, ticks, titles and labels inside `outer`.
     pub fn new(figure: &'a mut Figure, outer: Rect, title: &str, x: Axis, y: Axis) -> Panel<'a> {
         let area = outer.plot_area();
-        figure.text((area.x, outer.y + 0.5 * TOP), title, TITLE_SIZE, INK, Anchor::Left);
-        let mut panel = Panel { figure, area, x, y, legend: Vec::new(), seen: Vec::new() };
+        figure.text((area.x, outer.y + 0.5 * TOP), title, TextSize::Heading, INK, Anchor::Left);
+        let title_width = text_width(title, TextSize::Heading);
+        let (x, y) = (x.labelled(area.width, Axis::beside), y.labelled(area.height, Axis::above));
+        let mut panel = Panel { figure, area, x, y, legend: Vec::new(), seen: Vec::new(), title_width };
         panel.grid();
         panel.labels(outer);
         panel
@@ -124,17 +136,17 @@ impl<'a> Panel<'a> {
     fn labels(&mut self, outer: Rect) {
         let Rect { x, y, width, height } = self.area;
         for (value, label) in self.x.ticks.clone() {
-            let at = (x + self.x.share(value) * width, y + height + 12.0);
-            self.figure.text(at, &label, LABEL_SIZE, INK, Anchor::Centre);
+            let at = (x + self.x.share(value) * width, y + height + 13.0);
+            self.figure.text(at, &label, TextSize::Label, INK, Anchor::Centre);
         }
         for (value, label) in self.y.ticks.clone() {
             let at = (x - 6.0, y + (1.0 - self.y.share(value)) * height);
-            self.figure.text(at, &label, LABEL_SIZE, INK, Anchor::Right);
+            self.figure.text(at, &label, TextSize::Label, INK, Anchor::Right);
         }
-        let below = (x + 0.5 * width, y + height + 30.0);
-        self.figure.text(below, &self.x.title.clone(), LABEL_SIZE, INK, Anchor::Centre);
+        let below = (x + 0.5 * width, y + height + 34.0);
+        self.figure.text(below, &self.x.title.clone(), TextSize::Label, INK, Anchor::Centre);
         let beside = (outer.x + 10.0, y + 0.5 * height);
-        let (text, size) = (self.y.title.clone(), LABEL_SIZE);
+        let (text, size) = (self.y.title.clone(), TextSize::Label);
         let label =
             Shape::Text { at: beside, text, size, colour: INK, anchor: Anchor::Centre, upwards: true };
         self.figure.add(label);
@@ -221,7 +233,7 @@ impl<'a> Panel<'a> {
         let (at, _) = self.place((x, 1.0));
         let Rect { y, .. } = self.area;
         if self.area.contains((at, y)) {
-            self.figure.text((at + 4.0, y + 9.0), text, LABEL_SIZE, INK, Anchor::Left);
+            self.figure.text((at + 4.0, y + 9.0), text, TextSize::Label, INK, Anchor::Left);
         }
     }
 
@@ -237,7 +249,7 @@ impl<'a> Panel<'a> {
     /// A centred remark, in place of curves.
     pub fn remark(&mut self, text: &str) {
         let Rect { x, y, width, height } = self.area;
-        self.figure.text((x + 0.5 * width, y + 0.5 * height), text, LABEL_SIZE, INK, Anchor::Centre);
+        self.figure.text((x + 0.5 * width, y + 0.5 * height), text, TextSize::Label, INK, Anchor::Centre);
     }
 
     /// Adds a legend entry unless `label` is empty.
@@ -254,7 +266,7 @@ impl<'a> Panel<'a> {
         if legend.is_empty() {
             return;
         }
-        let text = legend.iter().map(|(_, label)| text_width(label, LABEL_SIZE)).fold(0.0, f64::max);
+        let text = legend.iter().map(|(_, label)| text_width(label, TextSize::Label)).fold(0.0, f64::max);
         let size = (KEY_WIDTH + text + 18.0, LEGEND_LINE * legend.len() as f64 + 6.0);
         let corner = self.corner(size);
         let (right, lower) = (corner.0 + size.0, corner.1 + size.1);
@@ -265,12 +277,17 @@ impl<'a> Panel<'a> {
         }
     }
 
-    /// Draws the frame, and the legend in a row above it, on the right.
+    /// Draws the frame, and the legend in a row above it, on the right; inside, where the title leaves no room for it.
     pub fn finish_with_row(mut self) {
+        let entry = |(_, label): &(Key, String)| KEY_WIDTH + 16.0 + text_width(label, TextSize::Label);
+        let row: f64 = self.legend.iter().map(entry).sum();
+        if self.title_width + row > self.area.width {
+            return self.finish();
+        }
         self.frame();
         let mut right = self.area.x + self.area.width;
         for (key, label) in std::mem::take(&mut self.legend).into_iter().rev() {
-            right -= KEY_WIDTH + 2.0 + text_width(&label, LABEL_SIZE);
+            right -= KEY_WIDTH + 2.0 + text_width(&label, TextSize::Label);
             self.entry(key, &label, (right, self.area.y - 0.5 * TOP));
             right -= 14.0;
         }
@@ -285,7 +302,7 @@ impl<'a> Panel<'a> {
     /// Draws a legend entry, given its left end.
     fn entry(&mut self, key: Key, label: &str, (x, y): Point) {
         self.draw_key(key, (x + 0.5 * KEY_WIDTH - 4.0, y));
-        self.figure.text((x + KEY_WIDTH + 2.0, y), label, LABEL_SIZE, INK, Anchor::Left);
+        self.figure.text((x + KEY_WIDTH + 2.0, y), label, TextSize::Label, INK, Anchor::Left);
     }
 
     fn corner(&self, (width, height): Point) -> Point {

@@ -14,6 +14,10 @@ use plotters::style::{
 
 use super::ReportError;
 use super::grey::encode_png;
+use super::panel::{INK, Rect};
+
+/// Width of every figure. Shown as wide as a page, about 830 pixels, its smallest text is 13 pixels high.
+pub const WIDTH: f64 = 880.0;
 
 const FONT: &str = "sans-serif";
 /// Pixels per figure unit while drawing; plotters snaps shapes to whole pixels.
@@ -22,8 +26,33 @@ const SCALE: usize = 4;
 /// lines.
 const SHRINK: usize = 2;
 
+/// Height of a figure's title.
+pub const HEAD: f64 = 40.0;
+
 /// A point of the figure: right and down from the top left corner, in units of half a pixel of the PNG file.
 pub type Point = (f64, f64);
+
+/// Height of a text's font. There is none below a label's: it could not be read at the width of a page.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TextSize {
+    /// Of a whole figure.
+    Title,
+    /// Of a panel.
+    Heading,
+    /// Ticks, axes, legends.
+    Label,
+}
+
+impl TextSize {
+    /// In figure units.
+    pub fn units(self) -> f64 {
+        match self {
+            TextSize::Title => 18.0,
+            TextSize::Heading => 15.5,
+            TextSize::Label => 14.0,
+        }
+    }
+}
 
 /// How a line is drawn.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -94,8 +123,8 @@ pub enum Shape {
         at: Point,
         /// What it says.
         text: String,
-        /// Height of its font in figure units.
-        size: f64,
+        /// Height of its font.
+        size: TextSize,
         /// Its colour.
         colour: RGBColor,
         /// Which point of it lies at `at`.
@@ -105,11 +134,10 @@ pub enum Shape {
     },
 }
 
-/// A figure of a fixed size on white.
+/// A figure of [`WIDTH`] on white.
 #[derive(Debug, Clone)]
 pub struct Figure {
-    width: u32,
-    height: u32,
+    height: f64,
     shapes: Vec<Shape>,
 }
 
@@ -119,17 +147,52 @@ fn register() -> Result<(), ReportError> {
 }
 
 /// Width of a text in figure units.
-pub fn text_width(text: &str, size: f64) -> f64 {
+pub fn text_width(text: &str, size: TextSize) -> f64 {
+    let size = size.units();
     let drawn = (FONT, size * SCALE as f64).into_font().box_size(text);
     // A letter is usually about half as wide as the font is high.
     drawn.map_or(0.5 * size * text.chars().count() as f64, |(width, _)| f64::from(width) / SCALE as f64)
 }
 
 impl Figure {
-    /// An empty figure, in figure units.
-    pub fn new(width: u32, height: u32) -> Result<Figure, ReportError> {
+    /// An empty figure of this height, in figure units.
+    pub fn new(height: f64) -> Result<Figure, ReportError> {
         register()?;
-        Ok(Figure { width, height, shapes: Vec::new() })
+        Ok(Figure { height: height.ceil(), shapes: Vec::new() })
+    }
+
+    /// One with a title over everything.
+    pub fn titled(height: f64, title: &str) -> Result<Figure, ReportError> {
+        let mut figure = Figure::new(height)?;
+        figure.text((14.0, 0.5 * HEAD), title, TextSize::Title, INK, Anchor::Left);
+        Ok(figure)
+    }
+
+    /// Rectangles that share the figure below [`HEAD`] and above `foot` evenly, row by row.
+    pub fn cells(&self, columns: usize, rows: usize, foot: f64) -> Vec<Rect> {
+        let (width, height) = (WIDTH / columns as f64, (self.height - HEAD - foot) / rows as f64);
+        let cell = |index: usize| Rect {
+            x: (index % columns) as f64 * width,
+            y: HEAD + (index / columns) as f64 * height,
+            width,
+            height,
+        };
+        (0..columns * rows).map(cell).collect()
+    }
+
+    /// Texts that lie over another or reach out of the figure, each with the other's words: none, in a figure that can be read.
+    pub fn collisions(&self) -> Vec<(String, String)> {
+        let texts: Vec<(&str, Rect)> = self.shapes.iter().filter_map(text_box).collect();
+        let page = Rect { x: 0.0, y: 0.0, width: WIDTH, height: self.height };
+        let mut found = Vec::new();
+        for (index, (text, place)) in texts.iter().enumerate() {
+            if place.width > page.width || !page.holds(*place) {
+                found.push(((*text).to_owned(), "the figure's edge".to_owned()));
+            }
+            let others = texts[..index].iter().filter(|(_, other)| other.overlaps(*place));
+            found.extend(others.map(|(other, _)| ((*text).to_owned(), (*other).to_owned())));
+        }
+        found
     }
 
     /// Draws over existing shapes. Shapes with a non-finite coordinate are skipped.
@@ -151,7 +214,7 @@ impl Figure {
     }
 
     /// Adds a text.
-    pub fn text(&mut self, at: Point, text: &str, size: f64, colour: RGBColor, anchor: Anchor) {
+    pub fn text(&mut self, at: Point, text: &str, size: TextSize, colour: RGBColor, anchor: Anchor) {
         self.add(Shape::Text { at, text: text.to_string(), size, colour, anchor, upwards: false });
     }
 
@@ -173,7 +236,7 @@ impl Figure {
     }
 
     fn png(&self, path: &Path) -> Result<Vec<u8>, ReportError> {
-        let size = (self.width * SCALE as u32, self.height * SCALE as u32);
+        let size = (WIDTH as u32 * SCALE as u32, self.height as u32 * SCALE as u32);
         let mut pixels = vec![0u8; size.0 as usize * size.1 as usize * 3];
         {
             let backend = BitMapBackend::with_buffer(&mut pixels, size);
@@ -187,13 +250,13 @@ impl Figure {
 
     /// The figure as SVG; errors name this file.
     pub fn svg(&self, path: &Path) -> Result<String, ReportError> {
-        let size = (self.width * SCALE as u32, self.height * SCALE as u32);
+        let size = (WIDTH as u32 * SCALE as u32, self.height as u32 * SCALE as u32);
         let mut text = String::new();
         self.draw(SVGBackend::with_string(&mut text, size), Medium::Vector)
             .map_err(|cause| ReportError::Draw { path: path.into(), cause: cause.to_string() })?;
         // Drawn on a fine grid, shown at its nominal size.
         let drawn = format!("width=\"{}\" height=\"{}\"", size.0, size.1);
-        let shown = format!("width=\"{}\" height=\"{}\"", self.width, self.height);
+        let shown = format!("width=\"{WIDTH}\" height=\"{}\"", self.height);
         Ok(text.replacen(&drawn, &shown, 1))
     }
 
@@ -209,6 +272,25 @@ impl Figure {
         area.present()?;
         Ok(())
     }
+}
+
+/// The words of a text and the place that its letters cover, roughly: two thirds of the font's height.
+fn text_box(shape: &Shape) -> Option<(&str, Rect)> {
+    let Shape::Text { at: (x, y), text, size, anchor, upwards, .. } = shape else { return None };
+    let (along, across) = (text_width(text, *size), 0.66 * size.units());
+    let before = match anchor {
+        Anchor::Left => 0.0,
+        Anchor::Centre => 0.5 * along,
+        Anchor::Right => along,
+    };
+    Some((
+        text.as_str(),
+        if *upwards {
+            Rect { x: x - 0.5 * across, y: y - along + before, width: across, height: along }
+        } else {
+            Rect { x: x - before, y: y - 0.5 * across, width: along, height: across }
+        },
+    ))
 }
 
 /// What a figure is drawn as.
@@ -278,6 +360,7 @@ fn draw_shape<DB: DrawingBackend>(
                 Anchor::Centre => HPos::Center,
                 Anchor::Right => HPos::Right,
             };
+            let size = size.units();
             let mut font = (FONT, size * SCALE as f64).into_font();
             if *upwards {
                 font = font.transform(FontTransform::Rotate270);
@@ -385,6 +468,20 @@ mod tests {
         assert!((cut.iter().map(|dash| length(dash)).sum::<f64>() - 8.0).abs() < 1e-12);
         assert_eq!(dashes(&line, &[]), vec![line.to_vec()]);
         assert_eq!(cut[2], vec![(6.0, 0.0), (7.0, 0.0), (7.0, 1.0)], "a dash goes round the corner");
+    }
+
+    #[test]
+    fn texts_that_lie_over_others_or_reach_out_are_found() {
+        let mut figure = Figure::new(100.0).unwrap();
+        figure.text((10.0, 20.0), "first", TextSize::Label, INK, Anchor::Left);
+        figure.text((10.0, 40.0), "below", TextSize::Label, INK, Anchor::Left);
+        assert_eq!(figure.collisions(), []);
+        figure.text((30.0, 24.0), "over it", TextSize::Label, INK, Anchor::Centre);
+        figure.text((WIDTH - 5.0, 60.0), "outside", TextSize::Label, INK, Anchor::Left);
+        let found = figure.collisions();
+        assert_eq!(found.len(), 2, "{found:?}");
+        assert_eq!(found[0], ("over it".to_owned(), "first".to_owned()));
+        assert_eq!(found[1].0, "outside");
     }
 
     #[test]

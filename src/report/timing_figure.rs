@@ -7,13 +7,11 @@ use super::ReportError;
 use super::axis::{Axis, count_label, duration_label};
 use super::distribution::{Distribution, Quantiles};
 use super::panel::{COLOURS, INK, Key, Panel, Rect};
-use super::shapes::{Anchor, Figure, Point, Stroke};
+use super::shapes::{Figure, HEAD, Point, Stroke, WIDTH};
 use super::timing_lane::TimingLane;
 use super::tip_figure::lighter;
 
-const WIDTH: u32 = 1060;
-const HEIGHT: u32 = 700;
-const HEAD: f64 = 40.0;
+const HEIGHT: f64 = 700.0;
 const TOP_ROW: f64 = 330.0;
 /// Histogram bars per decade.
 const BARS_PER_DECADE: f64 = 20.0;
@@ -26,18 +24,16 @@ const GREY: RGBColor = RGBColor(110, 110, 110);
 
 /// Draws the figure; a panel without data says so. `end_ns` is the simulated length of the run.
 pub fn draw(timing: &TimingLane, end_ns: u64) -> Result<Figure, ReportError> {
-    let mut figure = Figure::new(WIDTH, HEIGHT)?;
     let header = timing.header.as_ref();
     let (scene, mode) = header.map_or(("run", ""), |h| (h.scene_name.as_str(), h.mode.name()));
     let mode = if mode.is_empty() { String::new() } else { format!(", {mode}") };
     let title = format!("{scene}{mode}: timing of {} ticks", timing.step.count());
-    figure.text((16.0, 20.0), &title, 18.0, INK, Anchor::Left);
-    let width = f64::from(WIDTH);
+    let mut figure = Figure::titled(HEIGHT, &title)?;
     let end_s = end_ns.max(timing.end_ns) as f64 * 1e-9;
-    draw_over_time(&mut figure, Rect { x: 0.0, y: HEAD, width, height: TOP_ROW }, timing, end_s);
+    draw_over_time(&mut figure, Rect { x: 0.0, y: HEAD, width: WIDTH, height: TOP_ROW }, timing, end_s);
     let y = HEAD + TOP_ROW;
-    let column = width / 3.0;
-    let cell = |i: f64| Rect { x: i * column, y, width: column, height: f64::from(HEIGHT) - y };
+    let column = WIDTH / 3.0;
+    let cell = |i: f64| Rect { x: i * column, y, width: column, height: HEIGHT - y };
     let name = String::new;
     draw_histogram(&mut figure, cell(0.0), "Physics step", "step time", &[(name(), &timing.step)], EMPTY);
     let lateness = [(name(), &timing.lateness)];
@@ -143,8 +139,7 @@ pub fn draw_histogram(
     // The axis begins below 1, so that counts of 1 are visible.
     let top = points().map(|p| p.1).fold(1.0, f64::max);
     let mut y = Axis::logarithmic("ticks", [0.6, 30.0 * top].into_iter(), count_label);
-    y.ticks.retain(|(value, _)| *value >= 1.0);
-    y.minor.retain(|value| *value >= 1.0);
+    y.retain(|value| value >= 1.0);
     let mut panel = Panel::new(figure, outer, title, x, y);
     if points().next().is_none() {
         panel.remark(without);
@@ -166,7 +161,8 @@ pub fn draw_histogram(
             panel.key(Key::Line(tail), &format!("p99 {p99}"));
             panel.key(Key::None, &format!("max {max}"));
         } else {
-            panel.key(Key::None, &format!("p50 {p50}, p99 {p99}, max {max}"));
+            panel.key(Key::None, &format!("p50 {p50}"));
+            panel.key(Key::None, &format!("p99 {p99}, max {max}"));
         }
     }
     panel.finish();

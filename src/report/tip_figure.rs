@@ -8,34 +8,25 @@ use super::axis::{Axis, bounds};
 use super::course::{Plane, distance_m};
 use super::panel::{COLOURS, INK, Key, Panel, Rect};
 use super::run_lane::{Curves, RunLane, links};
-use super::shapes::{Anchor, Figure, Point, Stroke};
+use super::shapes::{Figure, HEAD, Point, Stroke, WIDTH};
 use super::timeline::{Extremes, Timeline};
 
-const WIDTH: u32 = 1060;
-const HEIGHT: u32 = 720;
-const PATH_WIDTH: f64 = 440.0;
-const HEAD: f64 = 40.0;
+const HEIGHT: f64 = 720.0;
+const PATH_WIDTH: f64 = 400.0;
 const BURR: RGBColor = RGBColor(178, 178, 178);
 const START: RGBColor = RGBColor(222, 222, 222);
 
 /// Draws the figure; without states it says so.
 pub fn draw(run: &RunLane) -> Result<Figure, ReportError> {
-    let mut figure = Figure::new(WIDTH, HEIGHT)?;
     let scene = run.header.as_ref().map_or("run", |header| header.scene_name.as_str());
-    let title = format!(
-        "{scene}: tool motion over {:.2} s (bands: least to greatest of an interval)",
-        run.end_ns as f64 * 1e-9
-    );
-    figure.text((16.0, 20.0), &title, 18.0, INK, Anchor::Left);
-    let height = f64::from(HEIGHT) - HEAD;
+    let title =
+        format!("{scene}: tool motion over {:.2} s (bands: least to greatest)", run.end_ns as f64 * 1e-9);
+    let mut figure = Figure::titled(HEIGHT, &title)?;
+    let height = HEIGHT - HEAD;
     draw_path(&mut figure, Rect { x: 0.0, y: HEAD, width: PATH_WIDTH, height }, run);
     let rows = height / 3.0;
-    let cell = |row: f64| Rect {
-        x: PATH_WIDTH,
-        y: HEAD + row * rows,
-        width: f64::from(WIDTH) - PATH_WIDTH,
-        height: rows,
-    };
+    let cell =
+        |row: f64| Rect { x: PATH_WIDTH, y: HEAD + row * rows, width: WIDTH - PATH_WIDTH, height: rows };
     let end_s = run.end_ns as f64 * 1e-9;
     let (tensions, bend, force) = match &run.curves {
         Some(curves) => {

@@ -12,13 +12,11 @@ use super::slice::{END, HOLE, Plane, START};
 use crate::report::ReportError;
 use crate::report::axis::Axis;
 use crate::report::panel::{COLOURS, INK, Panel, Rect, clip};
-use crate::report::shapes::{Anchor, Figure, Point, Shape, Stroke, text_width};
+use crate::report::shapes::{Anchor, Figure, Point, Shape, Stroke, TextSize, WIDTH, text_width};
 
-/// Width of the picture in figure units: at the width of a page, about 830 pixels, text is 13 pixels high or more.
-const WIDTH: f64 = 800.0;
 const MARGIN: f64 = 10.0;
 const GAP: f64 = 8.0;
-const TEXT: f64 = 14.0;
+const TEXT: TextSize = TextSize::Label;
 const LINE: f64 = 20.0;
 /// Height of the title over a slice.
 const STRIP: f64 = 24.0;
@@ -61,8 +59,14 @@ pub fn draw(of: &Pictured<'_>) -> Result<Figure, ReportError> {
     let rows = (side + STRIP) * places.len() as f64;
     let height =
         head + legend + rows + STRIP + ALONG_HEIGHT + PROFILE_HEIGHT + LINE * (lines.len() as f64 + 1.0);
-    let mut figure = Figure::new(WIDTH as u32, height.ceil() as u32)?;
-    figure.text((MARGIN, 22.0), &format!("{}: the plan in its CT", of.scene.name), 19.0, INK, Anchor::Left);
+    let mut figure = Figure::new(height)?;
+    figure.text(
+        (MARGIN, 22.0),
+        &format!("{}: the plan in its CT", of.scene.name),
+        TextSize::Title,
+        INK,
+        Anchor::Left,
+    );
     draw_legend(&mut figure, head + 4.0, of.shapes.is_planned);
     let half_mm = half_mm(of.shapes);
     let mut top = head + legend;

@@ -7,8 +7,8 @@ use super::row::{Ending, FIGURES, Row};
 use crate::failure::Failure;
 use crate::report::ReportError;
 use crate::report::axis::{Axis, bounds};
-use crate::report::panel::{COLOURS, INK, Panel, Rect};
-use crate::report::shapes::{Anchor, Figure, Point};
+use crate::report::panel::{COLOURS, Panel};
+use crate::report::shapes::{Figure, HEAD, Point};
 
 /// How a figure depends on each parameter.
 #[derive(Debug, Clone, PartialEq)]
@@ -125,9 +125,7 @@ impl Sensitivity {
     }
 }
 
-const PANEL_WIDTH: f64 = 360.0;
 const PANEL_HEIGHT: f64 = 300.0;
-const HEAD: f64 = 40.0;
 /// Panels in a row.
 const COLUMNS: usize = 3;
 
@@ -144,20 +142,12 @@ pub fn draw(study: &Study, rows: &[Row], figure: &str) -> Result<Figure, ReportE
         .filter(|(_, points): &(&str, Vec<Point>)| !points.is_empty())
         .collect();
     let lines = clouds.len().div_ceil(COLUMNS).max(1);
-    let size = |length: f64| length as u32;
     let columns = clouds.len().clamp(1, COLUMNS);
-    let mut picture =
-        Figure::new(size(PANEL_WIDTH * columns as f64), size(HEAD + PANEL_HEIGHT * lines as f64))?;
     let completed = rows.iter().filter(|row| of(row).is_some()).count();
-    picture.text((16.0, 20.0), &format!("{figure}: {completed} runs"), 18.0, INK, Anchor::Left);
-    for (place, (key, points)) in clouds.iter().enumerate() {
-        let (column, line) = ((place % COLUMNS) as f64, (place / COLUMNS) as f64);
-        let area = Rect {
-            x: column * PANEL_WIDTH,
-            y: HEAD + line * PANEL_HEIGHT,
-            width: PANEL_WIDTH,
-            height: PANEL_HEIGHT,
-        };
+    let title = format!("{figure}: {completed} runs");
+    let mut picture = Figure::titled(HEAD + PANEL_HEIGHT * lines as f64, &title)?;
+    let cells = picture.cells(columns, lines, 0.0);
+    for (area, (key, points)) in cells.into_iter().zip(&clouds) {
         let around = |title: &str, values: Vec<f64>, ticks: usize| {
             let (low, high) = bounds(values.into_iter()).unwrap_or((0.0, 1.0));
             let margin = 0.06 * (high - low).max(1e-9);

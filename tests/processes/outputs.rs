@@ -70,7 +70,7 @@ fn table(place: &Place) -> Vec<Row> {
         ),
         row(
             "chart drr --quick --rounds 1 --output @charts",
-            &["charts/drr.csv", "charts/drr.md", "charts/drr.svg"],
+            &["charts/drr.csv", "charts/drr.md", "charts/drr.svg", "charts/drr.png"],
         ),
         row("chart drr --rungs @rungs.csv", &["rungs.csv"]),
         row(

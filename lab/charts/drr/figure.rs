@@ -1,76 +1,148 @@
-//! `drr.svg`: error against milliseconds, both logarithmic.
+//! `drr.svg` and `drr.png`: error against milliseconds, both logarithmic.
 
-use plotters::backend::SVGBackend;
-use plotters::chart::{ChartBuilder, SeriesLabelPosition};
-use plotters::coord::combinators::IntoLogRange;
-use plotters::drawing::IntoDrawingArea;
-use plotters::element::{Circle, PathElement, TriangleMarker};
-use plotters::prelude::Palette;
-use plotters::series::LineSeries;
-use plotters::style::{BLACK, Color, FontStyle, Palette99, WHITE, register_font};
+use plotters::style::RGBColor;
 
 use super::Point;
-use trabecula::failure::Failure;
+use trabecula::report::ReportError;
+use trabecula::report::axis::{Axis, duration_label};
+use trabecula::report::panel::{COLOURS, INK, Panel, Rect};
+use trabecula::report::shapes::{Anchor, Figure, HEAD, Shape, Stroke, TextSize, WIDTH};
 
-/// Draws the points of two threads (triangles: peers); the line is the time to read the finest volume once.
-pub fn draw(points: &[Point], stream_ms: f64) -> Result<String, Failure> {
-    let mut text = String::new();
-    draw_into(&mut text, points, stream_ms)
-        .map_err(|cause| Failure::failed(format!("drr.svg: cannot be drawn ({cause})")))?;
-    Ok(text)
+/// Height of the plot with its axes, and of a line of the legend below it.
+const PLOT: f64 = 480.0;
+const LINE: f64 = 21.0;
+/// Methods in a line of the legend.
+const COLUMNS: usize = 3;
+const SKY: RGBColor = RGBColor(86, 180, 233);
+const GREY: RGBColor = RGBColor(130, 130, 130);
+const WHITE: RGBColor = RGBColor(255, 255, 255);
+
+/// How a method's points are drawn.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Mark {
+    /// Ours.
+    Disc(RGBColor),
+    /// Ours, beside a filled one of the same colour.
+    Ring(RGBColor),
+    /// A peer's.
+    Cross(RGBColor),
 }
 
-fn draw_into(text: &mut String, points: &[Point], stream_ms: f64) -> Result<(), Box<dyn std::error::Error>> {
-    register_font("sans-serif", FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT)
-        .map_err(|_| "the built-in font is not one")?;
-    let shown: Vec<&Point> = points.iter().filter(|p| p.threads == 2).collect();
-    let range = |values: &mut dyn Iterator<Item = f64>| {
-        values.fold((f64::INFINITY, 0.0_f64), |(low, high), v| (low.min(v), high.max(v)))
-    };
-    let times = shown.iter().map(|p| p.least_and_median_ms().0).chain([stream_ms]);
-    let (fast, slow) = range(&mut times.filter(|v| *v > 0.0));
-    let (good, bad) = range(&mut shown.iter().map(|p| p.exact.rms).filter(|v| *v > 0.0));
-    let (left, right, bottom, top) = (fast / 1.5, slow * 1.5, good / 1.5, bad * 1.5);
-    let area = SVGBackend::with_string(text, (820, 520)).into_drawing_area();
-    area.fill(&WHITE)?;
-    let mut chart = ChartBuilder::on(&area)
-        .margin(14)
-        .x_label_area_size(44)
-        .y_label_area_size(70)
-        .build_cartesian_2d((left..right).log_scale(), (bottom..top).log_scale())?;
-    chart
-        .configure_mesh()
-        .x_desc("ms a frame, 2 threads (least)")
-        .y_desc("relative r.m.s. error against the closed line integrals")
-        .y_label_formatter(&|v| format!("{v:.0e}"))
-        .label_style(("sans-serif", 14))
-        .draw()?;
-    let limit = [(stream_ms, bottom), (stream_ms, top)];
-    chart
-        .draw_series(LineSeries::new(limit, BLACK.stroke_width(1)))?
-        .label("reading the volume once")
-        .legend(|(x, y)| PathElement::new([(x, y), (x + 14, y)], BLACK));
-    let mut methods: Vec<&str> = shown.iter().map(|p| p.method.as_str()).collect();
-    methods.sort_unstable();
-    methods.dedup();
-    for (number, method) in methods.iter().enumerate() {
-        let colour = Palette99::pick(number).filled();
-        let of_method =
-            shown.iter().filter(|p| p.method == *method).map(|p| (p.least_and_median_ms().0, p.exact.rms));
-        let series = if method.starts_with("peer:") {
-            chart.draw_series(of_method.map(|at| TriangleMarker::new(at, 6, colour)))?
-        } else {
-            chart.draw_series(of_method.map(|at| Circle::new(at, 4, colour)))?
-        };
-        series.label(*method).legend(move |(x, y)| Circle::new((x + 7, y), 4, colour));
+/// The mark of a method; peers are told apart by the colour of their place among the peers.
+fn mark(method: &str, peers: &[&str]) -> Mark {
+    let [blue, vermilion, green, purple] = COLOURS;
+    match method {
+        "siddon" => Mark::Disc(INK),
+        "joseph" => Mark::Ring(INK),
+        "slice_ordered 1" => Mark::Disc(blue),
+        "slice_ordered 1, unsharpened" => Mark::Ring(blue),
+        "slice_ordered 0.9" => Mark::Disc(SKY),
+        "slice_ordered 0.8" => Mark::Ring(SKY),
+        "slice_ordered 1.5" => Mark::Disc(green),
+        "slice_ordered 2" => Mark::Ring(green),
+        "preview 2" => Mark::Disc(purple),
+        "preview 4" => Mark::Ring(purple),
+        peer => {
+            let place = peers.iter().position(|own| *own == peer).unwrap_or(0);
+            Mark::Cross([vermilion, INK, green, purple, GREY, SKY][place % 6])
+        }
     }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::UpperRight)
-        .label_font(("sans-serif", 14))
-        .background_style(WHITE.mix(0.8))
-        .border_style(BLACK)
-        .draw()?;
-    area.present()?;
-    Ok(())
+}
+
+/// Draws the points of two threads; the upright line is the time to read the finest volume once.
+pub fn draw(points: &[Point], stream_ms: f64) -> Result<Figure, ReportError> {
+    let shown: Vec<&Point> = points.iter().filter(|p| p.threads == 2).collect();
+    let mut methods: Vec<&str> = Vec::new();
+    for point in &shown {
+        if !methods.contains(&point.method.as_str()) {
+            methods.push(&point.method);
+        }
+    }
+    let peers: Vec<&str> = methods.iter().copied().filter(|method| method.starts_with("peer:")).collect();
+    let lines = methods.len().div_ceil(COLUMNS) + 1;
+    let title = "X-ray: error against the time of a frame on 2 threads (lower left is better)";
+    let mut figure = Figure::titled(HEAD + PLOT + LINE * (lines as f64 + 0.5), title)?;
+    let place = |point: &Point| (1e3 * point.least_and_median_ms().0, point.exact.rms);
+    let times = shown.iter().map(|point| place(point).0).chain([1e3 * stream_ms]);
+    let x = Axis::logarithmic("least time of a frame", times, duration_label);
+    let error = "r.m.s. error against the closed integrals, relative";
+    let y =
+        Axis::logarithmic(error, shown.iter().map(|point| place(point).1), |value| format!("{value:.0e}"));
+    let outer = Rect { x: 0.0, y: HEAD, width: WIDTH, height: PLOT };
+    let mut panel = Panel::new(&mut figure, outer, "Voxels of 0.5, 1 and 2 mm, three poses", x, y);
+    panel.upright(1e3 * stream_ms, Stroke::full(GREY, 1.4));
+    panel.tag(1e3 * stream_ms, "reading the volume once");
+    for point in &shown {
+        match mark(&point.method, &peers) {
+            Mark::Disc(colour) => panel.disc(place(point), 4.5, colour),
+            Mark::Ring(colour) => {
+                panel.disc(place(point), 4.5, colour);
+                panel.disc(place(point), 2.4, WHITE);
+            }
+            Mark::Cross(colour) => panel.cross(place(point), 4.5, Stroke::full(colour, 2.0)),
+        }
+    }
+    panel.finish();
+    for (index, method) in methods.iter().enumerate() {
+        let (column, line) = (index % COLUMNS, index / COLUMNS);
+        let at = (
+            40.0 + column as f64 * (WIDTH - 40.0) / COLUMNS as f64,
+            HEAD + PLOT + LINE * (line as f64 + 0.6),
+        );
+        key(&mut figure, at, mark(method, &peers));
+        let name = method.strip_prefix("peer:").unwrap_or(method);
+        figure.text((at.0 + 14.0, at.1), name, TextSize::Label, INK, Anchor::Left);
+    }
+    let foot = HEAD + PLOT + LINE * (lines as f64 - 0.4);
+    figure.text((27.0, foot), "Crosses: other programs.", TextSize::Label, INK, Anchor::Left);
+    Ok(figure)
+}
+
+/// A mark in the legend.
+fn key(figure: &mut Figure, (x, y): (f64, f64), mark: Mark) {
+    let mut disc = |radius, fill| figure.add(Shape::Disc { centre: (x, y), radius, fill });
+    match mark {
+        Mark::Disc(colour) => disc(4.5, colour),
+        Mark::Ring(colour) => {
+            disc(4.5, colour);
+            disc(2.4, WHITE);
+        }
+        Mark::Cross(colour) => {
+            for slope in [4.5, -4.5] {
+                let points = vec![(x - 4.5, y - slope), (x + 4.5, y + slope)];
+                figure.add(Shape::Line { points, stroke: Stroke::full(colour, 2.0) });
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::charts::drr::Errors;
+
+    #[test]
+    fn nothing_lies_over_anything_in_a_figure_of_every_method() {
+        let peers =
+            ["peer:itk_raycast", "peer:itk_siddon_jacobs", "peer:plastimatch_exact", "peer:rtk_joseph"];
+        let methods = super::super::projectors().into_iter().map(|(name, _)| name).chain(peers);
+        let points: Vec<Point> = methods
+            .enumerate()
+            .map(|(index, method)| Point {
+                method: method.to_owned(),
+                coarseness: 1,
+                pose: "frontal",
+                threads: 2,
+                times_ms: vec![1.5 * 1.8_f64.powi(index as i32)],
+                exact: Errors { rms: 2e-3 * 1.1_f64.powi(index as i32), max: 0.1 },
+                siddon: Errors { rms: 0.0, max: 0.0 },
+            })
+            .collect();
+        let marks: Vec<Mark> = points.iter().map(|point| mark(&point.method, &peers)).collect();
+        for (index, own) in marks.iter().enumerate() {
+            assert!(!marks[..index].contains(own), "{own:?} stands for two methods");
+        }
+        let figure = draw(&points, 8.8).unwrap();
+        assert_eq!(figure.collisions(), []);
+    }
 }

@@ -131,7 +131,7 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
         refuse_existing(&[path])?;
         return rungs::write(path, plan.rounds);
     }
-    let files = within(&plan.out, &["drr.csv", "drr.md", "drr.svg"]);
+    let files = within(&plan.out, &["drr.csv", "drr.md", "drr.svg", "drr.png"]);
     refuse_existing(&files)?;
     output_file::create_folder(&plan.out).map_err(Failure::folder(&plan.out))?;
     let (finest, side) = if plan.quick { (8, 128) } else { (1, 512) };
@@ -155,7 +155,10 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
     };
     let spectrum = spectrum::errors().map_err(failed)?;
     let table = table::text(&points, &stream_ms, &spectrum);
-    let contents = [table::csv(&points), table.clone(), figure::draw(&points, stream_ms[1])?];
+    let [png, svg] = figure::draw(&points, stream_ms[1])
+        .and_then(|figure| figure.files(&plan.out, "drr"))
+        .map_err(failed)?;
+    let contents = [table::csv(&points).into_bytes(), table.clone().into_bytes(), svg.1, png.1];
     output_file::write_all(&files.iter().zip(contents).collect::<Vec<_>>())?;
     say!("{}", table.trim_end());
     for note in &notes {

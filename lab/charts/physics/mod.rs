@@ -26,13 +26,11 @@ use trabecula::output::{refuse_existing, within};
 use trabecula::plan::Row;
 use trabecula::report::axis::{Axis, bounds, duration_label};
 use trabecula::report::panel::{INK, Panel, Rect};
-use trabecula::report::shapes::{Anchor, Figure, Stroke};
+use trabecula::report::shapes::{Anchor, Figure, Stroke, TextSize, WIDTH};
 
-const WIDTH: u32 = 1240;
-const HEIGHT: u32 = 1430;
+const HEIGHT: f64 = 1330.0;
 /// Height of the legend.
 const FOOT: f64 = 250.0;
-const HEAD: f64 = 44.0;
 /// Errors below this are rounding and are drawn at it, in each problem's unit.
 const ROUNDING: f64 = 1e-4;
 /// Okabe and Ito 2008, and greys for the baselines.
@@ -189,18 +187,14 @@ fn draw(
     measured: &[(Problem, Vec<Point>)],
     peers: &[Peer],
 ) -> Result<Figure, trabecula::report::ReportError> {
-    let mut figure = Figure::new(WIDTH, HEIGHT)?;
     let title = "Physics: error against the cost of a simulated millisecond (lower left is better)";
-    figure.text((16.0, 22.0), title, 18.0, INK, Anchor::Left);
-    let (wide, high) = (f64::from(WIDTH) / 2.0, (f64::from(HEIGHT) - HEAD - FOOT) / 3.0);
-    for (place, (problem, points)) in measured.iter().enumerate() {
-        let (column, row) = (place % 2, place / 2);
-        let cell = Rect { x: column as f64 * wide, y: HEAD + row as f64 * high, width: wide, height: high };
+    let mut figure = Figure::titled(HEIGHT, title)?;
+    for (cell, (problem, points)) in figure.cells(2, 3, FOOT).into_iter().zip(measured) {
         let peers: Vec<&Peer> = peers.iter().filter(|peer| peer.problem == *problem).collect();
         draw_panel(&mut figure, cell, *problem, points, &peers);
     }
-    let top = HEAD + 3.0 * high + 24.0;
-    draw_peer_legend(&mut figure, wide + 70.0, top, peers);
+    let top = HEIGHT - FOOT + 24.0;
+    draw_peer_legend(&mut figure, 0.5 * WIDTH + 70.0, top, peers);
     draw_legend(&mut figure, 70.0, top);
     Ok(figure)
 }
@@ -253,7 +247,7 @@ fn draw_peer_legend(figure: &mut Figure, left: f64, top: f64, peers: &[Peer]) {
             let points = vec![(left + 11.0, y - slope), (left + 19.0, y + slope)];
             figure.add(trabecula::report::shapes::Shape::Line { points, stroke: Stroke::full(colour, 2.0) });
         }
-        figure.text((left + 40.0, y), name, 13.0, INK, Anchor::Left);
+        figure.text((left + 40.0, y), name, TextSize::Label, INK, Anchor::Left);
     }
 }
 
@@ -264,8 +258,36 @@ fn draw_legend(figure: &mut Figure, left: f64, top: f64) {
         figure.add(trabecula::report::shapes::Shape::Line { points, stroke: stroke(method, colour) });
         let centre = (left + 15.0, y);
         figure.add(trabecula::report::shapes::Shape::Disc { centre, radius: 4.0, fill: colour });
-        figure.text((left + 40.0, y), &method.name(), 13.0, INK, Anchor::Left);
+        figure.text((left + 40.0, y), &method.name(), TextSize::Label, INK, Anchor::Left);
     }
     let note = "Errors below 0.0001 are shown there; a method that lost the tool has no point.";
-    figure.text((left, top + 22.0 * 9.5), note, 12.0, INK, Anchor::Left);
+    figure.text((left, top + 22.0 * 9.5), note, TextSize::Label, INK, Anchor::Left);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_lies_over_anything() {
+        let point = |index: usize, method: Method| Point {
+            method,
+            links: 27,
+            dt_ms: 1.0,
+            us_per_ms: 3.0 * 1.7_f64.powi(index as i32),
+            error: 1e3 * 0.1_f64.powi(index as i32),
+            more: Vec::new(),
+        };
+        let problems = [
+            Problem::EndMoment,
+            Problem::TipForce,
+            Problem::Capstan,
+            Problem::Vibration,
+            Problem::Wall,
+            Problem::Drilled,
+        ];
+        let points = || Method::ALL.into_iter().enumerate().map(|(index, method)| point(index, method));
+        let measured: Vec<_> = problems.map(|problem| (problem, points().collect())).into();
+        assert_eq!(draw(&measured, &[]).unwrap().collisions(), []);
+    }
 }

@@ -7,45 +7,54 @@ use super::{Cell, DT_MS, MASS, STIFFNESS, Verdict};
 use crate::charts::method::Method;
 use trabecula::report::ReportError;
 use trabecula::report::panel::{INK, Rect};
-use trabecula::report::shapes::{Anchor, Figure, Shape};
+use trabecula::report::shapes::{Anchor, Figure, HEAD, Shape, TextSize, WIDTH, text_width};
 
-const LEFT: f64 = 160.0;
-const TOP: f64 = 96.0;
-/// Size of a cell, and gap between blocks.
-const SIZE: (f64, f64) = (24.0, 6.0);
-const GAP: f64 = 12.0;
+/// Width of the methods' names.
+const NAMES: f64 = 148.0;
+/// Height of the legend under the title, and of the cases' names under the legend.
+const LEGEND: f64 = 72.0;
+const CASES: f64 = 56.0;
+const LINE: f64 = 17.0;
+const ROW: f64 = 6.0;
+const GAP: f64 = 10.0;
 /// Distinguishable with any colour vision, and by lightness in greyscale.
 const COLOURS: [(Verdict, RGBColor, &str); 3] = [
-    (Verdict::Converged, RGBColor(0, 158, 115), "converged"),
-    (Verdict::Wrong, RGBColor(240, 200, 80), "wrong"),
+    (Verdict::Converged, RGBColor(0, 158, 115), "within 0.2 mm of the converged solution"),
+    (Verdict::Wrong, RGBColor(240, 200, 80), "not"),
     (Verdict::Blown, RGBColor(160, 30, 40), "blown up"),
 ];
 const NONE: RGBColor = RGBColor(235, 235, 235);
+/// What the places in a block mean.
+const INSIDE: [&str; 2] = [
+    "In each block stiffness grows to the right: 1, 10, 100, 1000 times. Downwards three parts: mass 1, 1/10, 1/100;",
+    "in each part the time step grows downwards: 0.5, 1, 2, 5, 10 ms.",
+];
 
 pub(super) fn draw(cells: &[Cell]) -> Result<Figure, ReportError> {
-    let block = (SIZE.0 * STIFFNESS.len() as f64, SIZE.1 * (MASS.len() * DT_MS.len()) as f64);
-    let width = LEFT + (block.0 + GAP) * Case::ALL.len() as f64 + 16.0;
-    let height = TOP + (block.1 + GAP) * Method::WITH_PROXIES.len() as f64 + 30.0;
-    let mut figure = Figure::new(width as u32, height as u32)?;
-    let title = "Stability: what becomes of a tool at rest within 0.2 mm of its converged solution, or not";
-    figure.text((16.0, 22.0), title, 18.0, INK, Anchor::Left);
-    let inside = "inside a block: stiffness x1, 10, 100, 1000 to the right; mass x1, 1/10, 1/100, in each dt 0.5, 1, 2, 5, 10 ms, downwards";
-    figure.text((16.0, 46.0), inside, 12.5, INK, Anchor::Left);
-    let mut at = LEFT;
-    for (_, colour, name) in COLOURS {
-        area(&mut figure, Rect { x: at, y: 62.0, width: 14.0, height: 10.0 }, colour);
-        figure.text((at + 20.0, 67.0), name, 12.5, INK, Anchor::Left);
-        at += 110.0;
+    let high = ROW * (MASS.len() * DT_MS.len()) as f64;
+    let column = (WIDTH - NAMES - GAP) / Case::ALL.len() as f64;
+    let top = HEAD + LEGEND + CASES;
+    let height = top + (high + GAP) * Method::WITH_PROXIES.len() as f64;
+    let mut figure = Figure::titled(height, "Stability: what becomes of a tool at rest")?;
+    legend(&mut figure);
+    for (index, case) in Case::ALL.into_iter().enumerate() {
+        let middle = NAMES + (index as f64 + 0.5) * column - 0.5 * GAP;
+        let lines = wrapped(case.key(), column - 2.0);
+        for (line, text) in lines.iter().rev().enumerate() {
+            figure.text(
+                (middle, top - 10.0 - LINE * line as f64),
+                text,
+                TextSize::Label,
+                INK,
+                Anchor::Centre,
+            );
+        }
     }
     for (row, method) in Method::WITH_PROXIES.into_iter().enumerate() {
-        let y = TOP + row as f64 * (block.1 + GAP);
-        figure.text((LEFT - 10.0, y + 0.5 * block.1), &method.name(), 13.0, INK, Anchor::Right);
-        for (column, case) in Case::ALL.into_iter().enumerate() {
-            let x = LEFT + column as f64 * (block.0 + GAP);
-            if row == 0 {
-                figure.text((x + 0.5 * block.0, TOP - 10.0), case.key(), 10.5, INK, Anchor::Centre);
-            }
-            let place = Rect { x, y, width: block.0, height: block.1 };
+        let y = top + row as f64 * (high + GAP);
+        figure.text((NAMES - 8.0, y + 0.5 * high), &method.name(), TextSize::Label, INK, Anchor::Right);
+        for (index, case) in Case::ALL.into_iter().enumerate() {
+            let place = Rect { x: NAMES + index as f64 * column, y, width: column - GAP, height: high };
             area(&mut figure, place, NONE);
             for cell in cells.iter().filter(|cell| cell.method == method && cell.case == case) {
                 draw_cell(&mut figure, place, cell);
@@ -53,6 +62,33 @@ pub(super) fn draw(cells: &[Cell]) -> Result<Figure, ReportError> {
         }
     }
     Ok(figure)
+}
+
+fn legend(figure: &mut Figure) {
+    let mut x = 14.0;
+    for (_, colour, name) in COLOURS {
+        area(figure, Rect { x, y: HEAD + 4.0, width: 18.0, height: 12.0 }, colour);
+        figure.text((x + 25.0, HEAD + 10.0), name, TextSize::Label, INK, Anchor::Left);
+        x += 51.0 + text_width(name, TextSize::Label);
+    }
+    for (line, text) in INSIDE.into_iter().enumerate() {
+        let y = HEAD + 34.0 + 20.0 * line as f64;
+        figure.text((14.0, y), text, TextSize::Label, INK, Anchor::Left);
+    }
+}
+
+/// A text in lines of at most this width, where its words allow it.
+fn wrapped(text: &str, width: f64) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in text.split(' ') {
+        match lines.last_mut() {
+            Some(line) if text_width(&format!("{line} {word}"), TextSize::Label) <= width => {
+                *line = format!("{line} {word}");
+            }
+            _ => lines.push(word.to_owned()),
+        }
+    }
+    lines
 }
 
 /// Draws a cell in its block.
@@ -63,13 +99,24 @@ fn draw_cell(figure: &mut Figure, block: Rect, cell: &Cell) {
     let colour =
         COLOURS.iter().find(|(verdict, ..)| *verdict == cell.verdict).map_or(NONE, |(_, colour, _)| *colour);
     // A thin white gap between the masses.
-    let height = if (row as usize + 1).is_multiple_of(DT_MS.len()) { SIZE.1 - 1.0 } else { SIZE.1 };
-    let (x, y) = (block.x + column * SIZE.0, block.y + row * SIZE.1);
-    area(figure, Rect { x, y, width: SIZE.0 - 1.0, height }, colour);
+    let height = if (row as usize + 1).is_multiple_of(DT_MS.len()) { ROW - 1.0 } else { ROW };
+    let wide = block.width / STIFFNESS.len() as f64;
+    let (x, y) = (block.x + column * wide, block.y + row * ROW);
+    area(figure, Rect { x, y, width: wide - 1.0, height }, colour);
 }
 
 fn area(figure: &mut Figure, place: Rect, fill: RGBColor) {
     let Rect { x, y, width, height } = place;
     let corners = vec![(x, y), (x + width, y), (x + width, y + height), (x, y + height)];
     figure.add(Shape::Area { corners, fill });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_lies_over_anything() {
+        assert_eq!(draw(&[]).unwrap().collisions(), []);
+    }
 }

@@ -39,7 +39,7 @@ fn picture(path: &Path) -> (u32, u32, Vec<u8>) {
 
 /// Checks that all figures exist, have the right size, are not blank and show no non-finite numbers.
 fn check_figures(folder: &Path) {
-    for (stem, size) in [("tip_path", (2120, 1440)), ("timing", (2120, 1400))] {
+    for (stem, size) in [("tip_path", (1760, 1440)), ("timing", (1760, 1400))] {
         let (width, height, pixels) = picture(&folder.join(format!("{stem}.png")));
         assert_eq!((width, height), size);
         let dark = pixels.chunks_exact(3).filter(|rgb| rgb.iter().all(|&c| c < 100)).count();
@@ -64,6 +64,10 @@ fn a_run_is_summed_up() {
     synthetic::write_run(folder.path(), TICKS);
     let summary = write(folder.path(), &facts()).unwrap();
     check_figures(folder.path());
+    let timing = TimingLane::read(&folder.path().join("timing.mcap")).unwrap();
+    let run = RunLane::read(&folder.path().join("run.mcap"), Some(timing.end_ns));
+    assert_eq!(tip_figure::draw(&run).unwrap().collisions(), []);
+    assert_eq!(timing_figure::draw(&timing, run.end_ns).unwrap().collisions(), []);
 
     let last = synthetic::state(TICKS, TICKS, &mut Rng::with_seed(1));
     let (tool, drilling) = (summary.tool.as_ref().unwrap(), summary.drilling.as_ref().unwrap());
