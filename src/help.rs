@@ -90,6 +90,7 @@ pub const EXAMPLES: &[Examples] = &[
             "trabecula log export out/run -o state.parquet",
             "trabecula log export out/run -o pictures --frames",
             "trabecula log export out/run -o tunnel.stl --geometry tunnel",
+            "trabecula log export out/run -o dataset --dataset coco",
             "trabecula log export out/run -o deviation.vtp --geometry deviation",
         ],
     ),

@@ -11,6 +11,7 @@ pub mod say;
 
 pub mod cli;
 pub mod commands;
+pub mod dataset;
 pub mod geometry;
 pub mod help;
 mod keeper;

@@ -9,6 +9,7 @@ use hub::command_check::check;
 use hub::latch::{Latch, Reset};
 use messages::{Command, ControllerIndex, SensorReading, State, Tick};
 use simulation::{Simulation, SimulationSnapshot};
+use xray::Labels;
 use xray::frame::Rendered;
 
 use crate::batch::Maker;
@@ -268,12 +269,23 @@ impl Sim {
     /// # Errors
     /// The scene has no X-ray, or the C-arm is refused.
     pub fn render(&mut self, from: View) -> Result<Rendered, SimError> {
-        let x_ray = match &mut self.x_ray {
-            Some(x_ray) => x_ray,
-            none => none.insert(XRay::new(&self.shared, self.plant.predrilled())?),
-        };
         self.frames_rendered += 1;
-        x_ray.render(&self.shared, self.plant.state(), &self.drilled, from, self.frames_rendered)
+        let sequence = self.frames_rendered;
+        let Sim { shared, plant, drilled, x_ray, .. } = self;
+        XRay::of(x_ray, shared, plant.predrilled())?.render(shared, plant.state(), drilled, from, sequence)
+    }
+
+    /// The X-ray of the present state as [`Sim::render`] gives it, and its labels. Voxels at or above `bone_from_hu` are bone; without it,
+    /// at or above the scene's `volume.bone_threshold_hu`.
+    ///
+    /// # Errors
+    /// As [`Sim::render`].
+    pub fn labels(&mut self, from: View, bone_from_hu: Option<i16>) -> Result<(Rendered, Labels), SimError> {
+        self.frames_rendered += 1;
+        let sequence = self.frames_rendered;
+        let Sim { shared, plant, drilled, x_ray, .. } = self;
+        let x_ray = XRay::of(x_ray, shared, plant.predrilled())?;
+        x_ray.labels(shared, plant.state(), drilled, from, sequence, bone_from_hu)
     }
 
     /// The present state. Its size and cost follow what has been drilled.

@@ -2,10 +2,10 @@
 
 use drr_proc::ThisMachine;
 use messages::{CArmGeometry, Restores, State};
-use xray::frame::{Cache, Job, Rendered, render_job};
+use xray::frame::{Cache, Job, Rendered, label_job, render_job};
 use xray::from_scene::{renderer_parameters, scene_c_arm, scene_isocentre_m};
 use xray::message::{c_arm_of, volume_view};
-use xray::{CArm, DetectorFormat, DrrRenderer, PositionerAngles, VolumeView};
+use xray::{CArm, DetectorFormat, DrrRenderer, Labels, PositionerAngles, VolumeView};
 use zerocopy::IntoBytes;
 
 use crate::error::SimError;
@@ -32,6 +32,18 @@ impl XRay {
         })
     }
 
+    /// The renderer of a simulation, made when it is first needed.
+    pub(crate) fn of<'a>(
+        kept: &'a mut Option<XRay>,
+        shared: &SharedScene,
+        predrilled: &[u32],
+    ) -> Result<&'a mut XRay, SimError> {
+        match kept {
+            Some(x_ray) => Ok(x_ray),
+            none => Ok(none.insert(XRay::new(shared, predrilled)?)),
+        }
+    }
+
     /// The simulation has gone to another state.
     pub(crate) fn forget(&mut self) {
         self.told = None;
@@ -45,15 +57,53 @@ impl XRay {
         from: View,
         sequence: u64,
     ) -> Result<Rendered, SimError> {
+        let job = self.job(shared, state, drilled, from, sequence)?;
+        self.render_job(shared, &job, drilled.len())
+    }
+
+    /// The frame, and what it shows; voxels at or above `bone_from_hu`, or else the scene's threshold, are bone.
+    pub(crate) fn labels(
+        &mut self,
+        shared: &SharedScene,
+        state: &State,
+        drilled: &[u32],
+        from: View,
+        sequence: u64,
+        bone_from_hu: Option<i16>,
+    ) -> Result<(Rendered, Labels), SimError> {
+        let volume_of = shared.scene().volume.as_ref().ok_or(SimError::NoXRay)?;
+        let bone_from_hu = bone_from_hu.unwrap_or(volume_of.bone_threshold_hu);
+        let mut job = self.job(shared, state, drilled, from, sequence)?;
+        let rendered = self.render_job(shared, &job, drilled.len())?;
+        // The renderer has the voxels of this state now.
+        (job.restores, job.removed) = (Restores::Nothing, Vec::new());
+        let labels = label_job(&mut self.renderer, &volume(shared)?, &job, bone_from_hu)?;
+        Ok((rendered, labels))
+    }
+
+    fn render_job(&mut self, shared: &SharedScene, job: &Job, drilled: usize) -> Result<Rendered, SimError> {
+        // A frame that fails leaves the renderer between two states.
+        self.told = None;
+        let rendered = render_job(&mut self.renderer, &volume(shared)?, job)?;
+        self.told = Some(drilled);
+        Ok(rendered)
+    }
+
+    fn job(
+        &self,
+        shared: &SharedScene,
+        state: &State,
+        drilled: &[u32],
+        from: View,
+        sequence: u64,
+    ) -> Result<Job, SimError> {
         let scene = shared.scene();
         let c_arm = from.c_arm(shared)?;
         let (restores, removed) = match self.told {
             Some(told) => (Restores::Nothing, drilled.get(told..).unwrap_or_default().to_vec()),
             None => (Restores::Drilled, [&self.predrilled, drilled].concat()),
         };
-        // A frame that fails leaves the renderer between two states.
-        self.told = None;
-        let job = Job {
+        Ok(Job {
             state: Box::new(*state),
             restores,
             removed,
@@ -66,10 +116,7 @@ impl XRay {
             noise_seed: scene.run.seed,
             radii: scene.manipulator.radii(),
             notch: scene.drr.as_ref().and_then(|drr| drr.notch),
-        };
-        let rendered = render_job(&mut self.renderer, &volume(shared)?, &job)?;
-        self.told = Some(drilled.len());
-        Ok(rendered)
+        })
     }
 }
 

@@ -4,11 +4,11 @@ use drr_proc::ThisMachine;
 use ipc_types::messages::{Frame, Restores, State, Tick, TickRange};
 use recorder_proc::log_file::LogFile;
 use run_log::diff::compare_frame;
-use run_log::{FrameReader, FrameRecord, LogError, LogReader, SavedState, frames};
-use xray::frame::{Cache, Job, render_job};
+use run_log::{FrameReader, FrameRecord, LogError, LogReader, SavedState, Verdict, frames};
+use xray::frame::{Cache, Job, label_job, render_job};
 use xray::from_scene::{renderer_parameters, scene_isocentre_m};
 use xray::message::{c_arm_of, volume_view};
-use xray::{DrrRenderer, VolumeView};
+use xray::{DrrRenderer, Labels, VolumeView};
 use zerocopy::IntoBytes;
 
 use super::OpenedLog;
@@ -85,31 +85,60 @@ impl<'l> FrameReplay<'l> {
     /// The reply disagrees with the frame or with the request; the log lacks the frame's tick; the renderer refuses
     /// the frame.
     pub fn render(&mut self, recorded: &Frame) -> Result<Option<FrameRecord>, Failure> {
+        let Some(job) = self.job(recorded)? else { return Ok(None) };
+        Ok(Some(self.render_job(&job)?))
+    }
+
+    /// Renders a recorded frame again, and labels what it shows; voxels at or above `bone_from_hu` are bone.
+    ///
+    /// # Errors
+    /// As [`FrameReplay::render`].
+    pub fn label(
+        &mut self,
+        recorded: &Frame,
+        bone_from_hu: i16,
+    ) -> Result<Option<(FrameRecord, Labels)>, Failure> {
+        let Some(mut job) = self.job(recorded)? else { return Ok(None) };
+        let rendered = self.render_job(&job)?;
+        // The renderer has the voxels of this frame now.
+        (job.restores, job.removed) = (Restores::Nothing, Vec::new());
+        let labels = label_job(&mut self.renderer, &self.view, &job, bone_from_hu);
+        Ok(Some((rendered, labels.map_err(of_frame(recorded.sequence, recorded.tick))?)))
+    }
+
+    /// What is wrong with the log as far as its frames were read.
+    pub fn verdict(&self) -> Verdict {
+        self.recorded.verdict()
+    }
+
+    fn render_job(&mut self, job: &Job) -> Result<FrameRecord, Failure> {
+        let rendered = render_job(&mut self.renderer, &self.view, job);
+        let rendered = rendered.map_err(of_frame(job.sequence, job.state.tick))?;
+        let pixels = rendered.pixels.as_bytes().to_vec();
+        Ok(FrameRecord { frame: rendered.frame, image: Some(rendered.prefix), pixels })
+    }
+
+    /// What to render for a frame; none if its tick lies in a gap.
+    fn job(&mut self, recorded: &Frame) -> Result<Option<Job>, Failure> {
         let geometry = self.replies.geometry_of(recorded).map_err(|difference| {
             Failure::failed(format!("frame {}: {difference}{}", recorded.sequence, self.log.label()))
         })?;
         if !self.advance_to(recorded)? {
             return Ok(None);
         }
-        let failed = |cause: xray::DrrError| {
-            Failure::failed(format!("frame {} of tick {}: {cause}", recorded.sequence, recorded.tick))
-        };
-        let job = Job {
+        Ok(Some(Job {
             state: self.state.clone(),
             restores: std::mem::take(&mut self.restores),
             removed: std::mem::take(&mut self.removed),
             sequence: recorded.sequence,
             request_id: recorded.request_id,
-            c_arm: c_arm_of(&geometry).map_err(failed)?,
+            c_arm: c_arm_of(&geometry).map_err(of_frame(recorded.sequence, recorded.tick))?,
             cache: Cache::Follows,
             isocentre_m: scene_isocentre_m(&self.log.scene),
             noise_seed: self.log.scene.run.seed,
             radii: self.log.scene.manipulator.radii(),
             notch: self.log.scene.drr.as_ref().and_then(|drr| drr.notch),
-        };
-        let rendered = render_job(&mut self.renderer, &self.view, &job).map_err(failed)?;
-        let pixels = rendered.pixels.as_bytes().to_vec();
-        Ok(Some(FrameRecord { frame: rendered.frame, image: Some(rendered.prefix), pixels }))
+        }))
     }
 
     /// Reads the log up to the state that the frame shows, and collects the voxels removed until then. False if the
@@ -140,6 +169,11 @@ impl<'l> FrameReplay<'l> {
         let (sequence, tick, at) = (frame.sequence, frame.tick, self.state.tick);
         Err(Failure::failed(format!("frame {sequence} shows tick {tick}, but the log's ticks are at {at}")))
     }
+}
+
+/// An error of rendering a frame.
+fn of_frame(sequence: u64, tick: u64) -> impl Fn(xray::DrrError) -> Failure {
+    move |cause| Failure::failed(format!("frame {sequence} of tick {tick}: {cause}"))
 }
 
 fn failed(cause: LogError) -> Failure {

@@ -6,7 +6,7 @@ mod live;
 mod recording;
 mod replies;
 
-pub use frames::{ComparedFrames, verify_frames};
+pub use frames::{ComparedFrames, FrameReplay, compare, verify_frames};
 pub use gone::Gone;
 pub use inputs::log::{OpenedLog, Overrides};
 pub use live::{LivePlan, run as run_live};

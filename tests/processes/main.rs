@@ -17,6 +17,7 @@ mod clients;
 #[allow(dead_code, reason = "other tests share it, too")]
 mod common;
 mod crash;
+mod datasets;
 mod described_files;
 #[allow(dead_code, reason = "the tests of volumes need more of it")]
 #[path = "../../volume_io/tests/common/dicom_bytes.rs"]

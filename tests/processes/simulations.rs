@@ -67,6 +67,11 @@ fn what_a_simulation_returns_stays_and_threads_and_a_forked_child_may_use_it() {
 }
 
 #[test]
+fn labels_agree_with_siddon_and_the_tools_geometry_in_numpy() {
+    case("labels");
+}
+
+#[test]
 fn gymnasium_accepts_the_environment_and_an_episode_repeats() {
     case("gymnasium");
 }

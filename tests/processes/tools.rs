@@ -38,6 +38,7 @@ fn every_command_with_figures_prints_them_as_one_json_object() {
         ("volume drilled @log -o @d.nrrd --json", "/removed_voxels"),
         ("volume info @d.nrrd --json", "/max_hu"),
         ("log export @log -o @view.mcap --foxglove --json", "/verdict/intact"),
+        ("log export @log -o @set --dataset npz --json", "/frames"),
         ("phantom sphere -o @s.nrrd --spacing-mm 2 --json", "/dimensions/2"),
         ("volume probe @s.nrrd --at 0,0,0 --json", "/places/0/hu"),
         ("scene show @scene.toml -o @show.png --json", "/target_depth_mm"),

@@ -44,10 +44,11 @@ impl Inputs {
 }
 
 /// Commands that leave files behind, and a name that stands in what they say of one that cannot be written.
-const COMMANDS: [(&str, &str); 18] = [
+const COMMANDS: [(&str, &str); 19] = [
     ("log export @log -o #t.csv", "t.csv"),
     ("log export @log -o #t.parquet", "t.parquet"),
     ("log export @log --frames -o #pictures", "frame_000001"),
+    ("log export @log --dataset coco -o #set", "frame_000001"),
     ("log compress @log -o #c.mcap", "c.mcap"),
     ("log repair @log -o #r.mcap", "r.mcap"),
     ("log cat-files @log @log -o #both.mcap", "both.mcap"),

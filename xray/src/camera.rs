@@ -134,7 +134,7 @@ impl CArm {
     }
 
     /// The detector's unit normal, pointing away from the source, and the source-detector distance.
-    fn sight(&self) -> (Vec3, f64) {
+    pub(crate) fn sight(&self) -> (Vec3, f64) {
         let normal = cross(self.row_axis, self.column_axis);
         let distance = dot(sub(self.detector_centre_m, self.source_m), normal);
         if distance < 0.0 { (scale(normal, -1.0), -distance) } else { (normal, distance) }

@@ -6,8 +6,10 @@ use xxhash_rust::xxh3::xxh3_128;
 use zerocopy::IntoBytes;
 
 use crate::message::{c_arm_message, projection_message};
-use crate::tool_model::tool_of;
-use crate::{CArm, DrrError, DrrRenderer, FrameReport, FrameSeed, RenderKind, VolumeView};
+use crate::tool_model::{points_of, tool_of};
+use crate::{
+    CArm, DrrError, DrrRenderer, FrameReport, FrameSeed, LabelRequest, Labels, RenderKind, VolumeView,
+};
 
 /// What becomes of the cached picture of the anatomy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -74,16 +76,12 @@ impl Rendered {
 ///
 /// # Errors
 /// The renderer's.
-/// The renderer's.
 pub fn render_job(
     renderer: &mut DrrRenderer,
     view: &VolumeView<'_>,
     job: &Job,
 ) -> Result<Rendered, DrrError> {
-    if job.restores == Restores::Drilled {
-        renderer.restore_all(view)?;
-    }
-    renderer.remove(view, &job.removed)?;
+    take_removals(renderer, view, job)?;
     let tool = tool_of(&job.state, &job.radii, job.notch.as_ref());
     let seed = FrameSeed { seed: job.noise_seed, frame: job.state.tick };
     let mut pixels = vec![0_u16; job.c_arm.pixels()];
@@ -106,4 +104,30 @@ pub fn render_job(
     };
     let prefix = ImagePrefix::mono16(job.c_arm.columns, job.c_arm.rows, job.state.sim_time_s);
     Ok(Rendered { frame, prefix, pixels, report })
+}
+
+/// The labels of a frame; voxels at or above `bone_from_hu` are bone. May follow or precede [`render_job`] of the same job.
+///
+/// # Errors
+/// The renderer's.
+pub fn label_job(
+    renderer: &mut DrrRenderer,
+    view: &VolumeView<'_>,
+    job: &Job,
+    bone_from_hu: i16,
+) -> Result<Labels, DrrError> {
+    take_removals(renderer, view, job)?;
+    let tool = tool_of(&job.state, &job.radii, job.notch.as_ref());
+    // The burr is the tool's last part.
+    let burr = tool.parts.len().saturating_sub(1);
+    let points_m = points_of(&job.state);
+    let request = LabelRequest { tool: &tool, burr, points_m: &points_m, bone_from_hu };
+    renderer.labels(view, &job.c_arm, &request)
+}
+
+fn take_removals(renderer: &mut DrrRenderer, view: &VolumeView<'_>, job: &Job) -> Result<(), DrrError> {
+    if job.restores == Restores::Drilled {
+        renderer.restore_all(view)?;
+    }
+    renderer.remove(view, &job.removed).map(|_| ())
 }

@@ -12,7 +12,7 @@
 //!
 //! **Boundary:** this crate only computes. It opens no file, reads no clock and starts no thread: the caller passes in a [`Machine`],
 //! which provides worker threads, memory and a clock. `drr_proc` implements it for the real machine and runs the X-ray process.
-//! [`from_scene`] and [`message`] translate scenes and messages; [`frame`] renders the content of a frame message.
+//! [`labels`] is what a frame shows, for training and registration. [`from_scene`] and [`message`] translate scenes and messages; [`frame`] renders the content of a frame message.
 //!
 //! **Invariants:** a frame's bits do not depend on the number of threads, the vector instructions, the [`Machine`], or earlier frames: a
 //! cached frame equals a full render bit for bit. A refused call changes nothing.
@@ -61,6 +61,7 @@ pub mod frame;
 pub mod from_scene;
 pub mod grid;
 pub mod joseph;
+pub mod labels;
 pub mod ladder;
 pub mod lane_math;
 mod lanes;
@@ -87,6 +88,7 @@ pub use display::{DisplayMode, DisplayParameters, Window};
 pub use error::DrrError;
 pub use exposure::Output;
 pub use grid::{Grid, VolumeView};
+pub use labels::{Class, Keypoint, LabelRequest, Labels, Visibility};
 pub use machine::{Machine, Memory};
 pub use renderer::{DrrParameters, DrrRenderer, FrameReport, Projector, RenderKind};
 pub use spectrum::Spectrum;

@@ -6,7 +6,7 @@ use scene::{Notch as SceneNotch, ToolRadii};
 use crate::{Material, Notch, Tool, ToolPart};
 
 /// Shaft and links as nitinol tubes around a steel cable, the burr as a steel ball. With `notch`, every link between two flexures has a
-/// notch at its middle, on alternating sides of the bending plane.
+/// notch at its middle, on alternating sides of the bending plane. The burr is the last part.
 pub fn tool_of(state: &State, radii: &ToolRadii, notch: Option<&SceneNotch>) -> Tool {
     let links = &state.t_world_link[..(state.joint_count as usize).min(state.t_world_link.len())];
     let origins = core::iter::once(&state.t_world_base).chain(links);
@@ -43,6 +43,13 @@ pub fn tool_of(state: &State, radii: &ToolRadii, notch: Option<&SceneNotch>) -> 
     let centre_m = state.t_world_burr.position_m;
     parts.push(ToolPart::Sphere { centre_m, radius_m: radii.burr_m, material: Material::Steel316L });
     Tool { parts }
+}
+
+/// The points of the tool that a frame's labels name: base, each joint from base to tip, burr. World, m.
+pub fn points_of(state: &State) -> Vec<[f64; 3]> {
+    let links = &state.t_world_link[..(state.joint_count as usize).min(state.t_world_link.len())];
+    let poses = core::iter::once(&state.t_world_base).chain(links);
+    poses.chain(core::iter::once(&state.t_world_burr)).map(|pose| pose.position_m).collect()
 }
 
 /// The notch of a link; `None` if the link is too short for it.

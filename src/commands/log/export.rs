@@ -15,7 +15,8 @@ use run_log::fields::Scalar;
 use run_log::{FrameRecord, LogError, ReadOptions, Topic, Verdict, frames};
 
 use super::geometry::{self, Geometry};
-use super::{Out, concluded, foxglove, json};
+use super::{Out, concluded, dataset, foxglove, json};
+use crate::dataset::{Format, grey16};
 use crate::failure::Failure;
 use crate::launcher::volume_source::VolumeFiles;
 use crate::output::refuse_existing;
@@ -26,7 +27,7 @@ use crate::say::Figures;
 pub struct ExportArguments {
     /// Log file, or the folder of a run.
     pub(super) log: PathBuf,
-    /// New `.csv` or `.parquet` file; with `--frames`, a folder for the images; with `--geometry`, a file of a format that it has.
+    /// New `.csv` or `.parquet` file; with `--frames`, a folder for the images; with `--dataset`, a new or empty folder; with `--geometry`, a file of a format that it has.
     #[arg(short, long)]
     pub(super) output: PathBuf,
     /// Topic to export.
@@ -54,7 +55,14 @@ pub struct ExportArguments {
     /// With `--foxglove`: states a second of simulated time, 1 to 1000.
     #[arg(long, value_name = "HZ", default_value_t = 30.0, requires = "foxglove")]
     pub(super) rate: f64,
-    /// With `--geometry tunnel`: current path of the log's CT file.
+    /// Export a data set for training instead of a table: every frame is rendered again, with masks of bone, tool, burr and tunnel, keypoints
+    /// of the tool, camera and pose.
+    #[arg(long, value_enum, value_name = "FORMAT", conflicts_with_all = ["fields", "frames", "topic", "geometry", "foxglove"])]
+    dataset: Option<Format>,
+    /// With `--dataset`: voxels at or above this are bone; default: `volume.bone_threshold_hu` of the scene.
+    #[arg(long, value_name = "HU", requires = "dataset", allow_negative_numbers = true)]
+    pub(super) bone_from_hu: Option<i16>,
+    /// With `--geometry tunnel` or `--dataset`: current path of the log's CT file.
     #[arg(long, value_name = "PATH")]
     pub(super) volume: Option<PathBuf>,
     #[command(flatten)]
@@ -78,6 +86,9 @@ impl ExportArguments {
 pub fn run(arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     if let Some(what) = arguments.geometry {
         return geometry::export(what, arguments);
+    }
+    if let Some(format) = arguments.dataset {
+        return dataset::export(format, arguments, out);
     }
     if arguments.foxglove {
         return foxglove::export(arguments, out);
@@ -202,18 +213,11 @@ impl Rows for Names<'_> {
     }
 }
 
-/// 16-bit greyscale with the recorded values; PNG is big-endian.
+/// 16-bit greyscale with the recorded values.
 fn write_png(path: &Path, record: &FrameRecord) -> Result<(), Failure> {
     let Some(image) = record.image else { return Ok(()) };
-    let swapped: Vec<u8> = record.pixels.chunks_exact(2).flat_map(|pixel| [pixel[1], pixel[0]]).collect();
-    let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, image.width, image.height);
-    encoder.set_color(png::ColorType::Grayscale);
-    encoder.set_depth(png::BitDepth::Sixteen);
-    let write = encoder.write_header().and_then(|mut writer| {
-        writer.write_image_data(&swapped)?;
-        writer.finish()
-    });
-    write.map_err(|cause| Failure::failed(format!("{}: {cause}", path.display())))?;
+    let greys = record.pixels.chunks_exact(2).map(|pixel| u16::from_le_bytes([pixel[0], pixel[1]]));
+    let bytes = grey16(image.width, image.height, greys)
+        .map_err(|cause| Failure::failed(format!("{}: {cause}", path.display())))?;
     Ok(output_file::write(path, bytes)?)
 }

@@ -1,6 +1,7 @@
 //! `trabecula log`: inspects logs, and writes logs from logs.
 
 mod cat;
+mod dataset;
 mod export;
 mod foxglove;
 mod geometry;

@@ -1,5 +1,6 @@
 //! The renderer: the cached anatomy of a stationary C-arm, the tool of the frame, and the exposure of both.
 
+mod labelling;
 mod layer;
 mod parameters;
 mod standing;

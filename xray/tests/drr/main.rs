@@ -19,6 +19,8 @@ mod geometry;
 #[cfg(test)]
 mod itk;
 #[cfg(test)]
+mod labels;
+#[cfg(test)]
 mod ladder;
 #[cfg(test)]
 mod machine;

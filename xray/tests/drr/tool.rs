@@ -161,7 +161,7 @@ fn a_tool_in_a_drilled_channel_displaces_nothing_more() {
 }
 
 /// A chain of 27 notched links, a shaft, a cone and a burr, bent in a plane; half a metre of shaft leaves the picture.
-fn whole_tool() -> Tool {
+pub fn whole_tool() -> Tool {
     let mut at = [0.0_f64, -0.01, 0.0];
     let along = |angle: f64| [angle.cos() * 0.8, -0.6, angle.sin() * 0.8];
     let step = |p: [f64; 3], d: [f64; 3], length: f64| std::array::from_fn(|i| p[i] + length * d[i]);

@@ -47,6 +47,16 @@ pub(crate) fn commands(py: Python<'_>, bytes: &[u8]) -> PyResult<Vec<Command>> {
     Ok(bytes.chunks_exact(size).filter_map(|bytes| Command::read_from_bytes(bytes).ok()).collect())
 }
 
+/// From where a picture is taken: from a C-arm by its bytes or angles, or from the scene's.
+fn view_of(py: Python<'_>, geometry: Option<&[u8]>, angles_deg: Option<(f64, f64)>) -> PyResult<View> {
+    match (geometry.map(CArmGeometry::read_from_bytes), angles_deg) {
+        (Some(Ok(geometry)), _) => Ok(View::Geometry(geometry)),
+        (Some(Err(_)), _) => Err(refused(py, "the C-arm has not the size of a CArmGeometry")),
+        (None, Some((primary_deg, secondary_deg))) => Ok(View::Angles { primary_deg, secondary_deg }),
+        (None, None) => Ok(View::Scene),
+    }
+}
+
 impl Sim {
     /// Works with the simulation while other Python threads run.
     fn with<R: Send + 'static>(
@@ -150,14 +160,43 @@ impl Sim {
         geometry: Option<&[u8]>,
         angles_deg: Option<(f64, f64)>,
     ) -> PyResult<(Bound<'py, PyBytes>, Bound<'py, PyBytes>)> {
-        let view = match (geometry.map(CArmGeometry::read_from_bytes), angles_deg) {
-            (Some(Ok(geometry)), _) => View::Geometry(geometry),
-            (Some(Err(_)), _) => return Err(refused(py, "the C-arm has not the size of a CArmGeometry")),
-            (None, Some((primary_deg, secondary_deg))) => View::Angles { primary_deg, secondary_deg },
-            (None, None) => View::Scene,
-        };
+        let view = view_of(py, geometry, angles_deg)?;
         let rendered = self.with(py, move |sim| sim.render(view))?;
         Ok((PyBytes::new(py, rendered.frame.as_bytes()), PyBytes::new(py, rendered.pixels.as_bytes())))
+    }
+
+    /// As `render`; then of its labels the mask, six images of float32 one after the other in the order of `xray::Labels`, and column, row,
+    /// depth and visibility of each keypoint as float64.
+    #[pyo3(signature = (geometry, angles_deg, bone_from_hu))]
+    fn labels<'py>(
+        &self,
+        py: Python<'py>,
+        geometry: Option<&[u8]>,
+        angles_deg: Option<(f64, f64)>,
+        bone_from_hu: Option<i16>,
+    ) -> PyResult<[Bound<'py, PyBytes>; 5]> {
+        let view = view_of(py, geometry, angles_deg)?;
+        let (rendered, labels) = self.with(py, move |sim| sim.labels(view, bone_from_hu))?;
+        let images = [
+            labels.anatomy,
+            labels.metal,
+            labels.bone_m,
+            labels.tunnel_m,
+            labels.tool_depth_m,
+            labels.bone_depth_m,
+        ];
+        let places = labels
+            .keypoints
+            .iter()
+            .map(|point| [point.column, point.row, point.depth_m, f64::from(point.visibility.code())]);
+        let places: Vec<[f64; 4]> = places.collect();
+        Ok([
+            PyBytes::new(py, rendered.frame.as_bytes()),
+            PyBytes::new(py, rendered.pixels.as_bytes()),
+            PyBytes::new(py, &labels.mask),
+            PyBytes::new(py, images.concat().as_bytes()),
+            PyBytes::new(py, places.as_bytes()),
+        ])
     }
 
     fn record(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {

@@ -1,0 +1,167 @@
+"""Data sets of `trabecula log export --dataset`, as others read them: `datasets.py FOLDER`, which holds `run`, `coco`, `yolo` and `npz`.
+
+The program is `TRABECULA_PROGRAM`. With `PICTURE` set, a picture of a frame with its labels is written there. Prints `done` at the end.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from pycocotools.coco import COCO
+from pycocotools.cocoeval import COCOeval
+
+LIMIT_S = 100.0
+CLASSES = {"bone": 1, "tool": 2, "burr": 4, "tunnel": 8}
+
+
+def points_of(log: Path) -> dict[int, Any]:
+    """Base, joints and burr in the world by tick, from the log's states."""
+    words = ["log", "cat", log, "--topic", "/state"]
+    for field in ("tick", "joint_count", "t_world_base.position_m", "t_world_link", "t_world_burr.position_m"):
+        words += ["--field", field]
+    line = [os.environ["TRABECULA_PROGRAM"], *map(str, words)]
+    text = subprocess.run(line, capture_output=True, text=True, timeout=LIMIT_S, check=True).stdout
+    found = {}
+    for state in (json.loads(each)["message"] for each in text.splitlines()):
+        links = [link["position_m"] for link in state["t_world_link"][: state["joint_count"]]]
+        ends = (state["t_world_base"]["position_m"], state["t_world_burr"]["position_m"])
+        found[state["tick"]] = np.array([ends[0], *links, ends[1]])
+    return found
+
+
+def arrays(folder: Path) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    """The npz data set: each frame with its entry; NumPy reads it without pickles."""
+    about = json.loads((folder / "dataset.json").read_text())
+    assert about["classes"] == CLASSES and about["keypoints"][0] == "base" and about["keypoints"][-1] == "burr"
+    frames = []
+    for entry in about["frames"]:
+        with np.load(folder / entry["file"], allow_pickle=False) as opened:
+            frames.append((entry, dict(opened)))
+    assert len(frames) == len(list(folder.glob("*.npz"))) > 3
+    return frames
+
+
+def projected(folder: Path) -> None:
+    """Keypoints are where OpenCV projects the states' points, with the camera of the data set."""
+    points = points_of(folder / "run")
+    visible = 0
+    for entry, frame in arrays(folder / "npz"):
+        world = points[int(frame["tick"])]
+        rotation, _ = cv2.Rodrigues(frame["rotation"])
+        seen, _ = cv2.projectPoints(world, rotation, frame["translation_m"], frame["intrinsics"], None)
+        assert np.abs(seen.reshape(-1, 2) - frame["keypoints"][:, :2]).max() < 1e-6
+        rows, columns = frame["image"].shape
+        x, y = frame["keypoints"][:, 0], frame["keypoints"][:, 1]
+        inside = (x >= -0.5) & (x < columns - 0.5) & (y >= -0.5) & (y < rows - 0.5)
+        assert np.array_equal(inside, frame["visibility"] > 0)
+        visible += int(inside.sum())
+        assert np.allclose(world[-1], frame["burr_position_m"]) and np.allclose(entry["t_world_burr"]["position_m"], world[-1])
+        assert frame["image"].dtype == np.uint16 and frame["mask"].dtype == np.uint8 and frame["tick"].shape == ()
+    assert visible > 20, visible
+
+
+def coco(folder: Path) -> None:
+    """pycocotools loads the data set, its masks and boxes are those of the arrays, and it finds itself perfect."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        data = COCO(str(folder / "coco/annotations.json"))
+    frames = {entry["file"][:-4]: frame for entry, frame in arrays(folder / "npz")}
+    assert len(data.imgs) == len(frames)
+    for image in data.loadImgs(data.getImgIds()):
+        frame = frames[image["file_name"][:-4]]
+        pixels = cv2.imread(str(folder / "coco/images" / image["file_name"]), cv2.IMREAD_UNCHANGED)
+        assert np.array_equal(pixels, frame["image"]) and (image["height"], image["width"]) == pixels.shape
+        assert np.allclose(image["camera"]["intrinsics"], frame["intrinsics"])
+        for name, bit in CLASSES.items():
+            wanted = frame["mask"] & bit != 0
+            (category,) = data.loadCats(data.getCatIds([name]))
+            found = data.loadAnns(data.getAnnIds(image["id"], [category["id"]]))
+            assert len(found) == int(wanted.any())
+            for annotation in found:
+                assert np.array_equal(data.annToMask(annotation) != 0, wanted), name
+                left, top, width, height = annotation["bbox"]
+                (ys, xs), area = np.nonzero(wanted), annotation["area"]
+                assert (left, top, left + width, top + height) == (xs.min(), ys.min(), xs.max() + 1, ys.max() + 1)
+                assert area == wanted.sum()
+                if name == "tool":
+                    points = np.array(annotation["keypoints"]).reshape(-1, 3)
+                    seen = frame["visibility"] > 0
+                    assert np.array_equal(points[:, 2], frame["visibility"]) and annotation["num_keypoints"] == seen.sum()
+                    assert np.allclose(points[seen, :2], frame["keypoints"][seen, :2]) and not points[~seen].any()
+                    assert len(category["skeleton"]) == len(points) - 1 and len(category["keypoints"]) == len(points)
+    with contextlib.redirect_stdout(io.StringIO()):
+        same = data.loadRes([{**annotation, "score": 1.0} for annotation in data.anns.values()])
+        judge = COCOeval(data, same, "segm")
+        judge.evaluate()
+        judge.accumulate()
+        judge.summarize()
+    assert judge.stats[0] > 0.999, judge.stats
+
+
+def yolo(folder: Path) -> None:
+    """Ultralytics' rules for a pose data set: five numbers and the keypoints in each line, fractions of the image."""
+    lines = [line for line in (folder / "yolo/data.yaml").read_text().splitlines() if not line.startswith("#")]
+    about = dict(line.split(": ", 1) for line in lines if ": " in line)
+    count = json.loads(about["kpt_shape"])[0]
+    assert [about[f"  {number}"] for number in range(4)] == list(CLASSES) and about["train"] == about["val"] == "images"
+    assert json.loads(about["flip_idx"]) == list(range(count))
+    for entry, frame in arrays(folder / "npz"):
+        name = entry["file"][:-4]
+        pixels = cv2.imread(str(folder / f"yolo/images/{name}.png"), cv2.IMREAD_UNCHANGED)
+        assert pixels.dtype == np.uint8 and np.abs(pixels * 257.0 - frame["image"]).max() <= 128.5
+        rows, columns = pixels.shape
+        table = np.loadtxt(folder / f"yolo/labels/{name}.txt", ndmin=2)
+        assert table.shape[1] == 5 + 3 * count and np.all(table[:, 1:5] <= 1.0) and np.all(table >= 0.0)
+        assert sorted(table[:, 0]) == [n for n, bit in enumerate(CLASSES.values()) if (frame["mask"] & bit).any()]
+        for line in table:
+            wanted = frame["mask"] & list(CLASSES.values())[int(line[0])] != 0
+            ys, xs = np.nonzero(wanted)
+            box = np.array([xs.min(), ys.min(), xs.max() + 1, ys.max() + 1]) / [columns, rows, columns, rows]
+            middle, size = line[1:3], line[3:5]
+            assert np.allclose(np.concatenate([middle - size / 2, middle + size / 2]), box, atol=2e-6)
+            points = line[5:].reshape(-1, 3)
+            if int(line[0]) == 1:
+                seen = frame["visibility"] > 0
+                assert np.array_equal(points[:, 2], frame["visibility"])
+                assert np.allclose(points[seen, :2] * [columns, rows] - 0.5, frame["keypoints"][seen, :2], atol=1e-3)
+            else:
+                assert not points.any()
+
+
+def picture(folder: Path, path: str) -> None:
+    """A frame with outlines of its masks and its keypoints, beside the attenuation of the metal."""
+    _, frame = arrays(folder / "npz")[-1]
+    scale = 6 if frame["image"].shape[0] < 200 else 2
+    grow = {"fx": scale, "fy": scale, "interpolation": cv2.INTER_NEAREST}
+    grey = cv2.resize((frame["image"] // 257).astype(np.uint8), None, **grow)
+    shown = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+    colours = {"bone": (178, 114, 0), "tool": (0, 159, 230), "burr": (0, 94, 213), "tunnel": (115, 158, 0)}
+    for name, bit in CLASSES.items():
+        mask = cv2.resize((frame["mask"] & bit != 0).astype(np.uint8), None, **grow)
+        edges, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(shown, edges, -1, colours[name], 2)
+    for (x, y, _), seen in zip(frame["keypoints"], frame["visibility"]):
+        if seen > 0:
+            at = (round((x + 0.5) * scale), round((y + 0.5) * scale))
+            cv2.circle(shown, at, 4, (255, 255, 255) if seen == 2 else (120, 120, 120), -1)
+            cv2.circle(shown, at, 4, (0, 0, 0), 1)
+    metal = cv2.resize((255 * frame["metal"] / max(frame["metal"].max(), 1e-9)).astype(np.uint8), None, **grow)
+    cv2.imwrite(path, np.hstack([shown, cv2.cvtColor(metal, cv2.COLOR_GRAY2BGR)]))
+
+
+if __name__ == "__main__":
+    given = Path(sys.argv[1])
+    projected(given)
+    coco(given)
+    yolo(given)
+    if "PICTURE" in os.environ:
+        picture(given, os.environ["PICTURE"])
+    print("done")

@@ -1,0 +1,144 @@
+//! NumPy's `.npz`: a zip archive of arrays in NumPy's format 1.0
+//! (<https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html>).
+
+use std::io::Write as _;
+use std::path::PathBuf;
+
+use flate2::{Compression, Crc, write::DeflateEncoder};
+use serde_json::{Value, json};
+use xray::Class;
+use zerocopy::{Immutable, IntoBytes};
+
+use super::{Dataset, DatasetFile, Sample};
+
+impl Dataset {
+    pub(super) fn add_npz(&mut self, sample: &Sample) -> Result<Vec<DatasetFile>, String> {
+        let name = format!("{}.npz", sample.name());
+        let mut entry = json!({"file": name});
+        if let (Value::Object(entry), Value::Object(pose)) = (&mut entry, sample.pose()) {
+            entry.extend(pose);
+        }
+        self.images.push(entry.to_string());
+        Ok(vec![(PathBuf::from(name), archive(sample)?)])
+    }
+
+    pub(super) fn end_npz(self) -> DatasetFile {
+        let classes: serde_json::Map<String, Value> =
+            Class::ALL.iter().map(|class| (class.name().to_owned(), json!(class.bit()))).collect();
+        let text = format!(
+            "{{\"bone_from_hu\":{},\n\"classes\":{},\n\"keypoints\":{},\n\"frames\":[\n{}\n]}}\n",
+            self.bone_from_hu,
+            Value::Object(classes),
+            json!(self.keypoints),
+            self.images.join(",\n")
+        );
+        (PathBuf::from("dataset.json"), text.into_bytes())
+    }
+}
+
+fn archive(sample: &Sample) -> Result<Vec<u8>, String> {
+    let labels = &sample.labels;
+    let image = [labels.rows as usize, labels.columns as usize];
+    let points: Vec<[f64; 3]> = labels.keypoints.iter().map(|p| [p.column, p.row, p.depth_m]).collect();
+    let visibility: Vec<u8> = labels.keypoints.iter().map(|point| point.visibility.code()).collect();
+    let (frame, camera, burr) = (&sample.frame, &sample.frame.projection, &sample.frame.t_world_burr);
+    let mut zip = Zip::default();
+    zip.array("image", "<u2", &image, &sample.greys[..])?;
+    zip.array("mask", "|u1", &image, &labels.mask[..])?;
+    for (name, values) in [
+        ("anatomy", &labels.anatomy),
+        ("metal", &labels.metal),
+        ("bone_m", &labels.bone_m),
+        ("tunnel_m", &labels.tunnel_m),
+        ("tool_depth_m", &labels.tool_depth_m),
+        ("bone_depth_m", &labels.bone_depth_m),
+    ] {
+        zip.array(name, "<f4", &image, &values[..])?;
+    }
+    zip.array("keypoints", "<f8", &[points.len(), 3], &points[..])?;
+    zip.array("visibility", "|u1", &[visibility.len()], &visibility[..])?;
+    zip.array("tick", "<u8", &[], &[frame.tick][..])?;
+    zip.array("sim_time_s", "<f8", &[], &[frame.sim_time_s][..])?;
+    zip.array("intrinsics", "<f8", &[3, 3], &camera.intrinsics[..])?;
+    zip.array("rotation", "<f8", &[3, 3], &camera.rotation[..])?;
+    zip.array("translation_m", "<f8", &[3], &camera.translation_m[..])?;
+    zip.array("burr_position_m", "<f8", &[3], &burr.position_m[..])?;
+    zip.array("burr_orientation_xyzw", "<f8", &[4], &burr.orientation_xyzw[..])?;
+    zip.finish()
+}
+
+/// A zip archive in memory, of deflated files (PKWARE's APPNOTE 6.3.10, sections 4.3.7, 4.3.12, 4.3.16).
+#[derive(Default)]
+struct Zip {
+    bytes: Vec<u8>,
+    directory: Vec<u8>,
+    files: u16,
+}
+
+impl Zip {
+    /// Appends an array in C order; `dtype` as NumPy writes it, shape `[]` for a number.
+    fn array<T: IntoBytes + Immutable>(
+        &mut self,
+        name: &str,
+        dtype: &str,
+        shape: &[usize],
+        values: &[T],
+    ) -> Result<(), String> {
+        let sides: String = shape.iter().map(|side| format!("{side},")).collect();
+        let mut header = format!("{{'descr': '{dtype}', 'fortran_order': False, 'shape': ({sides}), }}");
+        // With magic, version and length, 10 bytes, and the newline a multiple of 64.
+        let padding = (64 - (10 + header.len() + 1) % 64) % 64;
+        header.extend(std::iter::repeat_n(' ', padding));
+        header.push('\n');
+        let mut file = b"\x93NUMPY\x01\x00".to_vec();
+        file.extend((header.len() as u16).to_le_bytes());
+        file.extend(header.as_bytes());
+        file.extend(values.as_bytes());
+        self.file(&format!("{name}.npy"), &file)
+    }
+
+    fn file(&mut self, name: &str, content: &[u8]) -> Result<(), String> {
+        let mut crc = Crc::new();
+        crc.update(content);
+        let mut encoder = DeflateEncoder::new(Vec::new(), Compression::fast());
+        let packed =
+            encoder.write_all(content).and_then(|()| encoder.finish()).map_err(|cause| cause.to_string())?;
+        let too_large = |_| format!("`{name}` is larger than the 4 GiB of a zip archive");
+        let size = |bytes: usize| u32::try_from(bytes).map_err(too_large);
+        // What the entry and the directory have in common: version 2.0, no flags, deflated, midnight of 1 January 1980.
+        let mut facts = Vec::new();
+        [20_u16, 0, 8, 0, 0x21].iter().for_each(|x| facts.extend(x.to_le_bytes()));
+        let sizes = [crc.sum(), size(packed.len())?, size(content.len())?];
+        sizes.iter().for_each(|x| facts.extend(x.to_le_bytes()));
+        [name.len() as u16, 0].iter().for_each(|x| facts.extend(x.to_le_bytes()));
+        let offset = size(self.bytes.len())?;
+        self.directory.extend(b"PK\x01\x02\x14\x00");
+        self.directory.extend(&facts);
+        // No comment, disk 0, no attributes.
+        self.directory.extend([0; 10]);
+        self.directory.extend(offset.to_le_bytes());
+        self.directory.extend(name.as_bytes());
+        self.bytes.extend(b"PK\x03\x04");
+        self.bytes.extend(&facts);
+        self.bytes.extend(name.as_bytes());
+        self.bytes.extend(packed);
+        self.files += 1;
+        Ok(())
+    }
+
+    fn finish(mut self) -> Result<Vec<u8>, String> {
+        let size = |bytes: usize| {
+            u32::try_from(bytes)
+                .map_err(|_| "the archive is larger than the 4 GiB of a zip archive".to_owned())
+        };
+        let (offset, directory) = (size(self.bytes.len())?, size(self.directory.len())?);
+        self.bytes.append(&mut self.directory);
+        self.bytes.extend(b"PK\x05\x06\x00\x00\x00\x00");
+        self.bytes.extend(self.files.to_le_bytes());
+        self.bytes.extend(self.files.to_le_bytes());
+        self.bytes.extend(directory.to_le_bytes());
+        self.bytes.extend(offset.to_le_bytes());
+        self.bytes.extend([0; 2]);
+        Ok(self.bytes)
+    }
+}
