@@ -24,8 +24,8 @@ use crate::redirect_file;
 use crate::report::{self, ReportError};
 use crate::scenes::{BuiltIn, SceneSource};
 
-/// How long one look for the end of the viewer takes.
-const VIEWER_LOOK: Duration = Duration::from_secs(3600);
+/// Time between two looks for the end of the viewer.
+const VIEWER_LOOK: Duration = Duration::from_millis(100);
 
 /// Arguments of `run`.
 #[derive(Debug, Args)]
@@ -224,7 +224,9 @@ fn show_on(mut viewer: Part, arguments: &RunArguments) {
     if arguments.style() == ProgressStyle::Text {
         say!("the page shows the log now: this command ends when the page is closed, or with Ctrl-C");
     }
-    while !viewer.ends_within(VIEWER_LOOK) {}
+    while viewer.ended().is_none() {
+        std::thread::sleep(VIEWER_LOOK);
+    }
 }
 
 /// The scene's volume, after a check of the scene as a whole; says what is noteworthy about both.

@@ -83,7 +83,9 @@ export function showPlan(info) {
     line.appendChild(document.createElement("td")).textContent = text;
     return line;
   }));
-  const count = facts?.findings.length ?? 0;
-  element("plan-facts").textContent = count === 0 ? "no warning" : `${count} ${count === 1 ? "warning" : "warnings"}: see Messages`;
+  const findings = facts?.findings ?? [];
+  element("plan-facts").textContent = findings.length === 0 ? "no warning" : `${findings.length} ${findings.length === 1 ? "warning" : "warnings"}`;
+  element("plan-findings").replaceChildren(...findings.map((text) => Object.assign(document.createElement("li"), { textContent: text })));
+  element("plan-profile").hidden = !info?.plan?.profile;
 }
 

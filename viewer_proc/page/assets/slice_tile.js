@@ -2,6 +2,7 @@
 
 import { distanceText } from "/assets/measure.js";
 import { cutBall, cutCylinder, normal, place, pointAt } from "/assets/slice_geometry.js";
+import { drawHandles } from "/assets/plan_edit.js";
 import { COLOURS } from "/assets/tool_model.js";
 import { add, dot, scale, subtract, transform } from "/assets/vector.js";
 
@@ -158,16 +159,26 @@ export class SliceTile {
   }
 
   /** The place under a pointer. @param {{offsetX: number, offsetY: number}} event @param {number} field @returns {Vector} */
-  pointOf(event, field) {
+  pointOf(event, field, behind = 0) {
     const { right, down } = this.view;
     const { clientWidth: width, clientHeight: height } = this.canvas;
     const perPixel = field / (width || 1);
-    return pointAt({ centre: this.centre ?? [0, 0, 0], right, down }, [(event.offsetX - width / 2) * perPixel, (event.offsetY - height / 2) * perPixel]);
+    const plane = { centre: this.centre ?? [0, 0, 0], right, down };
+    const point = pointAt(plane, [(event.offsetX - width / 2) * perPixel, (event.offsetY - height / 2) * perPixel]);
+    return behind ? add(point, scale(normal(plane), behind)) : point;
+  }
+
+  /** Where a place is seen, pixels of the page. @param {Vector} point @param {number} field */
+  pixelOf(point, field) {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const [right, down] = place({ centre: this.centre ?? [0, 0, 0], ...this.view }, point);
+    return [width / 2 + (right * width) / field, height / 2 + (down * width) / field];
   }
 
   /**
    * @param {Plane} plane @param {number} field
-   * @param {{poses?: import("/assets/tool_model.js").Poses, tool?: any, path: Vector[], target?: Vector, cursor?: Vector, measures: import("/assets/measure.js").Measures}} scene
+   * @param {{poses?: import("/assets/tool_model.js").Poses, tool?: any, path: Vector[], target?: Vector, cursor?: Vector,
+   *   measures: import("/assets/measure.js").Measures, handles: import("/assets/plan_edit.js").Handle[]}} scene
    */
   draw(plane, field, scene) {
     const { ratio } = this;
@@ -189,6 +200,7 @@ export class SliceTile {
     if (scene.target) this.#drawTarget(paint, scene.target);
     this.#drawMeasures(paint, scene.measures);
     if (scene.cursor) this.#drawCross(paint, scene.cursor);
+    drawHandles(context, scene.handles, at, ratio);
     this.#drawLetters(paint);
   }
 
