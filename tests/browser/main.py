@@ -23,6 +23,7 @@ def main() -> int:
     parser.add_argument("--cache", type=Path, required=True, help="where a Chromium is kept")
     parser.add_argument("--pictures", type=Path, required=True, help="where screenshots go")
     parser.add_argument("--victim", type=int, help="process whose death the page must notice")
+    parser.add_argument("--scene", type=Path, help="file of the scene that is shown before its run")
     arguments = parser.parse_args()
     arguments.pictures.mkdir(parents=True, exist_ok=True)
     try:
@@ -30,7 +31,7 @@ def main() -> int:
             if arguments.kind == "live":
                 live.check(browser, arguments.url, arguments.victim, arguments.pictures)
             elif arguments.kind == "plan":
-                plan.check(browser, arguments.url, arguments.pictures)
+                plan.check(browser, arguments.url, arguments.scene, arguments.pictures)
             elif arguments.kind == "log":
                 log.check(browser, arguments.url, arguments.pictures)
             else:

@@ -195,6 +195,8 @@ export class PlanEdit {
       event.stopImmediatePropagation();
       canvas.setPointerCapture(event.pointerId);
       this.dragged = held;
+      // A picture that followed the burr would run away from under the pointer.
+      this.cursor.follows = false;
       canvas.focus();
     }, first);
     canvas.addEventListener("pointermove", (event) => {
@@ -218,6 +220,7 @@ export class PlanEdit {
   /** In the 3D view a handle moves across the line of sight. @param {import("/assets/scene_view.js").SceneView} view @param {(point: Vector) => number[] | undefined} at */
   listenToView(view, at) {
     const { canvas, camera } = view;
+    canvas.addEventListener("pointermove", () => this.dragged && (camera.follows = false), { capture: true });
     this.listen(canvas, (handle) => at(handle.point), (point, event) => {
       const ray = cameraRay(camera, event.offsetX, event.offsetY, canvas.clientWidth, canvas.clientHeight);
       const forward = unit(subtract(camera.centre, camera.eye));

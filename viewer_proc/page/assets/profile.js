@@ -74,15 +74,15 @@ function marks(context, facts, at, colours, size) {
   context.strokeStyle = colours["--text"];
   context.textBaseline = "top";
   context.lineWidth = 1;
-  let last = -Infinity;
-  for (const [sample, name] of [[facts?.entry, "entry"], [facts?.burr_start, "start"], [facts?.target, "target"]]) {
-    if (!sample) continue;
+  const named = [[facts?.entry, "entry"], [facts?.burr_start, "start"], [facts?.target, "target"]].filter(([sample]) => sample);
+  // From the right, so that no word leaves the picture or covers the next one.
+  let next = context.canvas.clientWidth;
+  for (const [sample, name] of named.sort(([a], [b]) => b.along_mm - a.along_mm)) {
     const [x, top, foot] = at(sample.along_mm);
     line(context, x, top, x, foot);
     const wide = context.measureText(name).width;
-    const from = Math.max(last + 4 * size, Math.min(x - wide / 2, context.canvas.clientWidth - wide - 2));
+    next = Math.min(x - wide / 2, next - wide - 4 * size);
     context.textAlign = "left";
-    context.fillText(name, from, 2 * size);
-    last = from + wide;
+    context.fillText(name, next, 2 * size);
   }
 }

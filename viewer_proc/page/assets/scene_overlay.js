@@ -1,6 +1,7 @@
 // Distances with their numbers, and what can be moved by hand, over the 3D picture.
 
 import { drawHandles } from "/assets/plan_edit.js";
+import { textScale } from "/assets/plot.js";
 import { drawMeasures } from "/assets/slice_tile.js";
 import { project } from "/assets/vector.js";
 
@@ -40,7 +41,8 @@ export class SceneOverlay {
     context.clearRect(0, 0, width, height);
     /** @param {import("/assets/vector.js").Vector} point */
     const at = (point) => this.pixelOf(point)?.map((x) => x * ratio);
-    drawMeasures(context, this.measures, at, ratio);
-    drawHandles(context, handles, at, ratio);
+    const mark = ratio * textScale();
+    drawMeasures(context, this.measures, at, mark);
+    drawHandles(context, handles, at, mark);
   }
 }

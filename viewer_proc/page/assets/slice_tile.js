@@ -2,6 +2,7 @@
 
 import { distanceText } from "/assets/measure.js";
 import { cutBall, cutCylinder, normal, place, pointAt } from "/assets/slice_geometry.js";
+import { textScale } from "/assets/plot.js";
 import { drawHandles } from "/assets/plan_edit.js";
 import { COLOURS } from "/assets/tool_model.js";
 import { add, dot, scale, subtract, transform } from "/assets/vector.js";
@@ -194,13 +195,15 @@ export class SliceTile {
       return [width / 2 + right * scaleBy, height / 2 + down * scaleBy, behind];
     };
     this.#drawPicture(context, at, scaleBy);
-    const paint = { context, at, ratio, scaleBy, width, height, plane };
+    // Letters and lines grow with the page's text.
+    const mark = ratio * textScale();
+    const paint = { context, at, ratio: mark, scaleBy, width, height, plane };
     if (scene.poses && scene.tool) this.#drawTool(paint, scene.poses, scene.tool);
     this.#drawPath(paint, scene.path);
     if (scene.target) this.#drawTarget(paint, scene.target);
     this.#drawMeasures(paint, scene.measures);
     if (scene.cursor) this.#drawCross(paint, scene.cursor);
-    drawHandles(context, scene.handles, at, ratio);
+    drawHandles(context, scene.handles, at, mark);
     this.#drawLetters(paint);
   }
 
@@ -306,7 +309,7 @@ export class SliceTile {
   }
 
   #drawLetters({ context, ratio, width, height, scaleBy }) {
-    const [left, right, upper, lower] = this.view.letters ?? ["", "feed", "bend", ""];
+    const [left, right, upper, lower] = this.view.letters ?? ["", "feed", "", ""];
     context.font = `600 ${12 * ratio}px system-ui, sans-serif`;
     context.textBaseline = "middle";
     const letter = (text, x, y, align) => {
@@ -317,6 +320,7 @@ export class SliceTile {
     letter(right, width - 6 * ratio, height / 2, "right");
     letter(upper, width / 2, 10 * ratio, "center");
     letter(lower, width / 2, height - 10 * ratio, "center");
+    if (!this.view.letters) letter("bend ↑", width - 6 * ratio, 12 * ratio, "right");
     const bar = 0.01 * scaleBy;
     context.fillStyle = "#fff";
     context.fillRect(width - 8 * ratio - bar, height - 8 * ratio, bar, 2 * ratio);
