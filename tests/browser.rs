@@ -198,6 +198,21 @@ fn a_live_run_is_watched_and_driven_from_the_page() {
 }
 
 #[test]
+fn a_run_that_ends_becomes_its_log_on_the_page() {
+    let Some(python) = browser_python() else { return };
+    twice(|| {
+        let place = Place::new();
+        let run: Run = place.start(&live_scene());
+        let mut viewer = Viewer::start(&place, &[&"--session", &run.session()]);
+        check(&python, "end", &viewer, &[])?;
+        assert_eq!(run.end().code, Some(0));
+        // The page was closed, so the viewer ends by itself.
+        wait_for("the viewer's end", || viewer.child.try_wait().unwrap());
+        Ok(())
+    });
+}
+
+#[test]
 fn logs_are_scrubbed_and_compared_on_the_page() {
     let Some(python) = browser_python() else { return };
     let place = Place::new();
