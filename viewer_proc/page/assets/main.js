@@ -20,6 +20,7 @@ import { PanelLayout } from "/assets/panel_layout.js";
 import { PlotsPanel, STEP_TIME } from "/assets/plots_panel.js";
 import { SceneView } from "/assets/scene_view.js";
 import { SceneOverlay } from "/assets/scene_overlay.js";
+import { fillSigns } from "/assets/signs.js";
 import { sliceCommands } from "/assets/slice_commands.js";
 import { Slices } from "/assets/slices.js";
 import { endParts, showComparison, showParts } from "/assets/tables.js";
@@ -109,6 +110,7 @@ try {
   notices.show("webgl", `No 3D view: ${error instanceof Error ? error.message : error}. The X-ray, plots and controls work without it.`);
 }
 page.theme = new Theme(() => changed());
+fillSigns();
 page.actions = new Actions([...commands(page), ...sliceCommands(page)]);
 page.actions.listen();
 /** The speed of the list, as run control takes it: a run in real time has its own speed without steps. */
