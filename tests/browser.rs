@@ -230,6 +230,11 @@ fn a_scene_is_shown_on_the_page_before_its_run() {
         let place = Place::new();
         let file = place.path("scene.toml");
         fs::write(&file, planned_scene()).unwrap();
-        check(&python, "plan", &Viewer::start(&place, &[&file]), &["--scene".to_owned(), file.display().to_string()])
+        check(
+            &python,
+            "plan",
+            &Viewer::start(&place, &[&file]),
+            &["--scene".to_owned(), file.display().to_string()],
+        )
     });
 }

@@ -156,8 +156,7 @@ fn view_followed(
 }
 
 fn view_logs(log: &Path, arguments: &ViewArguments, end: &EndRequest) -> Result<(), Failure> {
-    let options =
-        LogOptions { log: log.to_owned(), second: arguments.second.clone(), until_left: false };
+    let options = LogOptions { log: log.to_owned(), second: arguments.second.clone(), until_left: false };
     let door = arguments.server.door()?;
     let folder = redirect_file::folder();
     let mut _redirect_file = None;

@@ -55,8 +55,7 @@ impl OpenedScene {
         end: &EndRequest,
     ) -> Result<Option<StartedRun>, Failure> {
         let threshold_hu = self.scene.volume.as_ref().map_or(0, |volume| volume.bone_threshold_hu);
-        let surroundings =
-            self.loaded.as_ref().map(|(volume, _)| Surroundings::of(volume, threshold_hu));
+        let surroundings = self.loaded.as_ref().map(|(volume, _)| Surroundings::of(volume, threshold_hu));
         let first = measure(&self.scene, self.loaded.as_ref(), surroundings.as_ref())?;
         let volume = self.loaded.as_ref().map(|(volume, sha256)| {
             let grid = volume_source::message(volume, *sha256).grid().map_err(Failure::bad_input)?;

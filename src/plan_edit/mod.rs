@@ -276,7 +276,10 @@ mod tests {
     fn a_value_out_of_range_has_the_parsers_words() {
         let text = edited(&Places { isocentre_mm: Some([1e12, 0.0, 0.0]), ..Places::default() });
         let refused = Scene::parse(&text, Path::new("a.toml")).unwrap_err().to_string();
-        assert!(refused.starts_with("a.toml: `drr.isocentre_mm") && refused.contains("allowed is"), "{refused}");
+        assert!(
+            refused.starts_with("a.toml: `drr.isocentre_mm") && refused.contains("allowed is"),
+            "{refused}"
+        );
     }
 
     #[test]

@@ -47,15 +47,28 @@ mod tests {
     #[test]
     fn a_name_leads_nowhere_else() {
         let folder = Path::new("/scenes");
-        for (given, file) in
-            [("hip.toml", "/scenes/hip.toml"), (" Hüfte 2-b ", "/scenes/Hüfte 2-b.toml"), ("a..b", "/scenes/a..b.toml")]
-        {
+        for (given, file) in [
+            ("hip.toml", "/scenes/hip.toml"),
+            (" Hüfte 2-b ", "/scenes/Hüfte 2-b.toml"),
+            ("a..b", "/scenes/a..b.toml"),
+        ] {
             assert_eq!(SceneName::parse(given).unwrap().within(folder), Path::new(file));
         }
         let long = "a".repeat(LONGEST);
-        for given in
-            ["", ".", "..", "../a.toml", "/a.toml", "a/b.toml", "a\\b.toml", ".a.toml", "a\0.toml", "a\n.toml", "-a", &long]
-        {
+        for given in [
+            "",
+            ".",
+            "..",
+            "../a.toml",
+            "/a.toml",
+            "a/b.toml",
+            "a\\b.toml",
+            ".a.toml",
+            "a\0.toml",
+            "a\n.toml",
+            "-a",
+            &long,
+        ] {
             assert!(SceneName::parse(given).is_err(), "{given:?}");
         }
     }

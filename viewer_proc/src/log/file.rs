@@ -186,10 +186,7 @@ impl Reading {
     ///
     /// # Errors
     /// [`PlayError`].
-    pub fn next_with<R>(
-        &mut self,
-        take: impl FnOnce(&str, u64, &[u8]) -> R,
-    ) -> Result<Option<R>, PlayError> {
+    pub fn next_with<R>(&mut self, take: impl FnOnce(&str, u64, &[u8]) -> R) -> Result<Option<R>, PlayError> {
         loop {
             let request = match self.reader.next_event() {
                 None => return Ok(None),

@@ -317,12 +317,7 @@ impl LogSeries {
     }
 
     /// Reads the span's messages from a file, once for all fields.
-    fn read_span(
-        &self,
-        fields: &mut [&mut Fine<'_>],
-        request: &SeriesRequest,
-        log: &LogFile,
-    ) -> Option<()> {
+    fn read_span(&self, fields: &mut [&mut Fine<'_>], request: &SeriesRequest, log: &LogFile) -> Option<()> {
         let to = request.to_ns.min(self.end_ns);
         let topics: BTreeSet<&str> = fields.iter().map(|fine| fine.name.topic.as_str()).collect();
         let topics: Vec<&str> = topics.into_iter().collect();
