@@ -4,7 +4,6 @@
 mod running;
 
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
 use futures_util::{SinkExt, StreamExt};
@@ -18,8 +17,7 @@ use tokio::net::TcpSocket;
 use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
 use tokio_tungstenite::tungstenite::{Error, Message};
 use viewer_proc::ServerOptions;
-use viewer_proc::board::Board;
-use viewer_proc::channels::{Channels, INFO, NOTICE, SURFACE};
+use viewer_proc::channels::{INFO, NOTICE, SURFACE};
 use viewer_proc::server::{Door, MAX_CLIENTS};
 use viewer_proc::services::{Action, Reply, Request, SLICE};
 use viewer_proc::slice::{ENCODING, MOST_UNDER_WAY};
