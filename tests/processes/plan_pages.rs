@@ -63,7 +63,7 @@ fn a_moved_place_is_told_with_what_follows_and_refused_in_the_words_of_scene_che
         "{words}\n{}",
         of_command.err
     );
-    assert!(error(&moved(&mut view, json!({"isocentre_mm": [0.0; 3]}))).contains("no `[drr]`"));
+    assert!(error(&moved(&mut view, json!({"isocentre_mm": [0, 0, 0]}))).contains("no `[drr]`"));
     assert!(error(&moved(&mut view, json!({"target_mm": [0.0]}))).contains("malformed request"));
 
     // Observers change nothing.
