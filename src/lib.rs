@@ -18,6 +18,7 @@ mod keeper;
 pub mod launcher;
 pub mod machine;
 pub mod output;
+pub mod plan_edit;
 pub mod planned;
 pub mod printer;
 pub mod program;

@@ -74,6 +74,13 @@ fn recorded_scene(tension_n: f64, duration_s: f64) -> String {
     format!("{run}{SCENE}{controller}[controller.curved_drilling]\ntension_n = {tension_n:?}\n{drilling}")
 }
 
+/// A curve to a target in the block, with comments that a saved scene must keep.
+fn planned_scene() -> String {
+    let scene = recorded_scene(6.0, 1.0);
+    format!("# Mine.\n{scene}target_mm = [4.0, 0.0, -16.0]     # burr centre at the end\n")
+        .replace("rate_hz = 5.0", "rate_hz = 5.0        # enough")
+}
+
 /// A viewer that serves the page, ended when it is dropped.
 struct Viewer {
     child: Child,
@@ -85,6 +92,8 @@ impl Viewer {
         let words = place.path("viewer.txt");
         let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
         command.args(["view", "--port", "0", "--no-open"]);
+        // A run that is started from the page records below it.
+        command.current_dir(place.path("."));
         arguments.iter().for_each(|argument| {
             command.arg(argument);
         });
@@ -189,6 +198,21 @@ fn a_live_run_is_watched_and_driven_from_the_page() {
 }
 
 #[test]
+fn a_run_that_ends_becomes_its_log_on_the_page() {
+    let Some(python) = browser_python() else { return };
+    twice(|| {
+        let place = Place::new();
+        let run: Run = place.start(&live_scene());
+        let mut viewer = Viewer::start(&place, &[&"--session", &run.session()]);
+        check(&python, "end", &viewer, &[])?;
+        assert_eq!(run.end().code, Some(0));
+        // The page was closed, so the viewer ends by itself.
+        wait_for("the viewer's end", || viewer.child.try_wait().unwrap());
+        Ok(())
+    });
+}
+
+#[test]
 fn logs_are_scrubbed_and_compared_on_the_page() {
     let Some(python) = browser_python() else { return };
     let place = Place::new();
@@ -202,8 +226,15 @@ fn logs_are_scrubbed_and_compared_on_the_page() {
 #[test]
 fn a_scene_is_shown_on_the_page_before_its_run() {
     let Some(python) = browser_python() else { return };
-    let place = Place::new();
-    let file = place.path("scene.toml");
-    fs::write(&file, recorded_scene(6.0, 1.0)).unwrap();
-    twice(|| check(&python, "plan", &Viewer::start(&place, &[&file]), &[]));
+    twice(|| {
+        let place = Place::new();
+        let file = place.path("scene.toml");
+        fs::write(&file, planned_scene()).unwrap();
+        check(
+            &python,
+            "plan",
+            &Viewer::start(&place, &[&file]),
+            &["--scene".to_owned(), file.display().to_string()],
+        )
+    });
 }

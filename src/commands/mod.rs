@@ -21,4 +21,5 @@ pub mod sweep;
 pub mod tool;
 pub mod view;
 pub mod view_plan;
+mod view_run;
 pub mod volume;

@@ -1,7 +1,7 @@
 //! `trabecula run SCENE`: runs a scene from start to finish.
 
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use clap::{Args, ValueEnum};
 use ipc_types::process::{EXIT_GAP, Role, prioritise};
@@ -14,7 +14,7 @@ use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::feasibility;
 use crate::launcher::hub::View;
 use crate::launcher::interrupt::{Interrupts, remove_empty};
-use crate::launcher::part;
+use crate::launcher::part::{self, Part};
 use crate::launcher::progress::{Display, ProgressStyle};
 use crate::launcher::run::{Outcome, RunPlan, RunResult, output_folder, run_with};
 use crate::launcher::volume_source::{self, VolumeFiles};
@@ -23,6 +23,9 @@ use crate::printer;
 use crate::redirect_file;
 use crate::report::{self, ReportError};
 use crate::scenes::{BuiltIn, SceneSource};
+
+/// Time between two looks for the end of the viewer.
+const VIEWER_LOOK: Duration = Duration::from_millis(100);
 
 /// Arguments of `run`.
 #[derive(Debug, Args)]
@@ -194,7 +197,7 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     interrupts.report_begins();
     // If nothing was recorded, remove the folders that this run created.
     remove_empty(&empty);
-    let result = result?;
+    let mut result = result?;
     let is_to_report = match result.outcome {
         Outcome::LogGone(_) => false,
         _ => !interrupts.end.is_urgent(),
@@ -208,7 +211,22 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
             Ok(())
         }
     };
-    judge(&result).and(written)
+    let judged = judge(&result).and(written);
+    if let Some(viewer) = result.viewer.take() {
+        interrupts.showing_begins(judged.as_ref().map_or_else(|failure| failure.code, |()| 0));
+        show_on(viewer, arguments);
+    }
+    judged
+}
+
+/// The page shows the log of the run; the command ends when the page is closed.
+fn show_on(mut viewer: Part, arguments: &RunArguments) {
+    if arguments.style() == ProgressStyle::Text {
+        say!("the page shows the log now: this command ends when the page is closed, or with Ctrl-C");
+    }
+    while viewer.ended().is_none() {
+        std::thread::sleep(VIEWER_LOOK);
+    }
 }
 
 /// The scene's volume, after a check of the scene as a whole; says what is noteworthy about both.

@@ -13,6 +13,7 @@ use crate::say::Figures;
 use crate::scene_picture::facts::Facts;
 use crate::scene_picture::figure::{Pictured, draw};
 use crate::scene_picture::shape::Shapes;
+use crate::scene_picture::surroundings::Surroundings;
 use crate::scenes::{BuiltIn, SceneSource};
 
 /// Arguments of `scene show`.
@@ -53,7 +54,9 @@ pub fn run(arguments: &ShowArguments) -> Result<(), Failure> {
         )));
     };
     let shapes = Shapes::of(&scene)?;
-    let facts = Facts::of(&scene, &loaded, &shapes)?;
+    let threshold_hu = scene.volume.as_ref().map_or(0, |volume| volume.bone_threshold_hu);
+    let surroundings = Surroundings::of(&loaded.0, threshold_hu);
+    let facts = Facts::of(&scene, &loaded, &surroundings, &shapes)?;
     let pictured = Pictured { scene: &scene, volume: &loaded.0, shapes: &shapes, facts: &facts };
     draw(&pictured)?.write_png(output)?;
     arguments.figures.say(

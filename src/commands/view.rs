@@ -9,13 +9,12 @@ use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
 use ipc_types::session::{SESSION_VARIABLE, Searched, only_session};
 use simulation::manipulator_parameters;
-use viewer_proc::live::{self, LiveOptions};
+use viewer_proc::live;
 use viewer_proc::log::{self, LogOptions, LogVolume, SceneHelp};
-use viewer_proc::plan;
-use viewer_proc::server::Server;
+use viewer_proc::server::Door;
 use viewer_proc::{ServerOptions, ToolShape, ViewerError};
 
-use super::view_plan;
+use super::view_plan::OpenedScene;
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::redirect_file::{self, RedirectFile};
@@ -75,13 +74,17 @@ impl ServerArguments {
     }
 
     /// Prints the page's address and opens it. `folder` holds the file that redirects the browser to it.
-    fn ready(&self, server: &Server, folder: &Path) -> Option<RedirectFile> {
-        say!("{}", server.url());
-        if self.no_open { None } else { RedirectFile::open(&server.url(), folder) }
+    fn ready(&self, door: &Door, folder: &Path) -> Option<RedirectFile> {
+        say!("{}", door.url());
+        if self.no_open { None } else { RedirectFile::open(&door.url(), folder) }
+    }
+
+    fn door(&self) -> Result<Door, Failure> {
+        Door::open(&self.options()).map_err(|error| failure(&error))
     }
 }
 
-/// Runs the viewer until the session ends or Ctrl-C.
+/// Runs the viewer until Ctrl-C, or until the session has ended and nobody watches its log any more.
 ///
 /// # Errors
 /// No session, a port in use (2); any error of the viewer (1).
@@ -108,40 +111,69 @@ pub fn run(arguments: &ViewArguments) -> Result<(), Failure> {
         None => return Err(failure(&ViewerError::NoSession(Searched::places(None)))),
     };
     redirect_file::sweep(&session);
-    let options = LiveOptions { session, server: arguments.server.options() };
+    let door = arguments.server.door()?;
     let mut _redirect_file = None;
-    let ready = |server: &Server| _redirect_file = arguments.server.ready(server, &options.session);
-    live::view(&options, tool_shape, ready, &end).map_err(|error| failure(&error))
+    let ready = || _redirect_file = arguments.server.ready(&door, &session);
+    let recorded = live::view(&session, &door, tool_shape, ready, &end).map_err(|error| failure(&error))?;
+    recorded.map_or(Ok(()), |log| view_followed(log, arguments, &door, &end))
 }
 
 fn is_scene(path: &Path) -> bool {
     path.extension().is_some_and(|ending| ending == "toml")
 }
 
-/// A scene before its run.
+/// A scene before its run, then the run that is started from the page, then its log.
 fn view_plan(scene: &Path, arguments: &ViewArguments, end: &EndRequest) -> Result<(), Failure> {
     if arguments.second.is_some() {
         return Err(Failure::bad_input("a scene before its run is shown alone: give one file"));
     }
-    let planned = view_plan::load(scene, arguments.volume_files)?;
+    let opened = OpenedScene::open(scene, arguments.volume_files)?;
+    let door = arguments.server.door()?;
     let folder = redirect_file::folder();
     let mut _redirect_file = None;
-    let ready = |server: &Server| _redirect_file = arguments.server.ready(server, &folder);
-    plan::view(planned, &arguments.server.options(), ready, end).map_err(|error| failure(&error))
+    let ready = || _redirect_file = arguments.server.ready(&door, &folder);
+    let Some(run) = opened.view(&door, ready, end)? else { return Ok(()) };
+    drop(opened);
+    let Some(session) = run.session() else { return Ok(()) };
+    let recorded = match live::view(session, &door, tool_shape, || (), end) {
+        Ok(recorded) => recorded,
+        // A short run has ended before it could be joined.
+        Err(ViewerError::Session(_) | ViewerError::Message(_)) => run.log(),
+        Err(error) => return Err(failure(&error)),
+    };
+    recorded.map_or(Ok(()), |log| view_followed(log, arguments, &door, end))
+}
+
+/// The log of a run that was watched: as long as somebody does.
+fn view_followed(
+    log: PathBuf,
+    arguments: &ViewArguments,
+    door: &Door,
+    end: &EndRequest,
+) -> Result<(), Failure> {
+    let options = LogOptions { log, second: None, until_left: true };
+    show_logs(&options, arguments, door, || (), end)
 }
 
 fn view_logs(log: &Path, arguments: &ViewArguments, end: &EndRequest) -> Result<(), Failure> {
-    let options = LogOptions {
-        log: log.to_owned(),
-        second: arguments.second.clone(),
-        server: arguments.server.options(),
-    };
-    let volume = |scene: &Scene| log_volume(scene, arguments.volume_files);
-    let help = SceneHelp { tool: &tool_shape, volume: &volume };
+    let options = LogOptions { log: log.to_owned(), second: arguments.second.clone(), until_left: false };
+    let door = arguments.server.door()?;
     let folder = redirect_file::folder();
     let mut _redirect_file = None;
-    let ready = |server: &Server| _redirect_file = arguments.server.ready(server, &folder);
-    log::view(&options, &help, ready, end).map_err(|error| failure(&error))
+    let ready = || _redirect_file = arguments.server.ready(&door, &folder);
+    show_logs(&options, arguments, &door, ready, end)
+}
+
+fn show_logs(
+    options: &LogOptions,
+    arguments: &ViewArguments,
+    door: &Door,
+    ready: impl FnOnce(),
+    end: &EndRequest,
+) -> Result<(), Failure> {
+    let volume = |scene: &Scene| log_volume(scene, arguments.volume_files);
+    let help = SceneHelp { tool: &tool_shape, volume: &volume };
+    log::view(options, door, &help, ready, end).map_err(|error| failure(&error))
 }
 
 /// The volume of a log's scene, generated or read again.
@@ -152,7 +184,8 @@ fn log_volume(scene: &Scene, files: VolumeFiles) -> Result<Option<LogVolume>, St
     Ok(Some(LogVolume { grid, hu: volume.hu, sha256 }))
 }
 
-fn failure(error: &ViewerError) -> Failure {
+/// How the command fails.
+pub(super) fn failure(error: &ViewerError) -> Failure {
     if error.is_bad_input() { Failure::bad_input(error) } else { Failure::failed(error.to_string()) }
 }
 

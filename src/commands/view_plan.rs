@@ -1,52 +1,206 @@
-//! `trabecula view SCENE.toml`: a scene before its run.
+//! `trabecula view SCENE.toml`: a scene before its run, its places moved, saved and run.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
 use serde_json::{Value, json};
 use simulation::Simulation;
-use viewer_proc::log::LogVolume;
-use viewer_proc::plan::Planned;
+use viewer_proc::ViewerError;
+use viewer_proc::plan::{self, Planned, Planner, Saved};
+use viewer_proc::server::Door;
+use viewer_proc::services::Places;
+use volume_io::Volume;
 
-use super::view::tool_shape;
+use super::view::{failure, tool_shape};
+use super::view_run::StartedRun;
 use crate::failure::Failure;
 use crate::launcher::volume_source::{self, VolumeFiles};
+use crate::plan_edit::{SceneName, moved};
 use crate::scene_picture::facts::Facts;
 use crate::scene_picture::shape::Shapes;
+use crate::scene_picture::surroundings::Surroundings;
 use crate::scenes::SceneSource;
 
-/// Reads and measures a scene.
-///
-/// # Errors
-/// An invalid scene, a volume that is not there or cannot be read (2).
-pub fn load(file: &Path, files: VolumeFiles) -> Result<Planned, Failure> {
-    let (scene, _) = crate::plan::load_scene(&SceneSource::File(file.to_owned()))?;
-    volume_source::refuse_missing(&file.display(), &scene)?;
-    let loaded = volume_source::load(&scene, files)?;
-    let shapes = Shapes::of(&scene)?;
-    let view = loaded.as_ref().map(volume_source::ct_view);
-    let simulation = Simulation::new(&scene, view).map_err(Failure::bad_input)?;
+/// A scene that was opened, with what its measurements share.
+pub struct OpenedScene {
+    file: PathBuf,
+    text: String,
+    scene: Scene,
+    loaded: Option<(Volume, [u8; 32])>,
+    volume_files: VolumeFiles,
+}
+
+impl OpenedScene {
+    /// Reads a scene and its volume.
+    ///
+    /// # Errors
+    /// An invalid scene, a volume that is not there or cannot be read (2).
+    pub fn open(file: &Path, volume_files: VolumeFiles) -> Result<OpenedScene, Failure> {
+        let source = SceneSource::File(file.to_owned());
+        let (scene, _) = crate::plan::load_scene(&source)?;
+        volume_source::refuse_missing(&file.display(), &scene)?;
+        let loaded = volume_source::load(&scene, volume_files)?;
+        Ok(OpenedScene { file: file.to_owned(), text: source.text()?, scene, loaded, volume_files })
+    }
+
+    /// Shows it until the process is asked to end, or a run of it begins: that run.
+    ///
+    /// # Errors
+    /// The simulation refuses the scene (2); the server cannot be started (1).
+    pub fn view(
+        &self,
+        door: &Door,
+        ready: impl FnOnce(),
+        end: &EndRequest,
+    ) -> Result<Option<StartedRun>, Failure> {
+        let threshold_hu = self.scene.volume.as_ref().map_or(0, |volume| volume.bone_threshold_hu);
+        let surroundings = self.loaded.as_ref().map(|(volume, _)| Surroundings::of(volume, threshold_hu));
+        let first = measure(&self.scene, self.loaded.as_ref(), surroundings.as_ref())?;
+        let volume = self.loaded.as_ref().map(|(volume, sha256)| {
+            let grid = volume_source::message(volume, *sha256).grid().map_err(Failure::bad_input)?;
+            Ok::<_, Failure>((grid, volume.hu.as_slice()))
+        });
+        let mut started = None;
+        let editor = Editor {
+            opened: self,
+            surroundings: surroundings.as_ref(),
+            places: Places::default(),
+            text: self.text.clone(),
+            saved: (self.file.clone(), self.text.clone()),
+            run: &mut started,
+        };
+        let session = plan::view(&self.file, (first, volume.transpose()?), editor, door, ready, end);
+        let session = session.map_err(|error: ViewerError| failure(&error))?;
+        Ok(started.filter(|_| session.is_some()))
+    }
+}
+
+/// Changes a scene that was opened; its file stays as it is.
+struct Editor<'a> {
+    opened: &'a OpenedScene,
+    surroundings: Option<&'a Surroundings<'a>>,
+    /// What was moved.
+    places: Places,
+    /// The scene's text with that.
+    text: String,
+    /// Where it was saved last, and what was.
+    saved: (PathBuf, String),
+    run: &'a mut Option<StartedRun>,
+}
+
+impl Editor<'_> {
+    fn take(&mut self, places: Places) -> Result<Planned, String> {
+        let OpenedScene { file, text, scene, loaded, .. } = self.opened;
+        let text = moved(text, scene, file, &places).map_err(|cause| cause.to_string())?;
+        let source = SceneSource::Changed { source: Box::new(SceneSource::File(file.clone())), text };
+        let planned = crate::plan::load_scene(&source)
+            .and_then(|(scene, _)| measure(&scene, loaded.as_ref(), self.surroundings))
+            .map_err(|refused| refused.message)?;
+        (self.places, self.text) = (places, source.text().map_err(|refused| refused.message)?);
+        Ok(planned)
+    }
+}
+
+impl Planner for Editor<'_> {
+    fn move_places(&mut self, places: &Places) -> Result<Planned, String> {
+        self.take(Places {
+            burr_start_mm: places.burr_start_mm.or(self.places.burr_start_mm),
+            target_mm: places.target_mm.or(self.places.target_mm),
+            isocentre_mm: places.isocentre_mm.or(self.places.isocentre_mm),
+        })
+    }
+
+    fn restore(&mut self) -> Result<Planned, String> {
+        self.take(Places::default())
+    }
+
+    fn save(&mut self, name: &str, replace: bool) -> Result<Saved, String> {
+        let name = SceneName::parse(name).map_err(|cause| cause.to_string())?;
+        let original = &self.opened.file;
+        let file = name.within(output_file::folder_of(original));
+        let is_there = file.symlink_metadata().is_ok();
+        let is_original = |file: &Path| match (file.canonicalize(), original.canonicalize()) {
+            (Ok(file), Ok(original)) => file == original,
+            _ => false,
+        };
+        if is_there && is_original(&file) {
+            return Err(format!(
+                "{} is the scene that was opened and stays as it is: choose another name",
+                file.display()
+            ));
+        }
+        if is_there && !replace {
+            return Ok(Saved::Exists(file));
+        }
+        let written = match is_there {
+            true => replaced(&file, &self.text),
+            false => output_file::write(&file, &self.text).map_err(|cause| cause.to_string()),
+        };
+        written?;
+        self.saved = (file.clone(), self.text.clone());
+        Ok(Saved::As(file))
+    }
+
+    fn run(&mut self) -> Result<(), String> {
+        let (file, text) = &self.saved;
+        if self.text != *text {
+            return Err("the plan was changed and not saved since: save it, then run it".to_owned());
+        }
+        if self.run.is_some() {
+            return Err("a run of it has been started already".to_owned());
+        }
+        *self.run = Some(StartedRun::start(file, self.opened.volume_files)?);
+        Ok(())
+    }
+
+    fn session(&mut self) -> Option<Result<PathBuf, String>> {
+        let found = self.run.as_mut()?.begun()?;
+        if found.is_err() {
+            *self.run = None;
+        }
+        Some(found)
+    }
+}
+
+/// Writes over a file whose replacement the user has confirmed: whole, or not at all. A link is replaced, not what it leads to.
+fn replaced(file: &Path, text: &str) -> Result<(), String> {
+    let folder = output_file::folder_of(file);
+    let write = || {
+        let draft = tempfile::Builder::new().prefix(".trabecula-").tempfile_in(folder)?;
+        std::fs::write(draft.path(), text)?;
+        output_file::sync_file(draft.as_file())?;
+        draft.persist(file).map_err(|failed| failed.error)?;
+        output_file::sync_folder(folder)
+    };
+    write().map_err(|cause: std::io::Error| format!("{}: cannot be written ({cause})", file.display()))
+}
+
+/// What is shown of a scene.
+fn measure(
+    scene: &Scene,
+    loaded: Option<&(Volume, [u8; 32])>,
+    surroundings: Option<&Surroundings<'_>>,
+) -> Result<Planned, Failure> {
+    let shapes = Shapes::of(scene)?;
+    let simulation =
+        Simulation::new(scene, loaded.map(volume_source::ct_view)).map_err(Failure::bad_input)?;
     let (state, predrilled) = (*simulation.state(), simulation.gone());
     drop(simulation);
-    let facts = loaded.as_ref().map(|loaded| Facts::of(&scene, loaded, &shapes)).transpose()?;
-    let plan = plan(&scene, &shapes, facts.as_ref())?;
-    let volume = loaded.map(|(volume, sha256)| {
-        let grid = volume_source::message(&volume, sha256).grid().map_err(Failure::bad_input)?;
-        Ok::<_, Failure>(LogVolume { grid, hu: volume.hu, sha256 })
-    });
+    let facts = loaded.zip(surroundings).map(|(loaded, map)| Facts::of(scene, loaded, map, &shapes));
+    let facts = facts.transpose()?;
+    let plan = plan(scene, &shapes, facts.as_ref())?;
     Ok(Planned {
-        path: file.to_owned(),
-        tool: tool_shape(&scene),
+        tool: tool_shape(scene),
         state,
-        volume: volume.transpose()?,
         predrilled,
         plan,
         findings: facts.map(|facts| facts.findings).unwrap_or_default(),
-        scene,
+        scene: scene.clone(),
     })
 }
 
-/// The figures of `scene show`, the tool at the end of the path, and the C-arm's source and detector.
+/// The figures of `scene show`, the tool at the end of the path, the C-arm's source and detector, and the places as a scene's file has them.
 fn plan(scene: &Scene, shapes: &Shapes, facts: Option<&Facts>) -> Result<Value, Failure> {
     let end = &shapes.at_end;
     let line_m: Vec<[f64; 3]> = end.tube.line_mm.iter().map(|point| (point * 1e-3).into()).collect();
@@ -58,8 +212,16 @@ fn plan(scene: &Scene, shapes: &Shapes, facts: Option<&Facts>) -> Result<Value, 
         let corners = corners.map(|(column, row)| c_arm.pixel_m(column, row));
         json!({"source_m": c_arm.source_m, "detector_m": corners})
     });
+    let drilling = scene.controller.iter().find_map(|controller| controller.curved_drilling.as_ref());
     Ok(json!({
         "facts": facts.map(|facts| facts.json(shapes)),
+        "profile": facts.map(|facts| facts.profile.iter().map(|sample| json!([sample.along_mm, sample.hu])).collect::<Vec<_>>()),
+        "bone_threshold_hu": scene.volume.as_ref().map(|volume| volume.bone_threshold_hu),
+        "places": {
+            "burr_start_mm": scene.tool.burr_start_mm,
+            "target_mm": drilling.map(|drilling| drilling.target_mm.unwrap_or_else(|| shapes.target_mm().into())),
+            "isocentre_mm": scene.drr.as_ref().map(|drr| drr.isocentre_mm),
+        },
         "tool_end": shapes.is_planned.then(|| json!({
             "line_m": line_m, "radius_m": 1e-3 * end.tube.radius_mm, "burr_radius_m": 1e-3 * end.burr.radius_mm,
         })),

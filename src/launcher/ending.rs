@@ -27,7 +27,7 @@ const FAILED_LIMIT: Duration = Duration::from_secs(10);
 const HURRIED_LIMIT: Duration = Duration::from_secs(1);
 /// How long a controller that ignores the end of the run may continue before it is asked to end.
 const CONTROLLER_END_TIME: Duration = Duration::from_secs(3);
-/// How long the viewer may take to tell its clients that the run has ended.
+/// How long the viewer may take to tell its clients that the run has ended; when nobody watches it ends at once.
 const VIEWER_LIMIT: Duration = Duration::from_secs(3);
 
 /// A run that is ending.
@@ -169,15 +169,21 @@ impl Ending<'_> {
         }
     }
 
-    /// Ends the viewer. It is not a part of the run, but it ends with it.
-    pub(super) fn end_viewer(&self, viewer: &mut Part) {
+    /// Lets the viewer come to its end, or kills it. After a regular run that was recorded it shows the log as long as a page is open, and is
+    /// returned.
+    pub(super) fn end_viewer(&self, mut viewer: Part, outcome: &Outcome) -> Option<Part> {
+        let may_stay = self.plan.output.is_some() && outcome.is_regular();
         let mut wait = self.wait();
         while viewer.ended().is_none() {
             if wait.is_over(VIEWER_LIMIT, HURRIED_LIMIT / 2) {
+                if may_stay && !self.end.is_set() {
+                    return Some(viewer);
+                }
                 viewer.kill();
             }
             std::thread::sleep(POLL_PERIOD);
         }
+        None
     }
 
     fn tell_killed(&self, part: &Part) {

@@ -23,6 +23,8 @@ enum Stage {
     Running,
     /// The logs are complete; the report is being written.
     Reporting,
+    /// All is written; the viewer still shows the log. The exit code that the run has earned.
+    Shown(u8),
 }
 
 /// Handles the signals of a run.
@@ -69,13 +71,18 @@ impl Interrupts {
     pub fn run_begins(&self) -> Vec<PathBuf> {
         match std::mem::replace(&mut *lock(&self.stage), Stage::Running) {
             Stage::Before(folders) => folders,
-            Stage::Running | Stage::Reporting => Vec::new(),
+            Stage::Running | Stage::Reporting | Stage::Shown(_) => Vec::new(),
         }
     }
 
     /// Marks the logs as finished and all parts as ended.
     pub fn report_begins(&self) {
         *lock(&self.stage) = Stage::Reporting;
+    }
+
+    /// Marks everything as written, with the exit code that a signal now leaves.
+    pub fn showing_begins(&self, code: u8) {
+        *lock(&self.stage) = Stage::Shown(code);
     }
 }
 
@@ -104,6 +111,7 @@ fn answer(stage: &Stage, signal: EndSignal) {
             tell!("trabecula: {name}: the logs are whole, pictures and summary.json may be missing");
             printer::leave(EXIT_INTERRUPTED);
         }
+        (Stage::Shown(code), _) => printer::leave(*code),
         (Stage::Running, EndSignal::First(_)) => {
             tell!(
                 "trabecula: {name}: stopping the run and finishing its log; a second signal kills everything at once"

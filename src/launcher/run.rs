@@ -100,7 +100,7 @@ impl Outcome {
 }
 
 /// The result of a run.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct RunResult {
     /// How it ended.
     pub outcome: Outcome,
@@ -122,6 +122,8 @@ pub struct RunResult {
     pub memory: Vec<(String, Memory)>,
     /// Processor time of each process from its start to its end, by name.
     pub processor: Vec<(String, Duration)>,
+    /// The viewer, if it shows the log of the run now; it ends with the page.
+    pub viewer: Option<Part>,
 }
 
 impl RunResult {
@@ -221,7 +223,7 @@ pub fn run_with(
     let parts = start_parts(plan, &hub)?;
     let replacements = Replacements::new(&hub.host.session)?;
     // The viewer is not a part of the run: if it fails, the run continues.
-    let mut viewer = plan.view.map(|view| hub.start_viewer(view)).transpose()?;
+    let viewer = plan.view.map(|view| hub.start_viewer(view)).transpose()?;
     let begun = Instant::now();
     let mut running = Running { plan, end, hub: &hub, subscriptions, parts, replacements, first_tick: None };
     let outcome = running.watch(&mut show)?;
@@ -243,9 +245,7 @@ pub fn run_with(
         ("parts_end", over.elapsed()),
     ];
     let began_ns = now_ns().saturating_sub(began.elapsed().as_nanos() as u64);
-    if let Some(viewer) = &mut viewer {
-        ending.end_viewer(viewer);
-    }
+    let viewer = viewer.and_then(|viewer| ending.end_viewer(viewer, &outcome));
     subscriptions.poll()?;
     if !end.is_set() {
         show(&subscriptions.snapshot(hub.folder(), &[], &[]));
@@ -270,6 +270,7 @@ pub fn run_with(
         phases,
         memory,
         processor,
+        viewer,
     })
 }
 

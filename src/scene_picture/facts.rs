@@ -57,11 +57,16 @@ pub struct Facts {
 }
 
 impl Facts {
-    /// Measures a scene.
+    /// Measures a scene; `surroundings` are those of its volume, which many measurements share.
     ///
     /// # Errors
     /// Bad input: the simulation refuses the scene.
-    pub fn of(scene: &Scene, loaded: &(Volume, [u8; 32]), shapes: &Shapes) -> Result<Facts, Failure> {
+    pub fn of(
+        scene: &Scene,
+        loaded: &(Volume, [u8; 32]),
+        surroundings: &Surroundings<'_>,
+        shapes: &Shapes,
+    ) -> Result<Facts, Failure> {
         let volume = &loaded.0;
         let threshold_hu = scene.volume.as_ref().map_or(0, |volume| volume.bone_threshold_hu);
         let is_bone = |sample: &Sample| sample.hu.is_some_and(|hu| hu >= f64::from(threshold_hu));
@@ -74,7 +79,6 @@ impl Facts {
         let (start, target) = (nearest(&shapes.start_mm), nearest(&shapes.target_mm()));
         let entry = profile.iter().find(|sample| is_bone(sample)).copied();
         let in_bone = profile.iter().filter(|sample| is_bone(sample)).count();
-        let surroundings = Surroundings::of(volume, threshold_hu);
         let found = findings(scene, Some(ct_view(loaded)), &is_program).map_err(Failure::bad_input)?;
         let word = |verdict| if verdict == Verdict::Impossible { "refused" } else { "warning" };
         Ok(Facts {

@@ -248,6 +248,39 @@ def says_that_the_hub_died(page: Page, victim: int) -> None:
     assert any(word in said for word in ("ended", "gone", "died", "not connected")), said
 
 
+# Notes every word of the phase, and every banner, from now on.
+WATCH = """window.seen = [];
+    new MutationObserver(() => {
+      const banner = document.getElementById("banner");
+      const now = document.getElementById("phase").textContent + (banner.hidden ? "" : ` | ${banner.className}: ${banner.textContent}`);
+      if (window.seen.at(-1) !== now) window.seen.push(now);
+    }).observe(document.body, { subtree: true, childList: true, characterData: true, attributes: true });"""
+
+
+def check_end(browser: Browser, url: str, pictures: Path) -> None:
+    """A run that ends stays on the page, which becomes the time line of its log; nothing turns red meanwhile."""
+    page = Page(browser, url)
+    connects(page)
+    page.until("its plots", lambda: page.number("tick") > 300)
+    page.page.evaluate(WATCH)
+    page.page.click("button[data-action=stop]")
+    page.page.click("#confirm button[value=yes]")
+    page.until("the log's time line", lambda: page.page.locator("#time-line").is_visible() and " of " in page.text("playback-time"))
+    page.until("it stands at a time of the log", lambda: page.text("phase") == "Paused" and not page.page.locator("#banner").is_visible())
+    page.until("its plots are the log's", lambda: page.page.evaluate("trabecula.plots.samples({ topic: '/state', field: 'bend_rad' })?.at(0.1) !== undefined"))
+    seen = page.page.evaluate("window.seen")
+    assert any(one.startswith("Ended") for one in seen), seen
+    wrong = [one for one in seen if "Not connected" in one or "Trying again" in one or "| error" in one]
+    assert not wrong, wrong
+    assert "the run has ended" not in page.text("notices") or "error" not in page.page.inner_html("#notices"), page.text("notices")
+    page.page.click("#play")
+    page.until("it plays", lambda: page.text("phase") == "Playing" and page.number("time") > 0.1)
+    page.save(pictures / "ended.png")
+    page.clean()
+    page.page.close()
+    print("ok check_end", flush=True)
+
+
 def check(browser: Browser, url: str, victim: int, pictures: Path) -> None:
     """All checks on one page, in turn."""
     page = Page(browser, url)

@@ -48,6 +48,7 @@ mod openigtlink;
 mod orphans;
 mod outputs;
 mod plan;
+mod plan_pages;
 mod plans;
 mod programs;
 mod promise;

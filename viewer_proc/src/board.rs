@@ -1,6 +1,6 @@
 //! The board between the sources and the clients' connections. No source ever blocks here: it hands its message over and continues.
 
-use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use hub::viewer::{self, Kept, Limits, Outgoing, Published, Wanted};
@@ -19,6 +19,9 @@ use crate::protocol::Subscription;
 const NOTICES_KEPT: u32 = 64;
 /// Late ticks kept for them, with their causes.
 const MISSES_KEPT: u32 = 1024;
+
+/// Why connections close where something else is shown next; the page knows it by these words.
+pub const GOES_ON: &str = "the viewer goes on";
 
 /// One client's side of the board.
 #[derive(Debug)]
@@ -66,6 +69,8 @@ pub struct Board {
     misses: Mutex<Misses>,
     /// Number of the next miss that is told.
     misses_told: AtomicU32,
+    /// Whether something else is shown at the same address afterwards.
+    goes_on: AtomicBool,
 }
 
 impl Board {
@@ -80,6 +85,7 @@ impl Board {
             notices: AtomicU32::new(0),
             misses: Mutex::default(),
             misses_told: AtomicU32::new(0),
+            goes_on: AtomicBool::new(false),
         }
     }
 
@@ -171,6 +177,16 @@ impl Board {
                 client.bell.notify_one();
             }
         }
+    }
+
+    /// Says that something else will be shown at the same address: clients should come again.
+    pub fn go_on(&self) {
+        self.goes_on.store(true, Ordering::Relaxed);
+    }
+
+    /// Why connections close at the end.
+    pub fn farewell(&self) -> &'static str {
+        if self.goes_on.load(Ordering::Relaxed) { GOES_ON } else { "the viewer has ended" }
     }
 
     /// Adds a client.

@@ -23,7 +23,7 @@
 //! |---|---|
 //! | [`live`] | a running session: messages, run control, driving |
 //! | [`log`] | logs on a time line |
-//! | [`plan`] | a scene before its run |
+//! | [`plan`] | a scene before its run: shown, changed, saved, started |
 //! | [`surface`] | the bone's surface, block by block |
 //! | [`mod@slice`] | planes through the CT, on request |
 //! | [`server`], [`protocol`], [`services`] | HTTP, WebSocket, the requests of clients |

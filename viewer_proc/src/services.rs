@@ -10,11 +10,13 @@ use crate::log::series::SeriesRequest;
 use crate::slice::Slice;
 
 /// Service names; their numbers start at 1 in this order.
-pub const SERVICES: [&str; 6] = ["/control", "/drive", "/frame", "/playback", "/series", "/slice"];
+pub const SERVICES: [&str; 7] = ["/control", "/drive", "/frame", "/playback", "/series", "/slice", "/plan"];
 /// Number of `/series`.
 const SERIES: u32 = 5;
 /// Number of `/slice`.
 pub const SLICE: u32 = 6;
+/// Number of `/plan`.
+const PLAN: u32 = 7;
 
 /// Actions of `/control`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -134,6 +136,41 @@ pub enum PlaybackAction {
     Previous,
 }
 
+/// Places of a plan in the patient frame, mm. What is left out stays.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Places {
+    /// Centre of the burr before the first tick; the pilot hole that leads there moves with it.
+    pub burr_start_mm: Option<[f64; 3]>,
+    /// Centre of the burr at the end of the path.
+    pub target_mm: Option<[f64; 3]>,
+    /// Isocentre of the C-arm.
+    pub isocentre_mm: Option<[f64; 3]>,
+}
+
+/// A `/plan` request, to a scene before its run.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(tag = "action", rename_all = "lowercase")]
+pub enum PlanRequest {
+    /// Moves places; all are told what follows.
+    Move {
+        /// The new places.
+        places: Places,
+    },
+    /// Takes everything back that was moved.
+    Restore,
+    /// Writes the scene beside the one that was opened.
+    Save {
+        /// File name, without a folder.
+        name: String,
+        /// Whether a file of that name may be replaced.
+        #[serde(default)]
+        replace: bool,
+    },
+    /// Runs the scene as it was saved last.
+    Run,
+}
+
 /// A request whose form and token have been checked.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Request {
@@ -149,6 +186,8 @@ pub enum Request {
     Series(SeriesRequest),
     /// Show a slice of the CT.
     Slice(Slice),
+    /// Change, save or run a scene.
+    Plan(PlanRequest),
 }
 
 /// Answer to a request that was executed.
@@ -221,6 +260,7 @@ pub fn read_request(service: u32, payload: &[u8], token: &str) -> Result<Request
         4 => Request::Playback(serde_json::from_value(value).map_err(malformed)?),
         SERIES => Request::Series(serde_json::from_value(value).map_err(malformed)?),
         SLICE => Request::Slice(serde_json::from_value(value).map_err(malformed)?),
+        PLAN => Request::Plan(serde_json::from_value(value).map_err(malformed)?),
         other => return Err(format!("there is no service {other}")),
     };
     Ok(request)
@@ -263,6 +303,25 @@ mod tests {
             assert!(request(wrong).is_err_and(|error| error.contains("token")), "{wrong}");
         }
         assert!(read_request(1, b"{\"action\":\"pause\"}", "c0ffee").is_err());
+    }
+
+    #[test]
+    fn a_plan_is_changed_only_with_the_token() {
+        let read = |body: &str| read_request(7, body.as_bytes(), "t");
+        let places = Places { target_mm: Some([1.0, 2.0, 3.5]), ..Places::default() };
+        let moved = r#"{"token":"t","action":"move","places":{"target_mm":[1,2,3.5]}}"#;
+        assert_eq!(read(moved), Ok(Request::Plan(PlanRequest::Move { places })));
+        let save = PlanRequest::Save { name: "a.toml".to_owned(), replace: false };
+        assert_eq!(read(r#"{"token":"t","action":"save","name":"a.toml"}"#), Ok(Request::Plan(save)));
+        for (body, said) in [
+            (moved.replace("\"t\"", "\"x\""), "token"),
+            (moved.replace("target_mm", "target_m"), "target_m"),
+            (moved.replace("[1,2,3.5]", "[1,2]"), "length"),
+            (r#"{"token":"t","action":"delete"}"#.to_owned(), "delete"),
+        ] {
+            let error = read(&body).unwrap_err();
+            assert!(error.contains(said), "{body}: {error}");
+        }
     }
 
     #[test]

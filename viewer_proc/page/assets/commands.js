@@ -72,6 +72,16 @@ export function commands(page) {
     const runs = page.film.toggle(view.canvas, fileName(model.info?.scene?.name ?? "", "view", "webm"));
     element("film").textContent = runs ? "End the film" : "Film (WebM)";
   };
+  const isPlan = () => model.info?.kind === "plan";
+  const savePlan = () => {
+    const dialog = element("plan-dialog");
+    const name = element("plan-name");
+    if (!name.value) name.value = `${(model.info?.path ?? "scene").split("/").at(-1).replace(/\.toml$/, "")}_edited.toml`;
+    dialog.returnValue = "";
+    dialog.onclose = () => dialog.returnValue === "save" && page.planEdit.save(name.value, confirmed);
+    dialog.showModal();
+    name.select();
+  };
   const help = () => {
     page.actions.fillHelp(element("help-keys"));
     element("help").showModal();
@@ -101,6 +111,10 @@ export function commands(page) {
     { id: "pull", group: "Drive", keys: ["d"], text: "pull the tendon (hold)", ...held("tendonHeld", 1) },
     { id: "release", group: "Drive", keys: ["a"], text: "slacken the tendon (hold)", ...held("tendonHeld", -1) },
     { id: "burr", group: "Drive", keys: ["q"], text: "burr on, off", when: driving, run: () => drive.set({ burrOn: !drive.burrOn }) },
+
+    { id: "plan-save", group: "Plan", keys: [], text: "save the plan as a scene", when: isPlan, run: savePlan },
+    { id: "plan-restore", group: "Plan", keys: [], text: "take back all that was moved", when: isPlan, run: () => page.planEdit.restore() },
+    { id: "plan-run", group: "Plan", keys: [], text: "run the scene", when: isPlan, run: () => page.planEdit.run() },
 
     { id: "primary-up", group: "C-arm", keys: ["l"], text: "turn to the patient's left", when: isLive, run: () => turnCArm("c-arm-primary", 1) },
     { id: "primary-down", group: "C-arm", keys: ["j"], text: "turn to the right", when: isLive, run: () => turnCArm("c-arm-primary", -1) },

@@ -6,6 +6,9 @@ const TIME = 2;
 const SERVICE_RESPONSE = 3;
 const SERVICE_REQUEST = 2;
 const RETRY_MS = 1500;
+/** What the viewer says where the same address shows something else next, and how soon to come again. */
+export const GOES_ON = "the viewer goes on";
+const GOES_ON_MS = 50;
 
 /**
  * @typedef {{id: number, topic: string, encoding: string, schemaName: string, schema: string}} Channel
@@ -81,7 +84,7 @@ export class Connection extends EventTarget {
     this.socket.addEventListener("close", (event) => {
       this.#forget();
       this.dispatchEvent(new CustomEvent("close", { detail: event.reason }));
-      setTimeout(() => this.open(), RETRY_MS);
+      setTimeout(() => this.open(), event.reason === GOES_ON ? GOES_ON_MS : RETRY_MS);
     });
   }
 

@@ -20,7 +20,7 @@ export function distanceFrom(point, line) {
 }
 
 /** Patient coordinates as read aloud: how far to the left, posterior and to the head. @param {Vector} point metres */
-export const placeText = (point) => point.map((x) => (x * 1e3).toFixed(1)).join(", ");
+export const placeText = (point) => point.map((x) => (x * 1e3).toFixed(1).replace(/^-(0\.0)$/, "$1")).join(", ");
 
 function set(id, text) {
   const place = element(id);

@@ -1,7 +1,7 @@
 // The page: connects, hands messages to the model, and draws when something changed.
 
 import { Actions } from "/assets/actions.js";
-import { Connection, json } from "/assets/connection.js";
+import { Connection, GOES_ON, json } from "/assets/connection.js";
 import { Cursor } from "/assets/cursor.js";
 import { Drive } from "/assets/drive.js";
 import { connectDrivePanel, showDrive } from "/assets/drive_panel.js";
@@ -12,12 +12,15 @@ import { Model } from "/assets/model.js";
 import { Notices } from "/assets/notices.js";
 import { drawGizmo, fillLegend, showScaleBar } from "/assets/overlays.js";
 import { Rate, showFrame, showRun, showStream, showTicks, silence } from "/assets/panels.js";
+import { PlanEdit } from "/assets/plan_edit.js";
 import { showPlan } from "/assets/plan_view.js";
+import { drawProfile } from "/assets/profile.js";
 import { Film } from "/assets/figure.js";
 import { PanelLayout } from "/assets/panel_layout.js";
 import { PlotsPanel, STEP_TIME } from "/assets/plots_panel.js";
 import { SceneView } from "/assets/scene_view.js";
 import { SceneOverlay } from "/assets/scene_overlay.js";
+import { fillSigns } from "/assets/signs.js";
 import { sliceCommands } from "/assets/slice_commands.js";
 import { Slices } from "/assets/slices.js";
 import { endParts, showComparison, showParts } from "/assets/tables.js";
@@ -30,6 +33,7 @@ import { XRayOverlay } from "/assets/x_ray_overlay.js";
 
 /** Readouts change this often, so that they can be read. */
 const TEXT_MS = 100;
+const READ_ONLY = "Read only: to control the run, open the page by the address that the program printed (it ends in #token=…).";
 
 /** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
@@ -38,7 +42,7 @@ const token = new URLSearchParams(location.hash.slice(1)).get("token") ?? undefi
 const notices = new Notices(element("notices"), element("banner"));
 const model = new Model();
 const connection = new Connection(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws${token ? `?token=${token}` : ""}`, token);
-const dirty = { scene: true, slices: true, xRay: false, plots: true };
+const dirty = { scene: true, slices: true, xRay: false, plots: true, profile: false };
 const page = { model, connection, notices, work: new Work(), asked: 0 };
 connection.took = (milliseconds) => page.work.message(milliseconds);
 let scheduled = false;
@@ -49,7 +53,7 @@ let said;
 /** Asks for a new picture of one part, or of all. @param {"scene" | "slices" | "xRay" | "plots"} [what] */
 function changed(what) {
   if (what) dirty[what] = true;
-  else Object.assign(dirty, { scene: true, slices: true, xRay: true, plots: true });
+  else Object.assign(dirty, { scene: true, slices: true, xRay: true, plots: true, profile: true });
   if (scheduled || !page.theme) return;
   scheduled = true;
   requestAnimationFrame(draw);
@@ -59,9 +63,8 @@ page.changed = changed;
 /** Calls a service and says why it was refused. */
 page.call = async (service, request) => {
   if (!token) {
-    const text = "Read only: to control the run, open the page by the address that the program printed (it ends in #token=…).";
-    notices.add("warning", text);
-    return { ok: false, error: text };
+    notices.add("warning", READ_ONLY);
+    return { ok: false, error: READ_ONLY };
   }
   const answer = await connection.call(service, request);
   if (!answer.ok) notices.add("error", `${service}: ${answer.error ?? "refused"}`);
@@ -73,8 +76,10 @@ page.xRay.listen();
 page.cursor = new Cursor(() => changed());
 page.measures = new Measures(() => (showMeasures(), changed()));
 page.xRayOverlay = new XRayOverlay(element("x-ray-overlay"), page.xRay, model, page.cursor, page.measures);
+page.planEdit = new PlanEdit((request) => (token ? connection.call("/plan", request) : Promise.resolve({ ok: false, error: READ_ONLY })), () => (changed("scene"), changed("slices")), page.cursor);
 // Whoever may watch may see slices: they need no control token.
 page.slices = new Slices(model, page.cursor, page.measures, (request) => connection.call("/slice", request), () => changed("slices"));
+page.slices.edit = page.planEdit;
 page.plots = new PlotsPanel(element("plots-grid"), model, {
   changed: () => changed("plots"),
   ask: (request) => connection.call("/series", request),
@@ -96,7 +101,8 @@ connectDrivePanel(page.drive);
 try {
   page.view = new SceneView(element("scene-canvas"), () => changed("scene"));
   Object.assign(page.view, { cursor: page.cursor, measures: page.measures });
-  page.sceneOverlay = new SceneOverlay(element("scene-overlay"), page.view, page.measures);
+  page.sceneOverlay = new SceneOverlay(element("scene-overlay"), page.view, page.measures, page.planEdit);
+  page.planEdit.listenToView(page.view, (point) => page.sceneOverlay.pixelOf(point));
   listenToClicks(element("scene-canvas"));
   const lost = "The browser has lost its 3D picture: load the page again.";
   element("scene-canvas").addEventListener("webglcontextlost", () => notices.show("webgl", lost));
@@ -104,6 +110,7 @@ try {
   notices.show("webgl", `No 3D view: ${error instanceof Error ? error.message : error}. The X-ray, plots and controls work without it.`);
 }
 page.theme = new Theme(() => changed());
+fillSigns();
 page.actions = new Actions([...commands(page), ...sliceCommands(page)]);
 page.actions.listen();
 /** The speed of the list, as run control takes it: a run in real time has its own speed without steps. */
@@ -153,7 +160,9 @@ function takeInfo(data) {
   }
   takeLegend(document.body.classList.contains("compare"));
   page.slices.takeInfo();
+  page.planEdit.takeInfo(info);
   showPlan(info);
+  dirty.profile = true;
   showDriveNow();
   changed();
 }
@@ -214,6 +223,7 @@ function takeLegend(second) {
 function takeNotice({ level, text }) {
   said = text;
   notices.add(level, text);
+  if (text === "the run has ended") endParts();
   if (level === "error") notices.show("notice", text);
 }
 
@@ -261,6 +271,13 @@ connection.addEventListener("open", () => {
   changed();
 });
 connection.addEventListener("close", (/** @type {CustomEvent} */ { detail }) => {
+  // The same address shows the next thing in a moment: the run of a plan, or the log of a run.
+  if (detail === GOES_ON) {
+    connected = false;
+    model.hasEnded = model.info?.kind === "live";
+    notices.show("connection", model.hasEnded ? "The run has ended. Its log is being opened…" : "The run begins…", "info");
+    return showTexts();
+  }
   // At its end a run closes the connection: nothing is wrong, and what is shown stays.
   model.hasEnded ||= model.info?.kind === "live" && (model.statusPhase === "ended" || said === "the run has ended");
   if (model.hasEnded) endParts();
@@ -291,7 +308,8 @@ function draw() {
     drawTimingStrip(element("timing-canvas"), page.plots.samples(STEP_TIME), page.plots.misses(), page.plots.times(), model.periodNs, colours);
     if (model.info?.kind === "log") page.timeLine.draw(colours);
   }
-  Object.assign(dirty, { scene: false, slices: false, xRay: false, plots: false });
+  if (dirty.profile && model.info?.plan?.profile) drawProfile(element("plan-profile"), model.info.plan, colours);
+  Object.assign(dirty, { scene: false, slices: false, xRay: false, plots: false, profile: false });
   if (waits) changed("scene");
   if (!idle) page.work.picture(performance.now() - began);
 }

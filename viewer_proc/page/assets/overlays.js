@@ -1,5 +1,6 @@
 // What lies over the 3D picture: the patient's axes, a scale bar, the legend.
 
+import { prepare } from "/assets/plot.js";
 import { ARROW_M_PER_N, COLOURS } from "/assets/tool_model.js";
 
 /** Directions of the patient frame: letter, colour property, axis. @type {[string, string, import("/assets/vector.js").Vector][]} */
@@ -7,9 +8,10 @@ const AXES = [["L", "--cause-host", [1, 0, 0]], ["P", "--series-3", [0, 1, 0]], 
 
 /** Small axes that turn with the camera; L left, P posterior, H head. @param {HTMLCanvasElement} canvas @param {number[]} view matrix */
 export function drawGizmo(canvas, view, colours) {
-  const context = canvas.getContext("2d");
-  const middle = canvas.width / 2;
-  context.clearRect(0, 0, canvas.width, canvas.height);
+  const { context, width } = prepare(canvas);
+  const middle = 48;
+  // Drawn for 96 pixels.
+  context.scale(width / (2 * middle), width / (2 * middle));
   context.font = "bold 12px system-ui, sans-serif";
   context.textAlign = "center";
   context.textBaseline = "middle";

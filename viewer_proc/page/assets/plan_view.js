@@ -1,5 +1,6 @@
 // A scene before its run: the tool at the end of its path, pilot holes, the C-arm's rays, and what was measured.
 
+import { placeText } from "/assets/guidance.js";
 import { length, scale, subtract } from "/assets/vector.js";
 
 /** @typedef {import("/assets/vector.js").Vector} Vector */
@@ -63,7 +64,7 @@ export function showPlan(info) {
   const rows = [];
   const row = (name, text) => rows.push([name, text]);
   const millimetres = (value) => (value == null ? "–" : `${value.toFixed(1)} mm`);
-  const place = (sample) => (sample ? `${sample.place_mm.map((x) => x.toFixed(1)).join(", ")} mm, ${sample.hu == null ? "outside of the CT" : `${sample.hu.toFixed(0)} HU`}` : "the path meets no bone");
+  const place = (sample) => (sample ? `${placeText(scale(sample.place_mm, 1e-3))} mm, ${sample.hu == null ? "outside of the CT" : `${sample.hu.toFixed(0)} HU`}` : "the path meets no bone");
   if (facts) {
     row("entry", place(facts.entry));
     row("burr at the start", place(facts.burr_start));
@@ -83,7 +84,9 @@ export function showPlan(info) {
     line.appendChild(document.createElement("td")).textContent = text;
     return line;
   }));
-  const count = facts?.findings.length ?? 0;
-  element("plan-facts").textContent = count === 0 ? "no warning" : `${count} ${count === 1 ? "warning" : "warnings"}: see Messages`;
+  const findings = facts?.findings ?? [];
+  element("plan-facts").textContent = findings.length === 0 ? "no warning" : `${findings.length} ${findings.length === 1 ? "warning" : "warnings"}`;
+  element("plan-findings").replaceChildren(...findings.map((text) => Object.assign(document.createElement("li"), { textContent: text })));
+  element("plan-profile").hidden = !info?.plan?.profile;
 }
 

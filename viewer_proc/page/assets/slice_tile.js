@@ -2,6 +2,8 @@
 
 import { distanceText } from "/assets/measure.js";
 import { cutBall, cutCylinder, normal, place, pointAt } from "/assets/slice_geometry.js";
+import { textScale } from "/assets/plot.js";
+import { drawHandles } from "/assets/plan_edit.js";
 import { COLOURS } from "/assets/tool_model.js";
 import { add, dot, scale, subtract, transform } from "/assets/vector.js";
 
@@ -158,16 +160,26 @@ export class SliceTile {
   }
 
   /** The place under a pointer. @param {{offsetX: number, offsetY: number}} event @param {number} field @returns {Vector} */
-  pointOf(event, field) {
+  pointOf(event, field, behind = 0) {
     const { right, down } = this.view;
     const { clientWidth: width, clientHeight: height } = this.canvas;
     const perPixel = field / (width || 1);
-    return pointAt({ centre: this.centre ?? [0, 0, 0], right, down }, [(event.offsetX - width / 2) * perPixel, (event.offsetY - height / 2) * perPixel]);
+    const plane = { centre: this.centre ?? [0, 0, 0], right, down };
+    const point = pointAt(plane, [(event.offsetX - width / 2) * perPixel, (event.offsetY - height / 2) * perPixel]);
+    return behind ? add(point, scale(normal(plane), behind)) : point;
+  }
+
+  /** Where a place is seen, pixels of the page. @param {Vector} point @param {number} field */
+  pixelOf(point, field) {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const [right, down] = place({ centre: this.centre ?? [0, 0, 0], ...this.view }, point);
+    return [width / 2 + (right * width) / field, height / 2 + (down * width) / field];
   }
 
   /**
    * @param {Plane} plane @param {number} field
-   * @param {{poses?: import("/assets/tool_model.js").Poses, tool?: any, path: Vector[], target?: Vector, cursor?: Vector, measures: import("/assets/measure.js").Measures}} scene
+   * @param {{poses?: import("/assets/tool_model.js").Poses, tool?: any, path: Vector[], target?: Vector, cursor?: Vector,
+   *   measures: import("/assets/measure.js").Measures, handles: import("/assets/plan_edit.js").Handle[]}} scene
    */
   draw(plane, field, scene) {
     const { ratio } = this;
@@ -183,12 +195,15 @@ export class SliceTile {
       return [width / 2 + right * scaleBy, height / 2 + down * scaleBy, behind];
     };
     this.#drawPicture(context, at, scaleBy);
-    const paint = { context, at, ratio, scaleBy, width, height, plane };
+    // Letters and lines grow with the page's text.
+    const mark = ratio * textScale();
+    const paint = { context, at, ratio: mark, scaleBy, width, height, plane };
     if (scene.poses && scene.tool) this.#drawTool(paint, scene.poses, scene.tool);
     this.#drawPath(paint, scene.path);
     if (scene.target) this.#drawTarget(paint, scene.target);
     this.#drawMeasures(paint, scene.measures);
     if (scene.cursor) this.#drawCross(paint, scene.cursor);
+    drawHandles(context, scene.handles, at, mark);
     this.#drawLetters(paint);
   }
 
@@ -294,7 +309,7 @@ export class SliceTile {
   }
 
   #drawLetters({ context, ratio, width, height, scaleBy }) {
-    const [left, right, upper, lower] = this.view.letters ?? ["", "feed", "bend", ""];
+    const [left, right, upper, lower] = this.view.letters ?? ["", "feed", "", ""];
     context.font = `600 ${12 * ratio}px system-ui, sans-serif`;
     context.textBaseline = "middle";
     const letter = (text, x, y, align) => {
@@ -305,6 +320,7 @@ export class SliceTile {
     letter(right, width - 6 * ratio, height / 2, "right");
     letter(upper, width / 2, 10 * ratio, "center");
     letter(lower, width / 2, height - 10 * ratio, "center");
+    if (!this.view.letters) letter("bend ↑", width - 6 * ratio, 12 * ratio, "right");
     const bar = 0.01 * scaleBy;
     context.fillStyle = "#fff";
     context.fillRect(width - 8 * ratio - bar, height - 8 * ratio, bar, 2 * ratio);

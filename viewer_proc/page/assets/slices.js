@@ -38,6 +38,8 @@ export class Slices {
     this.changed = changed;
     /** @type {SliceTile[]} */
     this.tiles = [];
+    /** Places of a plan that can be moved. @type {import("/assets/plan_edit.js").PlanEdit | undefined} */
+    this.edit = undefined;
     this.on = true;
     this.field = 0.08;
     this.window = { ...HU_WINDOWS.bone };
@@ -66,6 +68,10 @@ export class Slices {
       element("slice-tiles").replaceChildren();
       this.tiles = (slices?.planes ?? []).map((view) => this.#listen(new SliceTile(element("slice-tiles"), view, slices)));
     }
+    // A pilot hole that has moved is another picture of the same plane.
+    const holes = JSON.stringify(this.model.info?.scene?.predrill ?? []);
+    if (holes !== this.holes) this.tiles.forEach((tile) => (tile.key = ""));
+    this.holes = holes;
     this.refused = "";
     this.show();
   }
@@ -134,7 +140,7 @@ export class Slices {
     if (key === this.key) return;
     this.key = key;
     this.pictures += 1;
-    const scene = { poses, tool: info?.tool, path: info?.scene?.planned_path_m ?? [], target: info?.scene?.target_m, cursor: cursor.point, measures: this.measures };
+    const scene = { poses, tool: info?.tool, path: info?.scene?.planned_path_m ?? [], target: info?.scene?.target_m, cursor: cursor.point, measures: this.measures, handles: this.edit?.handles ?? [] };
     planes.forEach((plane, i) => this.tiles[i].draw(plane, this.field, scene));
     this.#facts(point);
   }
@@ -147,7 +153,7 @@ export class Slices {
     const tool = poses ? [poses.base, ...poses.links, poses.burr].map((pose) => place(pose.position)) : [];
     const tiles = this.tiles.map((tile, i) => [tile.version, ...tile.size, tile.ratio, place(planes[i].centre)]);
     const { low, width } = this.window;
-    return [this.made, this.refused, this.field, low, width, this.measures.version, this.cursor.follows, place(this.cursor.point), tool, tiles].join();
+    return [this.made, this.edit?.version, this.refused, this.field, low, width, this.measures.version, this.cursor.follows, place(this.cursor.point), tool, tiles].join();
   }
 
   /** Asks for a tile's picture if it has another one or none; one request of a tile is under way at a time. */
@@ -188,6 +194,7 @@ export class Slices {
   /** @param {SliceTile} tile */
   #listen(tile) {
     const { canvas } = tile;
+    this.edit?.listenToSlice(tile, () => this.field);
     let [pressed, travelled] = [-1, 0];
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
     canvas.addEventListener("pointerdown", (event) => {

@@ -5,11 +5,12 @@ const element = (id) => document.getElementById(id);
 
 function row(cells) {
   const line = document.createElement("tr");
-  for (const text of cells) {
+  cells.forEach((text, column) => {
     const cell = line.appendChild(document.createElement("td"));
-    // A field's name breaks between its words, not within them.
-    text.split(/(?<=[_.])/).forEach((part, i) => cell.append(...(i > 0 ? [document.createElement("wbr"), part] : [part])));
-  }
+    // A field's name breaks between its words, not within them; a number does not break.
+    const parts = column === 0 ? text.split(/(?<=[_.])/) : [text];
+    parts.forEach((part, i) => cell.append(...(i > 0 ? [document.createElement("wbr"), part] : [part])));
+  });
   return line;
 }
 

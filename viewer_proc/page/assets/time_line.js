@@ -1,6 +1,6 @@
 // The time line of a log: position, marks for events, misses, divergences and gaps, each with a letter.
 
-import { prepare } from "/assets/plot.js";
+import { prepare, textScale } from "/assets/plot.js";
 
 /** @type {Record<string, {letter: string, name: string, colour: string}>} */
 const MARKS = {
@@ -10,7 +10,7 @@ const MARKS = {
   divergence: { letter: "D", name: "divergence", colour: "--error" },
   gap: { letter: "G", name: "gap", colour: "--cause-fault" },
 };
-const LETTER_PX = 10;
+const SMALL_LETTER_PX = 10;
 /** How long after the last movement of the thumb it counts as held. */
 const DRAGGED_MS = 400;
 const STEPS = 10000;
@@ -71,7 +71,8 @@ export class TimeLine {
 
   #marks(begin, span, now, colours) {
     const { context, width, height } = prepare(element("marks"));
-    context.font = `bold ${LETTER_PX}px system-ui, sans-serif`;
+    const letterPx = SMALL_LETTER_PX * textScale();
+    context.font = `bold ${letterPx}px system-ui, sans-serif`;
     context.textAlign = "center";
     context.textBaseline = "top";
     const lastLetter = {};
@@ -81,9 +82,9 @@ export class TimeLine {
       const mark = MARKS[kind] ?? MARKS.event;
       const x = 8 + ((time_ns - begin) / span) * (width - 16);
       context.fillStyle = colours[mark.colour];
-      const top = mark.letter ? LETTER_PX + 1 : height - 4;
+      const top = mark.letter ? letterPx + 1 : height - 4;
       context.fillRect(x - 1, top, mark.letter ? 2 : 1, height - top);
-      if (!mark.letter || x - (lastLetter.x ?? -Infinity) < LETTER_PX) continue;
+      if (!mark.letter || x - (lastLetter.x ?? -Infinity) < letterPx) continue;
       context.fillText(mark.letter, x, 0);
       lastLetter.x = x;
     }

@@ -1,6 +1,6 @@
 // Ticks on a strip: how long the step took of its period, and the misses with their cause as colour and letter.
 
-import { prepare } from "/assets/plot.js";
+import { prepare, textScale } from "/assets/plot.js";
 
 /**
  * Causes of a miss by the letter that the server gives (`recorder_proc::misses`).
@@ -26,7 +26,8 @@ export const CAUSES = LIST;
 /** @param {string} letter @returns {{letter: string, name: string, colour: string}} unknown for any other letter */
 export const causeOf = (letter) => LIST.find((cause) => cause.letter === letter) ?? UNKNOWN;
 
-const LETTER_PX = 13;
+/** At the text size of a small screen. */
+const SMALL_LETTER_PX = 13;
 
 /**
  * @typedef {{time: number, letter: string, count: number}} Miss  seconds; `count` late ticks lie there
@@ -35,7 +36,8 @@ const LETTER_PX = 13;
  */
 export function drawTimingStrip(canvas, steps, misses, { from, to, now }, periodNs, colours) {
   const { context, width, height } = prepare(canvas);
-  const top = LETTER_PX + 2;
+  const letterPx = SMALL_LETTER_PX * textScale();
+  const top = letterPx + 2;
   const tall = height - top;
   const columns = Math.max(1, Math.floor(width));
   const toX = (time) => ((time - from) / (to - from)) * width;
@@ -50,7 +52,7 @@ export function drawTimingStrip(canvas, steps, misses, { from, to, now }, period
   context.setLineDash([3, 3]);
   context.strokeRect(-1, top + 0.5, width + 2, height);
   context.setLineDash([]);
-  context.font = `bold ${LETTER_PX - 1}px system-ui, sans-serif`;
+  context.font = `bold ${letterPx - 1}px system-ui, sans-serif`;
   context.textAlign = "center";
   context.textBaseline = "top";
   let lastLetter = -Infinity;
@@ -59,7 +61,7 @@ export function drawTimingStrip(canvas, steps, misses, { from, to, now }, period
     const x = toX(time);
     context.fillStyle = colours[causeOf(letter).colour];
     context.fillRect(x - 1, top, 3, tall);
-    if (x - lastLetter < LETTER_PX) continue;
+    if (x - lastLetter < letterPx) continue;
     context.fillText(letter, Math.max(6, Math.min(width - 6, x)), 0);
     lastLetter = x;
   }

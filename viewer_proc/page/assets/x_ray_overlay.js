@@ -1,6 +1,7 @@
 // What is drawn over the X-ray by the frame's own projection: plan, tool and tip as they were at the frame, cross-hair, distances.
 
 import { CLICK_PX } from "/assets/measure.js";
+import { textScale } from "/assets/plot.js";
 import { pixelsPerMetre, project, unproject } from "/assets/pick.js";
 import { drawMeasures } from "/assets/slice_tile.js";
 import { COLOURS } from "/assets/tool_model.js";
@@ -62,10 +63,11 @@ export class XRayOverlay {
     context.beginPath();
     context.rect(left, top, columns * scale, rows * scale);
     context.clip();
-    const paint = { context, at, ratio, scale, projection: frame.projection };
+    const mark = ratio * textScale();
+    const paint = { context, at, ratio: mark, scale, projection: frame.projection };
     this.#drawPlan(paint);
     this.#drawTool(paint, frame);
-    drawMeasures(context, this.measures, at, ratio);
+    drawMeasures(context, this.measures, at, mark);
     if (this.cursor.point && !this.cursor.follows) this.#drawCross(paint, this.cursor.point);
     context.restore();
   }

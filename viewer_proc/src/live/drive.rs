@@ -173,9 +173,11 @@ impl DriveThread {
                 Ok(())
             }
             Request::Frame(c_arm) => ask_frame(client, c_arm, self.drr.as_ref()),
-            Request::Control(_) | Request::Playback(_) | Request::Series(_) | Request::Slice(_) => {
-                Err("no request for the controller".to_owned())
-            }
+            Request::Control(_)
+            | Request::Playback(_)
+            | Request::Series(_)
+            | Request::Slice(_)
+            | Request::Plan(_) => Err("no request for the controller".to_owned()),
         }
     }
 }

@@ -3,11 +3,12 @@
 mod bone;
 mod control;
 mod drive;
+mod followed_log;
 mod frame_requests;
 mod parts;
 mod subscriptions;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
@@ -20,13 +21,14 @@ use crate::board::Board;
 use crate::channels::{Channels, INFO};
 use crate::error::ViewerError;
 use crate::info::{Origin, ToolShape, info};
-use crate::server::{Server, ServerOptions};
+use crate::server::{Door, Server};
 use crate::services::{Call, Calls, Request};
 use crate::slice::NO_VOLUME;
 use crate::surface::bone::volume_box;
 use bone::BoneThread;
 use control::Control;
 use drive::Driver;
+use followed_log::FollowedLog;
 use subscriptions::Subscriptions;
 
 /// Time between two polls of the queues, which hold half a second.
@@ -34,35 +36,30 @@ const POLL_PERIOD: Duration = Duration::from_millis(4);
 /// Most calls queued.
 pub(crate) const CALL_QUEUE: usize = 64;
 const ALIVE_LOOK: Duration = Duration::from_millis(200);
+/// How long a log may take to be finished: as long as the launcher gives the recorder.
+const LOG_LIMIT: Duration = Duration::from_secs(130);
 
-/// A session to watch.
-#[derive(Debug, Clone)]
-pub struct LiveOptions {
-    /// Folder of the session.
-    pub session: PathBuf,
-    /// Server options.
-    pub server: ServerOptions,
-}
-
-/// Watches a session until it ends or the process is asked to end. Calls `tool` for the tool's shape, and `ready` with the page's address.
+/// Watches the session in a folder until it ends or the process is asked to end. Calls `tool` for the tool's shape, and `ready` when pages can
+/// be opened. Returns the log of the run, whole, if the run came to its end, was recorded, and somebody is still watching.
 ///
 /// # Errors
-/// The session cannot be joined, or the port cannot be opened.
+/// The session cannot be joined.
 pub fn view(
-    options: &LiveOptions,
+    folder: &Path,
+    door: &Door,
     tool: impl FnOnce(&Scene) -> ToolShape,
-    ready: impl FnOnce(&Server),
+    ready: impl FnOnce(),
     end: &EndRequest,
-) -> Result<(), ViewerError> {
+) -> Result<Option<PathBuf>, ViewerError> {
     // The viewer must come to its end even if the host was killed while it made a segment.
-    let _sweeper = HalfMadeSweeper::after_host(&options.session);
-    let session = Session::join(&options.session)?;
-    let scene = session_scene(&options.session)?;
+    let _sweeper = HalfMadeSweeper::after_host(folder);
+    let session = Session::join(folder)?;
+    let scene = session_scene(folder)?;
     let board = Arc::new(Board::new(Channels::new(&scene.controller_names(), &scene.sensor)));
     let (calls, called) = mpsc::sync_channel(CALL_QUEUE);
     let over = Arc::new(AtomicBool::new(false));
-    let name = options.session.display().to_string();
-    let server = Server::bind(&options.server, &name, Arc::clone(&board), calls, Arc::clone(&over))?;
+    let name = folder.display().to_string();
+    let server = Server::behind(door, &name, Arc::clone(&board), calls, Arc::clone(&over))?;
     let tool = tool(&scene);
     let origin = Origin::Live(name);
     board.publish_json(INFO, &info(&scene, &origin, &tool, None));
@@ -70,7 +67,7 @@ pub fn view(
     let slices = if let Some(volume) = &scene.volume {
         let (slices, asked) = mpsc::sync_channel(CALL_QUEUE);
         let thread = BoneThread {
-            session: options.session.clone(),
+            session: folder.to_owned(),
             threshold_hu: volume.bone_threshold_hu,
             board: Arc::clone(&board),
             over: Arc::clone(&over),
@@ -85,16 +82,17 @@ pub fn view(
         None
     };
     let control = Control::open(&session)?;
-    let driver = Driver::start(&options.session, &scene, Arc::clone(&over), Arc::clone(&board));
-    ready(&server);
+    let driver = Driver::start(folder, &scene, Arc::clone(&over), Arc::clone(&board));
+    ready();
     let serving = std::thread::spawn(move || server.serve());
-    let mut live = Live { board, subscriptions, control, driver, slices, called, dt_ns: scene.dt_ns() };
-    let watched = live.watch(&session, end);
+    let log = FollowedLog::of(folder);
+    let mut live = Live { board, subscriptions, control, driver, slices, called, log, dt_ns: scene.dt_ns() };
+    let watched = live.watch(&session, end).map(|ended| live.whole_log(ended, end));
     // The last messages are still on their way to the clients.
     std::thread::sleep(Duration::from_millis(200));
     over.store(true, Ordering::Relaxed);
     let served = serving.join().unwrap_or(Ok(()));
-    watched.and(served)
+    served.and(watched)
 }
 
 struct Live {
@@ -105,11 +103,21 @@ struct Live {
     /// To the thread that reads the volume; none: the scene has no volume.
     slices: Option<mpsc::SyncSender<Call>>,
     called: Calls,
+    log: FollowedLog,
     dt_ns: u64,
 }
 
+/// How a session ended.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Ended {
+    /// The run came to its end.
+    Regularly,
+    /// Its host died, or the viewer was asked to end.
+    Otherwise,
+}
+
 impl Live {
-    fn watch(&mut self, session: &Session, end: &EndRequest) -> Result<(), ViewerError> {
+    fn watch(&mut self, session: &Session, end: &EndRequest) -> Result<Ended, ViewerError> {
         let mut alive_seen = Instant::now();
         loop {
             self.subscriptions.poll(&self.board)?;
@@ -122,22 +130,46 @@ impl Live {
             }
             // A killed host leaves its announcement behind; the physics then ends too, and reports it.
             if self.subscriptions.run_has_ended() && (session.host_is_alive() || !session.is_announced()) {
+                self.log.look();
                 self.board.notice("info", "the run has ended");
-                return Ok(());
+                return Ok(Ended::Regularly);
             }
             if end.is_set() {
                 self.board.notice("info", "the viewer has been ended");
-                return Ok(());
+                return Ok(Ended::Otherwise);
             }
             if alive_seen.elapsed() > ALIVE_LOOK || self.subscriptions.run_has_ended() {
                 alive_seen = Instant::now();
+                self.log.look();
                 if !session.host_is_alive() {
                     self.board.notice("error", "the hub has died: its launcher is gone, and the run with it");
-                    return Ok(());
+                    return Ok(Ended::Otherwise);
                 }
             }
             std::thread::sleep(POLL_PERIOD);
         }
+    }
+
+    /// Waits for the log of a run that has ended, as long as somebody watches.
+    fn whole_log(&mut self, ended: Ended, end: &EndRequest) -> Option<PathBuf> {
+        let began = Instant::now();
+        while ended == Ended::Regularly && !end.is_set() && began.elapsed() < LOG_LIMIT {
+            if self.board.client_count() == 0 || !self.log.is_known() {
+                return None;
+            }
+            if let Some(log) = self.log.whole() {
+                self.board.go_on();
+                return Some(log);
+            }
+            while let Ok(call) = self.called.try_recv() {
+                match call.request {
+                    Request::Slice(_) => self.slice(call),
+                    _ => call.refuse("the run has ended; its log is being finished"),
+                }
+            }
+            std::thread::sleep(ALIVE_LOOK / 4);
+        }
+        None
     }
 
     fn dispatch(&mut self, call: Call) {
@@ -146,6 +178,7 @@ impl Live {
             Request::Drive(_) | Request::Frame(_) => self.driver.hand_over(call),
             Request::Slice(_) => self.slice(call),
             Request::Playback(_) | Request::Series(_) => call.refuse("a running session has no time line"),
+            Request::Plan(_) => call.refuse("the run has begun: its plan cannot be changed any more"),
         }
     }
 

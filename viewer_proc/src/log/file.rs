@@ -53,8 +53,13 @@ pub struct Logged {
 impl Logged {
     /// Struct and tail.
     pub fn body(&self) -> &[u8] {
-        self.payload.strip_prefix(CDR_LITTLE_ENDIAN.as_slice()).unwrap_or_default()
+        body_of(&self.payload)
     }
+}
+
+/// Struct and tail of a message with its CDR header.
+pub fn body_of(payload: &[u8]) -> &[u8] {
+    payload.strip_prefix(CDR_LITTLE_ENDIAN.as_slice()).unwrap_or_default()
 }
 
 /// An indexed log.
@@ -170,17 +175,25 @@ impl Reading {
     /// # Errors
     /// [`PlayError`].
     pub fn next_message(&mut self) -> Result<Option<Logged>, PlayError> {
+        self.next_with(|topic, time_ns, payload| Logged {
+            topic: topic.to_owned(),
+            time_ns,
+            payload: payload.to_vec(),
+        })
+    }
+
+    /// The next message, without a copy: what `take` makes of its topic, its time and its CDR header, struct and tail.
+    ///
+    /// # Errors
+    /// [`PlayError`].
+    pub fn next_with<R>(&mut self, take: impl FnOnce(&str, u64, &[u8]) -> R) -> Result<Option<R>, PlayError> {
         loop {
             let request = match self.reader.next_event() {
                 None => return Ok(None),
                 Some(Err(error)) => return Err(self.log.damaged(&error)),
                 Some(Ok(IndexedReadEvent::Message { header, data })) => {
                     let Some(channel) = self.log.summary.channels.get(&header.channel_id) else { continue };
-                    return Ok(Some(Logged {
-                        topic: channel.topic.clone(),
-                        time_ns: header.log_time,
-                        payload: data.to_vec(),
-                    }));
+                    return Ok(Some(take(&channel.topic, header.log_time, data)));
                 }
                 Some(Ok(IndexedReadEvent::ReadChunkRequest { offset, length })) => (offset, length),
             };

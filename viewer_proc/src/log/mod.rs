@@ -7,6 +7,7 @@ mod background;
 mod bone;
 mod compare;
 pub mod file;
+mod left;
 pub mod marks;
 mod playback;
 pub mod player;
@@ -28,9 +29,10 @@ use crate::error::ViewerError;
 use crate::info::{Origin, ToolShape, info};
 use crate::live::CALL_QUEUE;
 use crate::scene_update::Drawer;
-use crate::server::{Server, ServerOptions};
+use crate::server::{Door, Server};
 use background::{Found, Reader, divergence};
 use file::LogFile;
+use left::Left;
 use playback::{LogPlayback, Logs, Scenery, Shown};
 use series::LogSeries;
 
@@ -43,8 +45,8 @@ pub struct LogOptions {
     pub log: PathBuf,
     /// A second log to compare with.
     pub second: Option<PathBuf>,
-    /// Server options.
-    pub server: ServerOptions,
+    /// Whether to end once nobody has watched for a while.
+    pub until_left: bool,
 }
 
 /// Makes the volume of a scene, or says why there is none to show; on a thread of its own.
@@ -97,11 +99,12 @@ fn timing_of(run: &Path) -> PathBuf {
 /// Shows logs until the process is asked to end.
 ///
 /// # Errors
-/// A log cannot be played, or the port cannot be opened.
+/// A log cannot be played.
 pub fn view(
     options: &LogOptions,
+    door: &Door,
     help: &SceneHelp<'_>,
-    ready: impl FnOnce(&Server),
+    ready: impl FnOnce(),
     end: &EndRequest,
 ) -> Result<(), ViewerError> {
     let first = OpenLog::open(&options.log)?;
@@ -113,7 +116,7 @@ pub fn view(
     let (calls, called) = mpsc::sync_channel(CALL_QUEUE);
     let over = Arc::new(AtomicBool::new(false));
     let name = first.path.display().to_string();
-    let server = Server::bind(&options.server, &name, Arc::clone(&board), calls, Arc::clone(&over))?;
+    let server = Server::behind(door, &name, Arc::clone(&board), calls, Arc::clone(&over))?;
     let (found, finding) = mpsc::channel();
     let readers: Vec<Reader> = core::iter::once(first.reader(&over, Some(found.clone())))
         .chain(second.as_ref().map(|second| second.reader(&over, None)))
@@ -133,14 +136,15 @@ pub fn view(
         },
     };
     let mut playback = LogPlayback::new(board, logs, header.dt_ns, scenery, finding);
-    ready(&server);
+    let left = options.until_left.then(Left::default);
+    ready();
     std::thread::scope(|scope| {
         let serving = scope.spawn(|| server.serve());
         readers.iter().for_each(|reader| drop(scope.spawn(|| reader.run())));
         let volume = help.volume;
         scope.spawn(|| find_volume(&scene, &header, volume, &found));
         scope.spawn(|| find_divergence(both, &found, &over));
-        let shown = playback.run(&called, end, &over);
+        let shown = playback.run(&called, end, &over, left);
         over.store(true, Ordering::Relaxed);
         let served = serving.join().unwrap_or(Ok(()));
         shown.map_err(ViewerError::from).and(served)

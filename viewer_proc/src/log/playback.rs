@@ -17,6 +17,7 @@ use super::background::Found;
 use super::bone::LogBone;
 use super::compare::{comparison, first_difference};
 use super::file::{LogFile, Logged, PlayError, Reading};
+use super::left::Left;
 use super::marks::{Mark, Outline};
 use super::player::Player;
 use super::series::{Lane, LogSeries, SeriesRequest};
@@ -152,20 +153,29 @@ impl LogPlayback {
         called: &Calls,
         end: &EndRequest,
         over: &AtomicBool,
+        left: Option<Left>,
     ) -> Result<(), PlayError> {
         let (asked, asking) = mpsc::sync_channel(SERIES_QUEUE);
         let logs = Arc::clone(&self.logs);
         std::thread::scope(|scope| {
             scope.spawn(move || answer_series(&logs, &asking, over));
-            let shown = self.play(called, &asked, end);
+            let shown = self.play(called, &asked, end, left);
             over.store(true, Ordering::Relaxed);
             shown
         })
     }
 
-    fn play(&mut self, called: &Calls, asked: &SyncSender<Call>, end: &EndRequest) -> Result<(), PlayError> {
+    fn play(
+        &mut self,
+        called: &Calls,
+        asked: &SyncSender<Call>,
+        end: &EndRequest,
+        mut left: Option<Left>,
+    ) -> Result<(), PlayError> {
         let mut last = Instant::now();
-        while !end.is_set() {
+        let board = Arc::clone(&self.board);
+        let mut has_been_left = || left.as_mut().is_some_and(|left| left.is_over(board.client_count()));
+        while !end.is_set() && !has_been_left() {
             while let Ok(call) = called.try_recv() {
                 self.dispatch(call, asked);
             }

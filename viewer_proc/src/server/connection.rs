@@ -185,7 +185,7 @@ async fn session(socket: &mut Socket, client: &Arc<Client>, shared: &Shared) -> 
         if shared.end.load(Ordering::Relaxed) {
             while session.send_waiting(socket).await? {}
             session.tell_dropped(socket, client.last_drops_to_tell()).await?;
-            return Err(End::Close(CloseCode::Away, "the viewer has ended".to_owned()));
+            return Err(End::Close(CloseCode::Away, shared.board.farewell().to_owned()));
         }
     }
 }

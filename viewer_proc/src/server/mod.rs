@@ -57,50 +57,33 @@ pub(crate) struct Shared {
     pub end: Arc<AtomicBool>,
 }
 
-/// A server that listens but does not serve yet.
+/// An open port and the token that belongs to it. What is shown behind it may change (a scene, its run, the run's log); page and address
+/// stay.
 #[derive(Debug)]
-pub struct Server {
+pub struct Door {
     listener: std::net::TcpListener,
     address: SocketAddr,
-    shared: Arc<Shared>,
+    token: String,
+    options: ServerOptions,
 }
 
-impl Server {
+impl Door {
     /// Opens the port.
     ///
     /// # Errors
     /// [`ViewerError::Port`], [`ViewerError::Token`].
-    pub fn bind(
-        options: &ServerOptions,
-        name: &str,
-        board: Arc<Board>,
-        calls: mpsc::SyncSender<Call>,
-        end: Arc<AtomicBool>,
-    ) -> Result<Server, ViewerError> {
+    pub fn open(options: &ServerOptions) -> Result<Door, ViewerError> {
         let wanted = SocketAddr::new(options.bind, options.port);
         let port_error = |cause: std::io::Error| ViewerError::Port { address: wanted, cause };
         let listener = std::net::TcpListener::bind(wanted).map_err(port_error)?;
         listener.set_nonblocking(true).map_err(port_error)?;
         let address = listener.local_addr().map_err(port_error)?;
-        let shared = Arc::new(Shared {
-            board,
-            calls,
-            token: random_token()?,
-            watch_by_anyone: options.watch_by_anyone,
-            name: name.to_owned(),
-            origins: Origins { allowed: options.allow_origin.clone() },
-            own: address,
-            room: Arc::new(Semaphore::new(MAX_CLIENTS)),
-            reach: if options.bind.is_loopback() { Reach::Loopback } else { Reach::Network },
-            page_folder: options.page_folder.clone(),
-            end,
-        });
-        Ok(Server { listener, address, shared })
+        Ok(Door { listener, address, token: random_token()?, options: options.clone() })
     }
 
     /// The page's URL, with the token that permits watching and control.
     pub fn url(&self) -> String {
-        format!("http://{}/#token={}", self.address, self.shared.token)
+        format!("http://{}/#token={}", self.address, self.token)
     }
 
     /// The address it listens on.
@@ -110,7 +93,45 @@ impl Server {
 
     /// The token.
     pub fn token(&self) -> &str {
-        &self.shared.token
+        &self.token
+    }
+}
+
+/// A server behind a door, not serving yet.
+#[derive(Debug)]
+pub struct Server {
+    listener: std::net::TcpListener,
+    shared: Arc<Shared>,
+}
+
+impl Server {
+    /// A server for one thing to show; those who come before it serves wait at the door.
+    ///
+    /// # Errors
+    /// [`ViewerError::Port`]: the system has no more handles.
+    pub fn behind(
+        door: &Door,
+        name: &str,
+        board: Arc<Board>,
+        calls: mpsc::SyncSender<Call>,
+        end: Arc<AtomicBool>,
+    ) -> Result<Server, ViewerError> {
+        let port_error = |cause: std::io::Error| ViewerError::Port { address: door.address, cause };
+        let options = &door.options;
+        let shared = Arc::new(Shared {
+            board,
+            calls,
+            token: door.token.clone(),
+            watch_by_anyone: options.watch_by_anyone,
+            name: name.to_owned(),
+            origins: Origins { allowed: options.allow_origin.clone() },
+            own: door.address,
+            room: Arc::new(Semaphore::new(MAX_CLIENTS)),
+            reach: if options.bind.is_loopback() { Reach::Loopback } else { Reach::Network },
+            page_folder: options.page_folder.clone(),
+            end,
+        });
+        Ok(Server { listener: door.listener.try_clone().map_err(port_error)?, shared })
     }
 
     /// Serves until the process is asked to end, then flushes the clients' queues.

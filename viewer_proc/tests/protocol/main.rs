@@ -4,7 +4,6 @@
 mod running;
 
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
 use futures_util::{SinkExt, StreamExt};
@@ -18,9 +17,8 @@ use tokio::net::TcpSocket;
 use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
 use tokio_tungstenite::tungstenite::{Error, Message};
 use viewer_proc::ServerOptions;
-use viewer_proc::board::Board;
-use viewer_proc::channels::{Channels, INFO, NOTICE, SURFACE};
-use viewer_proc::server::{MAX_CLIENTS, Server};
+use viewer_proc::channels::{INFO, NOTICE, SURFACE};
+use viewer_proc::server::{Door, MAX_CLIENTS};
 use viewer_proc::services::{Action, Reply, Request, SLICE};
 use viewer_proc::slice::{ENCODING, MOST_UNDER_WAY};
 use zerocopy::IntoBytes;
@@ -411,9 +409,7 @@ fn a_port_in_use_is_named() {
         watch_by_anyone: false,
         page_folder: None,
     };
-    let (calls, _called) = mpsc::sync_channel(1);
-    let board = Arc::new(Board::new(Channels::default()));
-    let error = Server::bind(&options, "x", board, calls, Arc::default()).unwrap_err();
+    let error = Door::open(&options).unwrap_err();
     assert!(error.is_bad_input());
     let text = error.to_string();
     assert!(text.contains(&format!("127.0.0.1:{port}")) && text.contains("--port"), "{text}");

@@ -13,7 +13,7 @@ use std::sync::Mutex;
 use run_log::topics;
 use serde::{Deserialize, Serialize};
 
-use super::file::LogFile;
+use super::file::{LogFile, body_of};
 use crate::board::lock;
 use bins::{Bins, Columns, MOST_BINS};
 pub(super) use place::FieldPlace;
@@ -258,7 +258,24 @@ impl LogSeries {
     ) -> Result<String, String> {
         request.check()?;
         request.fields.iter().try_for_each(|name| self.want(name))?;
-        let series = request.fields.iter().map(|name| self.columns(name, request, &file)).collect();
+        let mut series: Vec<Columns> = Vec::new();
+        let mut fine: Vec<Fine<'_>> = Vec::new();
+        for name in &request.fields {
+            let (columns, place) = self.columns(name, request);
+            series.push(columns);
+            fine.extend(place.map(|place| self.fine(name, place, series.len() - 1, request)));
+        }
+        for lane in [Lane::Run, Lane::Timing] {
+            let mut own: Vec<&mut Fine<'_>> =
+                fine.iter_mut().filter(|fine| Lane::of(&fine.name.topic) == lane).collect();
+            let Some(log) = file(lane).filter(|_| !own.is_empty()) else { continue };
+            // Where the file cannot be read, the bins still show what they have.
+            if self.read_span(&mut own, request, log).is_some() {
+                for fine in own {
+                    series[fine.at] = fine.bins.columns(request.from_ns, request.to_ns, request.columns);
+                }
+            }
+        }
         let found = lock(&self.found);
         let all_read = request
             .fields
@@ -276,52 +293,61 @@ impl LogSeries {
         serde_json::to_string(&answer).map_err(|error| error.to_string())
     }
 
-    fn columns<'a>(
-        &self,
-        name: &FieldName,
-        request: &SeriesRequest,
-        file: impl Fn(Lane) -> Option<&'a LogFile>,
-    ) -> Columns {
-        let (place, width_ns, shown) = {
-            let found = lock(&self.found);
-            let Some(series) = found.series.get(name) else { return Columns::default() };
-            let shown = series.bins.columns(request.from_ns, request.to_ns, request.columns);
-            let width_ns = if series.progress == Progress::Read { series.bins.width_ns() } else { u64::MAX };
-            (series.place.clone(), width_ns, shown)
-        };
+    /// What the bins have of a field; and its place, if they are too coarse for the request and the file is to be read.
+    fn columns(&self, name: &FieldName, request: &SeriesRequest) -> (Columns, Option<FieldPlace>) {
+        let found = lock(&self.found);
+        let Some(series) = found.series.get(name) else { return (Columns::default(), None) };
+        let shown = series.bins.columns(request.from_ns, request.to_ns, request.columns);
+        let width_ns = if series.progress == Progress::Read { series.bins.width_ns() } else { u64::MAX };
         let span_ns = request.to_ns - request.from_ns;
         let is_coarse = width_ns > self.dt_ns && span_ns / width_ns < u64::from(request.columns);
-        if !is_coarse || span_ns / self.dt_ns > MOST_TICKS_READ {
-            return shown;
-        }
-        let read = file(Lane::of(&name.topic)).and_then(|log| self.read_span(name, &place, request, log));
-        // Where the file cannot be read, the bins still show what they have.
-        read.unwrap_or(shown)
+        let is_to_read = is_coarse && span_ns / self.dt_ns <= MOST_TICKS_READ;
+        (shown, is_to_read.then(|| series.place.clone()))
     }
 
-    /// The span's messages, from the file.
-    fn read_span(
+    fn fine<'a>(
         &self,
-        name: &FieldName,
-        place: &FieldPlace,
+        name: &'a FieldName,
+        place: FieldPlace,
+        at: usize,
         request: &SeriesRequest,
-        log: &LogFile,
-    ) -> Option<Columns> {
-        let (from, to) = (request.from_ns, request.to_ns.min(self.end_ns));
-        let mut bins = Bins::new(from.max(self.begin_ns), to, self.dt_ns, MOST_BINS);
-        let mut reading = log.after(from.checked_sub(1), &[&name.topic]).ok()?;
-        let mut left = 2 * MOST_TICKS_READ;
-        while let Some(message) = reading.next_message().ok()? {
-            left = left.checked_sub(1)?;
-            if message.time_ns > to.saturating_add(MOST_LATE_NS) {
-                break;
-            }
-            if let Some(value) = place.read(message.body()) {
-                bins.add(place.time_ns(message.body(), message.time_ns, self.dt_ns), value);
+    ) -> Fine<'a> {
+        let (from, to) = (request.from_ns.max(self.begin_ns), request.to_ns.min(self.end_ns));
+        Fine { name, place, at, bins: Bins::new(from, to, self.dt_ns, MOST_BINS) }
+    }
+
+    /// Reads the span's messages from a file, once for all fields.
+    fn read_span(&self, fields: &mut [&mut Fine<'_>], request: &SeriesRequest, log: &LogFile) -> Option<()> {
+        let to = request.to_ns.min(self.end_ns);
+        let topics: BTreeSet<&str> = fields.iter().map(|fine| fine.name.topic.as_str()).collect();
+        let topics: Vec<&str> = topics.into_iter().collect();
+        let mut reading = log.after(request.from_ns.checked_sub(1), &topics).ok()?;
+        let mut left = 2 * MOST_TICKS_READ * topics.len() as u64;
+        loop {
+            let is_behind = reading.next_with(|topic, time_ns, payload| {
+                let body = body_of(payload);
+                for fine in fields.iter_mut().filter(|fine| fine.name.topic == topic) {
+                    if let Some(value) = fine.place.read(body) {
+                        fine.bins.add(fine.place.time_ns(body, time_ns, self.dt_ns), value);
+                    }
+                }
+                time_ns > to.saturating_add(MOST_LATE_NS)
+            });
+            match is_behind.ok()? {
+                Some(false) => left = left.checked_sub(1)?,
+                Some(true) | None => return Some(()),
             }
         }
-        Some(bins.columns(request.from_ns, request.to_ns, request.columns))
     }
+}
+
+/// A field that is read from the file, tick by tick.
+struct Fine<'a> {
+    name: &'a FieldName,
+    place: FieldPlace,
+    /// Its number in the answer.
+    at: usize,
+    bins: Bins,
 }
 
 impl SeriesRequest {

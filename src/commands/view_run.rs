@@ -1,0 +1,127 @@
+//! A run that was started from the page.
+
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{self, Receiver};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+use crate::launcher::volume_source::VolumeFiles;
+
+/// How long a run that has ended may take to say its last words.
+const WORDS_LIMIT: Duration = Duration::from_secs(2);
+/// Longest refusal kept, bytes.
+const LONGEST_WORDS: usize = 4096;
+
+/// `trabecula run FILE` as a child; it records where the same command of this terminal would, and goes on if the viewer ends.
+#[derive(Debug)]
+pub struct StartedRun {
+    child: Child,
+    /// The lines that it prints for programs.
+    lines: Receiver<Value>,
+    /// What it says to the user.
+    words: Receiver<String>,
+    session: Option<PathBuf>,
+    folder: Option<PathBuf>,
+}
+
+impl StartedRun {
+    /// Starts it.
+    ///
+    /// # Errors
+    /// The program cannot be started.
+    pub fn start(scene: &Path, files: VolumeFiles) -> Result<StartedRun, String> {
+        let refused = |cause: std::io::Error| format!("`trabecula run` cannot be started: {cause}");
+        let mut command = Command::new(std::env::current_exe().map_err(refused)?);
+        command.arg("run").arg(scene).arg("--json");
+        if files.allow_elsewhere {
+            command.arg("--allow-elsewhere");
+        }
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = command.spawn().map_err(refused)?;
+        let (line, lines) = mpsc::channel();
+        let (word, words) = mpsc::channel();
+        let (out, err) = (child.stdout.take(), child.stderr.take());
+        std::thread::spawn(move || {
+            let is_wanted = |value: &Value| value["phase"] == "announced" || value["phase"] == "ended";
+            // Read to its end, so that the run's output never stands still.
+            each_line(out, |text| {
+                let value = serde_json::from_str(text).ok().filter(is_wanted);
+                value.into_iter().for_each(|value| drop(line.send(value)));
+            });
+        });
+        std::thread::spawn(move || {
+            each_line(err, |text| {
+                tell!("{text}");
+                // Nobody listens any more once the run has begun.
+                let _ = word.send(text.to_owned());
+            });
+        });
+        say!("running      {}", scene.display());
+        Ok(StartedRun { child, lines, words, session: None, folder: None })
+    }
+
+    /// The session, told once: when it can be joined; or why the run did not come so far.
+    pub fn begun(&mut self) -> Option<Result<PathBuf, String>> {
+        if self.session.is_some() {
+            return None;
+        }
+        self.read();
+        if let Some(session) = &self.session {
+            return Some(Ok(session.clone()));
+        }
+        self.child.try_wait().ok().flatten()?;
+        // What it said is on its way.
+        let began = Instant::now();
+        let mut said = String::new();
+        while let Ok(line) = self.words.recv_timeout(WORDS_LIMIT.saturating_sub(began.elapsed())) {
+            if said.len() < LONGEST_WORDS {
+                said += &line;
+                said.push('\n');
+            }
+        }
+        self.read();
+        match &self.session {
+            Some(session) => Some(Ok(session.clone())),
+            None => Some(Err(format!("the run did not begin: {}", said.trim()))),
+        }
+    }
+
+    fn read(&mut self) {
+        for line in self.lines.try_iter() {
+            let text = |key: &str| line.get(key).and_then(Value::as_str).map(PathBuf::from);
+            self.session = self.session.take().or_else(|| text("session"));
+            self.folder = text("folder").or_else(|| self.folder.take());
+        }
+    }
+
+    /// The session that it runs.
+    pub fn session(&self) -> Option<&Path> {
+        self.session.as_deref()
+    }
+
+    /// The log of a run that has ended already, if it recorded one; waits for its end.
+    pub fn log(mut self) -> Option<PathBuf> {
+        // Its end was seen in the session, or it never could be joined: nothing holds it up.
+        let _ = self.child.wait();
+        let began = Instant::now();
+        while self.folder.is_none()
+            && let Ok(line) = self.lines.recv_timeout(WORDS_LIMIT.saturating_sub(began.elapsed()))
+        {
+            self.folder = line.get("folder").and_then(Value::as_str).map(PathBuf::from);
+        }
+        self.folder
+    }
+}
+
+fn each_line(source: Option<impl Read>, mut take: impl FnMut(&str)) {
+    let Some(source) = source else { return };
+    let mut source = BufReader::new(source);
+    let mut bytes = Vec::new();
+    while source.read_until(b'\n', &mut bytes).is_ok_and(|count| count > 0) {
+        take(String::from_utf8_lossy(&bytes).trim_end());
+        bytes.clear();
+    }
+}
