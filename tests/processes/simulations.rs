@@ -75,3 +75,13 @@ fn labels_agree_with_siddon_and_the_tools_geometry_in_numpy() {
 fn gymnasium_accepts_the_environment_and_an_episode_repeats() {
     case("gymnasium");
 }
+
+#[test]
+fn a_skiving_episode_leaves_its_line_in_unequal_bone_and_is_held_by_a_pull() {
+    case("skiving");
+}
+
+#[test]
+fn an_agent_of_x_rays_sees_the_target_where_the_c_arm_projects_it() {
+    case("x_ray_steering");
+}

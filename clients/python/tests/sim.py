@@ -487,6 +487,57 @@ def gymnasium(folder: Path) -> None:
     several.step(several.action_space.sample())
 
 
+def skiving(folder: Path) -> None:
+    """Untouched, the burr leaves its line toward the soft side in 1:10 and not in 1:1; a pull the other way keeps it nearer."""
+    import gymnasium as gym
+    from gymnasium.utils.env_checker import check_env
+
+    coarse = {"volume.spacing_mm": 1.0}
+    env = gym.make("trabecula.gym:trabecula/Skiving-v0", overrides=coarse, ticks=100)
+    check_env(env.unwrapped)
+
+    def episode(ratio: float, tension: float) -> tuple[float, float, float]:
+        observation, info = env.reset(seed=1, options={"ratio": ratio})
+        assert info["ratio"] == ratio and not observation[:2].any()
+        total, worst = 0.0, 0.0
+        for _ in range(200):
+            observation, reward, ended, cut, info = env.step(np.array([tension, -0.5], np.float32))
+            total, worst = total + reward, max(worst, info["off_line_mm"])
+            if ended or cut:
+                break
+        assert ended and not info["lost"], (info, observation)
+        return total, worst, float(observation[0])
+
+    straight, beside, held = episode(1.0, 0.0), episode(10.0, 0.0), episode(10.0, 0.15)
+    print("reward, most off its line mm, last toward the dense side mm:", straight, beside, held, file=sys.stderr)
+    assert straight[1] < 0.1 and 13.5 < straight[0] <= 14.0, straight
+    assert beside[2] < -0.3 and beside[0] < straight[0], beside
+    assert held[2] > beside[2] and episode(10.0, 0.15) == held
+    several = gym.make_vec("trabecula.gym:trabecula/Skiving-v0", num_envs=2, vectorization_mode="sync", overrides=coarse)
+    assert several.reset(seed=3)[0].shape == (2, 7)
+
+
+def x_ray_steering(folder: Path) -> None:
+    """The frame shows the target where the C-arm projects it, and nothing but the frame and what the machine measures is seen."""
+    import gymnasium as gym
+    from gymnasium.utils.env_checker import check_env
+
+    coarse = {"volume.spacing_mm": 1.0}
+    env = gym.make("trabecula.gym:trabecula/XRaySteering-v0", overrides=coarse, ticks=100)
+    check_env(env.unwrapped)
+    observation, info = env.reset(seed=5)
+    assert observation["image"].shape == (96, 96, 1) and np.ptp(observation["image"]) > 50
+    camera = env.unwrapped.sim.render().frame.projection
+    k, r = np.array(camera.intrinsics).reshape(3, 3), np.array(camera.rotation).reshape(3, 3)
+    seen = k @ (r @ (np.array(info["target_mm"]) * 1e-3) + np.array(camera.translation_m))
+    expected = seen[:2] / seen[2] / 96.0
+    assert np.allclose(observation["target"], expected, atol=1e-5), (observation["target"], expected)
+    first = observation["image"].copy()
+    for _ in range(20):
+        observation, _, _, _, info = env.step(np.array([-0.2, 0.5], np.float32))
+    assert (observation["image"] != first).any() and observation["measured"][0] > 2.0, observation["measured"]
+
+
 if __name__ == "__main__":
     arguments = [Path(word) for word in sys.argv[2:]]
     globals()[sys.argv[1]](*arguments)
