@@ -26,7 +26,7 @@ CLASSES = {"bone": 1, "tool": 2, "burr": 4, "tunnel": 8}
 def points_of(log: Path) -> dict[int, Any]:
     """Base, joints and burr in the world by tick, from the log's states."""
     words = ["log", "cat", log, "--topic", "/state"]
-    for field in ("tick", "joint_count", "t_world_base.position_m", "t_world_link", "t_world_burr.position_m"):
+    for field in ("tick", "joint_count", "t_world_base", "t_world_link", "t_world_burr"):
         words += ["--field", field]
     line = [os.environ["TRABECULA_PROGRAM"], *map(str, words)]
     text = subprocess.run(line, capture_output=True, text=True, timeout=LIMIT_S, check=True).stdout

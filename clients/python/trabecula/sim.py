@@ -251,7 +251,7 @@ class Sim:
     def labels(self, c_arm: CArm = None, *, bone_from_hu: Optional[int] = None) -> Labels:
         """The X-ray of the present state as `render` gives it, and what it shows: masks, line integrals apart, lengths, depths, keypoints.
 
-        Labels have neither noise nor blur. They take a walk through the voxels for every pixel, so about a second for a million pixels.
+        Labels have neither noise nor blur. They take a walk through the voxels for every pixel, which costs a hundred times a frame.
 
         Args:
             c_arm: As in `render`.
