@@ -204,7 +204,7 @@ fn measure(
 fn plan(scene: &Scene, shapes: &Shapes, facts: Option<&Facts>) -> Result<Value, Failure> {
     let end = &shapes.at_end;
     let line_m: Vec<[f64; 3]> = end.tube.line_mm.iter().map(|point| (point * 1e-3).into()).collect();
-    let c_arm = scene.drr.as_ref().map(|drr| xray::from_scene::scene_c_arm(drr)).transpose();
+    let c_arm = scene.drr.as_ref().map(xray::from_scene::scene_c_arm).transpose();
     let c_arm = c_arm.map_err(Failure::bad_input)?;
     let frustum = c_arm.map(|c_arm| {
         let (right, foot) = (f64::from(c_arm.columns) - 0.5, f64::from(c_arm.rows) - 0.5);
