@@ -48,6 +48,13 @@ block_density_ratio = 10.0
 burr_start_mm = [-1.5, 0.0, -32.0]
 direction = [0.0, 0.0, 1.0]
 bend_toward = [1.0, 0.0, 0.0]
+[drr]
+rate_hz = 1.0
+isocentre_mm = [0.0, 0.0, -25.0]
+primary_angle_deg = 90.0
+columns = 128
+rows = 128
+pixel_pitch_mm = 0.8
 [[controller]]
 name = "agent"
 drives = ["tendon", "arm", "burr"]
@@ -310,7 +317,7 @@ class Skiving(_Feed[Floats]):
             overrides: As in `Sim`, over `SKIVING_SCENE`.
             ratios: The density ratios among which episodes choose, 1 to 20.
             ticks: Ticks of an action.
-            render_mode: None, or "rgb_array": the X-ray of a scene that has one, by `overrides` of `drr`.
+            render_mode: None, or "rgb_array": the scene's X-ray.
         """
         if not len(ratios):
             raise ArgumentError("`ratios` is empty, expected one density ratio at least")
