@@ -138,7 +138,11 @@ impl EndMarker {
         list("lost by the recorder", &self.lost) + &list("lost to damage", &self.damaged)
     }
 
-    pub(crate) fn from_metadata(path: &Path, map: &BTreeMap<String, String>) -> Result<EndMarker, LogError> {
+    /// Reads the entries of the metadata record [`END_RECORD`] of a log.
+    ///
+    /// # Errors
+    /// An entry is missing or wrong, or the checksum does not fit; `path` is the file that it names.
+    pub fn from_metadata(path: &Path, map: &BTreeMap<String, String>) -> Result<EndMarker, LogError> {
         let entries = Entries { path, record: END_RECORD, entries: map };
         if !is_unbroken(map) {
             return Err(entries.wrong("crc32", "the checksum of the other entries"));

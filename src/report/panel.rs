@@ -136,7 +136,10 @@ impl<'a> Panel<'a> {
     fn labels(&mut self, outer: Rect) {
         let Rect { x, y, width, height } = self.area;
         for (value, label) in self.x.ticks.clone() {
-            let at = (x + self.x.share(value) * width, y + height + 13.0);
+            // A label at the end of the axis stays in the panel.
+            let half = 0.5 * text_width(&label, TextSize::Label);
+            let along = (x + self.x.share(value) * width).min(outer.x + outer.width - half - 1.0);
+            let at = (along, y + height + 13.0);
             self.figure.text(at, &label, TextSize::Label, INK, Anchor::Centre);
         }
         for (value, label) in self.y.ticks.clone() {

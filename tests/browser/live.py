@@ -245,7 +245,8 @@ def says_that_the_hub_died(page: Page, victim: int) -> None:
     os.kill(victim, signal.SIGKILL)
     page.until("a banner", lambda: page.page.locator("#banner").is_visible() and page.text("banner") != "", 30.0)
     said = page.text("banner").lower()
-    assert any(word in said for word in ("ended", "gone", "died", "not connected")), said
+    assert any(word in said for word in ("gone", "died", "not connected")), said
+    assert "log" not in said and page.text("phase") != "Paused", (said, page.text("phase"))
 
 
 # Notes every word of the phase, and every banner, from now on.

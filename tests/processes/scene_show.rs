@@ -41,7 +41,7 @@ fn the_figures_of_a_plan_in_a_ball_are_the_balls_and_the_picture_shows_hole_tool
     let mut reader = decoder.read_info().unwrap();
     let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
     let info = reader.next_frame(&mut pixels).unwrap();
-    assert_eq!((info.width, info.color_type), (1600, png::ColorType::Rgb));
+    assert_eq!((info.width, info.color_type), (1760, png::ColorType::Rgb));
     let count = |colour: [u8; 3]| pixels.chunks_exact(3).filter(|pixel| *pixel == colour).count();
     // Hole, tool at the start, tool at the end, path.
     for colour in [[86, 180, 233], [240, 228, 66], [255, 140, 60], [204, 121, 167]] {

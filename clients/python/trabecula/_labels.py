@@ -56,10 +56,16 @@ class Labels(NamedTuple):
         """The labels of their bytes."""
         shape = image.pixels.shape
         places = np.frombuffer(points, "<f8").reshape(-1, 4)
+        anatomy, metal, bone_m, tunnel_m, tool_depth_m, bone_depth_m = np.frombuffer(images, "<f4").reshape(6, *shape)
         return Labels(
             image,
             np.frombuffer(mask, np.uint8).reshape(shape),
-            *np.frombuffer(images, "<f4").reshape(6, *shape),
+            anatomy,
+            metal,
+            bone_m,
+            tunnel_m,
+            tool_depth_m,
+            bone_depth_m,
             places[:, :3],
             places[:, 3].astype(np.uint8),
         )

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use recorder_proc::process::OUTPUT_FILE;
+use run_log::EndReason;
 
 use crate::log::file::LogFile;
 
@@ -28,10 +29,10 @@ impl FollowedLog {
         self.folder.is_some()
     }
 
-    /// The run's folder, once both files have their index, which is written last.
-    pub(super) fn whole(&self) -> Option<PathBuf> {
+    /// The run's folder, once both files have their index, which is written last; and why the run ended, as its log has it.
+    pub(super) fn whole(&self) -> Option<(PathBuf, Option<EndReason>)> {
         let folder = self.folder.as_ref()?;
-        let is_whole = |name: &str| LogFile::open(&folder.join(name)).is_ok();
-        (is_whole("run.mcap") && is_whole("timing.mcap")).then(|| folder.clone())
+        let [run, timing] = ["run.mcap", "timing.mcap"].map(|name| LogFile::open(&folder.join(name)).ok());
+        Some((folder.clone(), run.zip(timing)?.0.end_reason()))
     }
 }

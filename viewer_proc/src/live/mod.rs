@@ -13,9 +13,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
+use ipc_types::messages::Part;
 use ipc_types::process::{EndRequest, session_scene};
 use ipc_types::scene::Scene;
 use ipc_types::session::{HalfMadeSweeper, Session};
+use run_log::EndReason;
 
 use crate::board::Board;
 use crate::channels::{Channels, INFO};
@@ -38,6 +40,7 @@ pub(crate) const CALL_QUEUE: usize = 64;
 const ALIVE_LOOK: Duration = Duration::from_millis(200);
 /// How long a log may take to be finished: as long as the launcher gives the recorder.
 const LOG_LIMIT: Duration = Duration::from_secs(130);
+const HUB_DIED: &str = "the hub has died: its launcher is gone, and the run with it";
 
 /// Watches the session in a folder until it ends or the process is asked to end. Calls `tool` for the tool's shape, and `ready` when pages can
 /// be opened. Returns the log of the run, whole, if the run came to its end, was recorded, and somebody is still watching.
@@ -142,7 +145,7 @@ impl Live {
                 alive_seen = Instant::now();
                 self.log.look();
                 if !session.host_is_alive() {
-                    self.board.notice("error", "the hub has died: its launcher is gone, and the run with it");
+                    self.board.notice("error", HUB_DIED);
                     return Ok(Ended::Otherwise);
                 }
             }
@@ -157,7 +160,12 @@ impl Live {
             if self.board.client_count() == 0 || !self.log.is_known() {
                 return None;
             }
-            if let Some(log) = self.log.whole() {
+            if let Some((log, reason)) = self.log.whole() {
+                // Another program may have cleared the session of a killed host away before this one looked.
+                if matches!(&reason, Some(EndReason::PartDied(part)) if part == Part::Host.name()) {
+                    self.board.notice("error", HUB_DIED);
+                    return None;
+                }
                 self.board.go_on();
                 return Some(log);
             }

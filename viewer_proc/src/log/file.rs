@@ -1,6 +1,5 @@
 //! Random access to a log's file by simulated time.
 
-use run_log::Topic;
 use std::fs::File;
 use std::io::{ErrorKind, Read, Seek};
 use std::os::unix::fs::FileExt;
@@ -8,12 +7,18 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use ipc_types::layout::CDR_LITTLE_ENDIAN;
-use mcap::Summary;
+use mcap::records::Record;
 use mcap::sans_io::indexed_reader::{IndexedReadEvent, IndexedReader, IndexedReaderOptions, ReadOrder};
 use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
+use mcap::{Summary, parse_record};
+use run_log::Topic;
+use run_log::end::{END_RECORD, EndMarker, EndReason};
 
 /// Longest record accepted as valid, bytes.
 const MAX_RECORD: usize = 1 << 30;
+
+/// A record of why a run ended has fewer bytes.
+const END_BYTES: usize = 1 << 20;
 
 /// Bytes read at once.
 const READ_BYTES: usize = 1 << 22;
@@ -101,6 +106,23 @@ impl LogFile {
         let summary = reader.finish().filter(|summary| !summary.chunk_indexes.is_empty());
         let summary = summary.ok_or_else(|| damaged("the log has no index: it was cut".to_owned()))?;
         Ok(LogFile { path: path.to_owned(), file: Arc::new(file), summary: Arc::new(summary) })
+    }
+
+    /// Why the run ended; none where the log does not say.
+    pub fn end_reason(&self) -> Option<EndReason> {
+        /// Opcode and length of a record.
+        const HEAD: usize = 1 + size_of::<u64>();
+        let index = self.summary.metadata_indexes.iter().rev().find(|index| index.name == END_RECORD)?;
+        let length =
+            usize::try_from(index.length).ok().filter(|length| (HEAD..=END_BYTES).contains(length))?;
+        let mut record = vec![0; length];
+        self.file.read_exact_at(&mut record, index.offset).ok()?;
+        match parse_record(record[0], &record[HEAD..]).ok()? {
+            Record::Metadata(entries) => {
+                EndMarker::from_metadata(&self.path, &entries.metadata).ok().map(|marker| marker.reason)
+            }
+            _ => None,
+        }
     }
 
     /// First and last simulated time, ns.
