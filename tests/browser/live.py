@@ -246,7 +246,7 @@ def says_that_the_hub_died(page: Page, victim: int) -> None:
     page.until("a banner", lambda: page.page.locator("#banner").is_visible() and page.text("banner") != "", 30.0)
     said = page.text("banner").lower()
     assert any(word in said for word in ("gone", "died", "not connected")), said
-    assert "log" not in said and page.text("phase") != "Paused", (said, page.text("phase"))
+    assert page.text("phase") != "Paused", "the page shows the log, as if the run had come to its end"
 
 
 # Notes every word of the phase, and every banner, from now on.
