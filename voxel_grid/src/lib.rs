@@ -8,7 +8,7 @@
 //! DICOM, where the row direction is stored and the slice direction is the normal of the image. ITK applies the same tolerance and
 //! correction to NIfTI files. Axes further off are sheared and refused: only resampling could put the voxels where the file says.
 //!
-//! [`sample`] reads Hounsfield units between voxel centres, [`slice`] is a plane through them as pixels.
+//! [`sample`] reads Hounsfield units between voxel centres, [`mod@slice`] is a plane through them as pixels.
 //!
 //! ```
 //! use voxel_grid::{GridError, VoxelGrid};
