@@ -9,7 +9,7 @@ use super::output::{Plan, Table};
 use super::rig::{Block, Outcome, Trial};
 use trabecula::failure::Failure;
 use trabecula::report::axis::{Axis, bounds};
-use trabecula::report::panel::{INK, Panel, Rect};
+use trabecula::report::panel::{EDGES, INK, Panel, Rect};
 use trabecula::report::shapes::{Figure, HEAD, Stroke, WIDTH};
 
 /// Tensions of Alambeigi et al. 2017, N.
@@ -26,11 +26,6 @@ const OF_AIR: f64 = 0.25;
 const PILOT_SHOWN_MM: f64 = -6.0;
 /// Around what was drilled, mm.
 const MARGIN_MM: f64 = 1.5;
-/// What a panel's titles and labels take of its width and height.
-const PANEL_EDGES: [f64; 2] = {
-    let area = Rect { x: 0.0, y: 0.0, width: 1000.0, height: 1000.0 }.plot_area();
-    [1000.0 - area.width, 1000.0 - area.height]
-};
 const REMOVED: RGBColor = RGBColor(214, 226, 236);
 const TOOL: RGBColor = RGBColor(0, 114, 178);
 
@@ -160,7 +155,7 @@ fn draw(cases: &[Case]) -> Result<Figure, Failure> {
     let columns = cases.len() / TENSIONS_N.len();
     let shown = shown_mm(cases);
     let per_mm = plot_width(columns) / (shown[0][1] - shown[0][0]);
-    let high = (shown[1][1] - shown[1][0]) * per_mm + PANEL_EDGES[1];
+    let high = (shown[1][1] - shown[1][0]) * per_mm + EDGES.1;
     let title = "Drilled voxels (light), tool (blue), path of the burr's centre (dashed)";
     let mut figure = Figure::titled(HEAD + high * TENSIONS_N.len() as f64, title)
         .map_err(|cause| Failure::failed(cause.to_string()))?;
@@ -172,7 +167,7 @@ fn draw(cases: &[Case]) -> Result<Figure, Failure> {
 
 /// Width of a panel's plot, in a row of so many.
 fn plot_width(columns: usize) -> f64 {
-    WIDTH / columns as f64 - PANEL_EDGES[0]
+    WIDTH / columns as f64 - EDGES.0
 }
 
 /// What the panels show along the feed and the bend, each from and to, mm: every drilled voxel and path, and the pilot hole's end.

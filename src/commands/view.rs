@@ -138,7 +138,7 @@ fn view_plan(scene: &Path, arguments: &ViewArguments, end: &EndRequest) -> Resul
     let recorded = match live::view(session, &door, tool_shape, || (), end) {
         Ok(recorded) => recorded,
         // A short run has ended before it could be joined.
-        Err(ViewerError::Session(_) | ViewerError::Message(_)) => run.log(),
+        Err(ViewerError::Session(_) | ViewerError::Message(_)) => run.log(end),
         Err(error) => return Err(failure(&error)),
     };
     recorded.map_or(Ok(()), |log| view_followed(log, arguments, &door, end))

@@ -6,10 +6,13 @@ use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
 
+use ipc_types::process::EndRequest;
 use serde_json::Value;
 
 use crate::launcher::volume_source::VolumeFiles;
 
+/// Time between two looks for the end of a run.
+const LOOK: Duration = Duration::from_millis(50);
 /// How long a run that has ended may take to say its last words.
 const WORDS_LIMIT: Duration = Duration::from_secs(2);
 /// Longest refusal kept, bytes.
@@ -102,10 +105,11 @@ impl StartedRun {
         self.session.as_deref()
     }
 
-    /// The log of a run that has ended already, if it recorded one; waits for its end.
-    pub fn log(mut self) -> Option<PathBuf> {
-        // Its end was seen in the session, or it never could be joined: nothing holds it up.
-        let _ = self.child.wait();
+    /// The log of a run that has ended already, if it recorded one; waits for its end, or until the user wants to end.
+    pub fn log(mut self, end: &EndRequest) -> Option<PathBuf> {
+        while !end.is_set() && self.child.try_wait().is_ok_and(|ended| ended.is_none()) {
+            std::thread::sleep(LOOK);
+        }
         let began = Instant::now();
         while self.folder.is_none()
             && let Ok(line) = self.lines.recv_timeout(WORDS_LIMIT.saturating_sub(began.elapsed()))

@@ -15,6 +15,7 @@
 pub mod axis;
 pub mod calibration_figure;
 mod cautions;
+mod collisions;
 pub mod course;
 pub mod distribution;
 mod end_table;

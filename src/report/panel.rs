@@ -22,6 +22,8 @@ const LEFT: f64 = 68.0;
 const RIGHT: f64 = 14.0;
 const TOP: f64 = 30.0;
 const BOTTOM: f64 = 48.0;
+/// What titles and labels take of a panel's width and height.
+pub const EDGES: (f64, f64) = (LEFT + RIGHT, TOP + BOTTOM);
 
 /// A rectangle in figure units.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,13 +40,8 @@ pub struct Rect {
 
 impl Rect {
     /// The area left for the plot after titles and labels.
-    pub const fn plot_area(self) -> Rect {
-        Rect {
-            x: self.x + LEFT,
-            y: self.y + TOP,
-            width: self.width - LEFT - RIGHT,
-            height: self.height - TOP - BOTTOM,
-        }
+    pub fn plot_area(self) -> Rect {
+        Rect { x: self.x + LEFT, y: self.y + TOP, width: self.width - EDGES.0, height: self.height - EDGES.1 }
     }
 
     /// Whether two have an area in common.

@@ -180,19 +180,14 @@ impl Figure {
         (0..columns * rows).map(cell).collect()
     }
 
-    /// Texts that lie over another or reach out of the figure, each with the other's words: none, in a figure that can be read.
-    pub fn collisions(&self) -> Vec<(String, String)> {
-        let texts: Vec<(&str, Rect)> = self.shapes.iter().filter_map(text_box).collect();
-        let page = Rect { x: 0.0, y: 0.0, width: WIDTH, height: self.height };
-        let mut found = Vec::new();
-        for (index, (text, place)) in texts.iter().enumerate() {
-            if place.width > page.width || !page.holds(*place) {
-                found.push(((*text).to_owned(), "the figure's edge".to_owned()));
-            }
-            let others = texts[..index].iter().filter(|(_, other)| other.overlaps(*place));
-            found.extend(others.map(|(other, _)| ((*text).to_owned(), (*other).to_owned())));
-        }
-        found
+    /// Its shapes, in the order of drawing.
+    pub fn shapes(&self) -> &[Shape] {
+        &self.shapes
+    }
+
+    /// Its height, in figure units.
+    pub fn height(&self) -> f64 {
+        self.height
     }
 
     /// Draws over existing shapes. Shapes with a non-finite coordinate are skipped.
@@ -272,25 +267,6 @@ impl Figure {
         area.present()?;
         Ok(())
     }
-}
-
-/// The words of a text and the place that its letters cover, roughly: two thirds of the font's height.
-fn text_box(shape: &Shape) -> Option<(&str, Rect)> {
-    let Shape::Text { at: (x, y), text, size, anchor, upwards, .. } = shape else { return None };
-    let (along, across) = (text_width(text, *size), 0.66 * size.units());
-    let before = match anchor {
-        Anchor::Left => 0.0,
-        Anchor::Centre => 0.5 * along,
-        Anchor::Right => along,
-    };
-    Some((
-        text.as_str(),
-        if *upwards {
-            Rect { x: x - 0.5 * across, y: y - along + before, width: across, height: along }
-        } else {
-            Rect { x: x - before, y: y - 0.5 * across, width: along, height: across }
-        },
-    ))
 }
 
 /// What a figure is drawn as.
@@ -468,20 +444,6 @@ mod tests {
         assert!((cut.iter().map(|dash| length(dash)).sum::<f64>() - 8.0).abs() < 1e-12);
         assert_eq!(dashes(&line, &[]), vec![line.to_vec()]);
         assert_eq!(cut[2], vec![(6.0, 0.0), (7.0, 0.0), (7.0, 1.0)], "a dash goes round the corner");
-    }
-
-    #[test]
-    fn texts_that_lie_over_others_or_reach_out_are_found() {
-        let mut figure = Figure::new(100.0).unwrap();
-        figure.text((10.0, 20.0), "first", TextSize::Label, INK, Anchor::Left);
-        figure.text((10.0, 40.0), "below", TextSize::Label, INK, Anchor::Left);
-        assert_eq!(figure.collisions(), []);
-        figure.text((30.0, 24.0), "over it", TextSize::Label, INK, Anchor::Centre);
-        figure.text((WIDTH - 5.0, 60.0), "outside", TextSize::Label, INK, Anchor::Left);
-        let found = figure.collisions();
-        assert_eq!(found.len(), 2, "{found:?}");
-        assert_eq!(found[0], ("over it".to_owned(), "first".to_owned()));
-        assert_eq!(found[1].0, "outside");
     }
 
     #[test]

@@ -35,7 +35,7 @@ ENVIRONMENTS = {
 }
 
 #: A block whose far half, at +x, is denser; the tool is fed straight along the boundary, its burr 1.5 mm beside it. The scene of
-#: `configs/skiving.toml` without its controller.
+#: `configs/skiving.toml` without its controller, tendon 0 toward the dense side, with an X-ray.
 SKIVING_SCENE = """
 name = "skiving"
 [run]

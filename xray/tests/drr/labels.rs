@@ -7,7 +7,7 @@ use xray::{
 
 use crate::machine::Desk;
 use crate::poses::c_arm;
-use crate::tool::whole_tool;
+use crate::tool::{turned_volume, whole_tool};
 
 const BONE_FROM_HU: i16 = 300;
 
@@ -28,13 +28,7 @@ fn labelled(
 /// Anatomy and metal of the labels are computed apart and by another loop than the frame.
 #[test]
 fn anatomy_and_metal_make_the_attenuation_of_the_frame() {
-    let (s, c) = 0.3_f64.sin_cos();
-    let direction = [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]];
-    let grid = Grid::new([60, 50, 55], [1.0e-3, 1.2e-3, 0.9e-3], [-0.02, -0.035, -0.02], direction).unwrap();
-    let hu: Vec<i16> = (0..grid.voxels())
-        .map(|i| if (i / 9) % 40 < 12 { -1000 } else { ((i * 7919) % 2000) as i16 - 500 })
-        .collect();
-    let removed: Vec<u32> = (0..grid.voxels() as u32).filter(|i| i % 31 == 3 && i / 1000 % 3 == 0).collect();
+    let (grid, hu, removed) = turned_volume();
     let view = VolumeView::new(grid, &hu).unwrap();
     let tool = whole_tool();
     let c_arm = c_arm(44.0, 35.0, 90, 0.09);

@@ -196,9 +196,8 @@ pub fn whole_tool() -> Tool {
     Tool { parts }
 }
 
-/// Outlines, sweeps and the short-interval integral against every part on every pixel, and the projectors' own intervals.
-#[test]
-fn the_fast_tool_layer_is_every_part_on_every_pixel() {
+/// A turned grid of air and of numbers without order, and voxels removed from it.
+pub fn turned_volume() -> (Grid, Vec<i16>, Vec<u32>) {
     let (s, c) = 0.3_f64.sin_cos();
     let direction = [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]];
     let grid = Grid::new([60, 50, 55], [1.0e-3, 1.2e-3, 0.9e-3], [-0.02, -0.035, -0.02], direction).unwrap();
@@ -206,6 +205,13 @@ fn the_fast_tool_layer_is_every_part_on_every_pixel() {
         .map(|i| if (i / 9) % 40 < 12 { -1000 } else { ((i * 7919) % 2000) as i16 - 500 })
         .collect();
     let removed: Vec<u32> = (0..grid.voxels() as u32).filter(|i| i % 31 == 3 && i / 1000 % 3 == 0).collect();
+    (grid, hu, removed)
+}
+
+/// Outlines, sweeps and the short-interval integral against every part on every pixel, and the projectors' own intervals.
+#[test]
+fn the_fast_tool_layer_is_every_part_on_every_pixel() {
+    let (grid, hu, removed) = turned_volume();
     let view = VolumeView::new(grid, &hu).unwrap();
     let tool = whole_tool();
     let parts: Vec<PreparedPart> = tool.parts.iter().map(|p| PreparedPart::new(p).unwrap()).collect();
