@@ -126,6 +126,7 @@ pub fn load_with_notes(scene: &Scene, files: VolumeFiles) -> Result<Option<Loade
             cache::through(&Key::of_phantom("femur", &spec), || Ok((phantom::femur(&spec)?, Vec::new())))?
         }
     };
+    let made = if scene.has_registration_error() { moved(made, scene) } else { made };
     let Made { volume, sha256, mut notes } = made;
     // Refuse early whatever a part would refuse later.
     volume.check(source.path.as_deref().unwrap_or(Path::new("volume")))?;
@@ -133,6 +134,17 @@ pub fn load_with_notes(scene: &Scene, files: VolumeFiles) -> Result<Option<Loade
         notes.extend(suspicions::of_places(&volume, scene));
     }
     Ok(Some(Loaded { volume, sha256, notes }))
+}
+
+/// The bone where it truly lies: `[truth]` has it elsewhere than the plan.
+fn moved(made: Made, scene: &Scene) -> Made {
+    let Made { mut volume, notes, .. } = made;
+    volume.origin_m = scene.in_bone_mm(volume.origin_m.map(|x| x * 1e3)).map(|x| x * 1e-3);
+    let column =
+        |axis: usize| scene.turned_with_bone(core::array::from_fn(|row| volume.direction[row][axis]));
+    let columns = [column(0), column(1), column(2)];
+    volume.direction = core::array::from_fn(|row| core::array::from_fn(|axis| columns[axis][row]));
+    Made { sha256: volume_hash(&volume), volume, notes }
 }
 
 /// The volume of a file, as the scene wants it: from the cache if it takes long to decode.

@@ -51,3 +51,13 @@ pub enum SceneError {
         problem: String,
     },
 }
+
+impl SceneError {
+    /// The same of a key in another table.
+    pub(crate) fn below(mut self, table: &str) -> SceneError {
+        if let SceneError::OutOfRange { key, .. } | SceneError::Invalid { key, .. } = &mut self {
+            *key = format!("{table}.{key}");
+        }
+        self
+    }
+}

@@ -45,6 +45,7 @@ pub mod reference;
 mod schema;
 mod tool;
 mod tool_file;
+mod truth;
 mod urdf;
 
 pub use error::SceneError;
@@ -53,6 +54,7 @@ pub use named_file::ReadText;
 pub use planned_path::planned_path_mm;
 pub use schema::json_schema;
 pub use tool::{FlexurePlace, STANDARD_RADII, ToolRadii};
+pub use truth::planned_path_in_bone_mm;
 
 use std::path::Path;
 

@@ -112,7 +112,7 @@ pub struct Course {
     pub peaks: Peaks,
     /// Angle at which a flexure of the scene's tool reaches its stop.
     stop_rad: Option<f64>,
-    /// Target of the burr, world frame.
+    /// Target of the burr where it truly lies in the bone, world frame.
     pub target_m: Option<[f64; 3]>,
     voxel_volume_mm3: Option<f64>,
 }
@@ -123,7 +123,7 @@ impl Course {
         let target_mm = scene.controller.iter().find_map(|c| c.curved_drilling.as_ref()?.target_mm);
         Course {
             stop_rad: manipulator_parameters(scene).ok().map(|tool| tool.joint_limit_rad),
-            target_m: target_mm.map(|target_mm| target_mm.map(|x| x * 1e-3)),
+            target_m: target_mm.map(|target_mm| scene.in_bone_mm(target_mm).map(|x| x * 1e-3)),
             voxel_volume_mm3: voxel_volume_mm3(scene),
             ..Course::default()
         }

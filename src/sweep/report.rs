@@ -21,8 +21,23 @@ pub struct Sensitivity {
     pub range: [f64; 3],
     /// By parameter: rank correlation; Sobol indices of a Saltelli design.
     pub parameters: Vec<(String, Option<f64>, Option<Index>)>,
+    /// What the runs gave with each value of a parameter that is no number.
+    pub groups: Vec<Group>,
     /// Samples of a Saltelli design without the figure in one of their rows.
     pub left_out: usize,
+}
+
+/// The runs with one value of a parameter.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Group {
+    /// The parameter.
+    pub key: String,
+    /// Its value.
+    pub value: Value,
+    /// How many runs.
+    pub runs: usize,
+    /// Lowest, median and highest value of the figure.
+    pub range: [f64; 3],
 }
 
 /// Refuses a name that no row has.
@@ -65,8 +80,37 @@ pub fn sensitivity(study: &Study, rows: &[Row], figure: &str) -> Option<Sensitiv
         rows: [values.len(), rows.len()],
         range,
         parameters: keys.iter().enumerate().map(parameter).collect(),
+        groups: keys.iter().flat_map(|key| groups(key, rows, of)).collect(),
         left_out,
     })
+}
+
+/// The values of a parameter in the order in which they first occur; none if it is a number.
+fn groups(key: &str, rows: &[Row], of: impl Fn(&Row) -> Option<f64>) -> Vec<Group> {
+    let value_of =
+        |row: &Row| row.parameters.iter().find(|(name, _)| name == key).map(|(_, value)| value.clone());
+    let mut found: Vec<(Value, Vec<f64>)> = Vec::new();
+    for (value, figure) in rows.iter().filter_map(|row| Some((value_of(row)?, of(row)?))) {
+        match found.iter_mut().find(|(known, _)| *known == value) {
+            Some((_, figures)) => figures.push(figure),
+            None => found.push((value, vec![figure])),
+        }
+    }
+    if found.iter().all(|(value, _)| value.is_number()) {
+        return Vec::new();
+    }
+    let group = |(value, mut figures): (Value, Vec<f64>)| {
+        figures.sort_by(f64::total_cmp);
+        let range = [figures[0], median(&figures), figures[figures.len() - 1]];
+        Group { key: key.to_owned(), value, runs: figures.len(), range }
+    };
+    found.into_iter().map(group).collect()
+}
+
+/// Of sorted numbers, at least one.
+fn median(sorted: &[f64]) -> f64 {
+    let middle = sorted.len() / 2;
+    if sorted.len() % 2 == 1 { sorted[middle] } else { 0.5 * (sorted[middle - 1] + sorted[middle]) }
 }
 
 impl Sensitivity {
@@ -97,7 +141,23 @@ impl Sensitivity {
             });
             lines.push(format!("{key:width$}  {rank:>16}{index}"));
         }
+        lines.extend(self.group_lines());
         lines.join("\n")
+    }
+
+    fn group_lines(&self) -> Vec<String> {
+        let named: Vec<(String, &Group)> =
+            self.groups.iter().map(|group| (format!("{} = {}", group.key, group.value), group)).collect();
+        let Some(width) = named.iter().map(|(name, _)| name.len()).max() else { return Vec::new() };
+        let head = format!(
+            "{:width$}  {:>6}  {:>10}  {:>10}  {:>10}",
+            "runs with", "number", "lowest", "median", "highest"
+        );
+        let line = |(name, group): &(String, &Group)| {
+            let [low, median, high] = group.range;
+            format!("{name:width$}  {:>6}  {low:>10.4}  {median:>10.4}  {high:>10.4}", group.runs)
+        };
+        core::iter::once(head).chain(named.iter().map(line)).collect()
     }
 
     /// For programs.
@@ -121,6 +181,14 @@ impl Sensitivity {
             "highest": self.range[2],
             "samples_left_out": self.left_out,
             "parameters": self.parameters.iter().map(parameter).collect::<Vec<_>>(),
+            "groups": self.groups.iter().map(|group| json!({
+                "key": group.key,
+                "value": group.value,
+                "runs": group.runs,
+                "lowest": group.range[0],
+                "median": group.range[1],
+                "highest": group.range[2],
+            })).collect::<Vec<_>>(),
         })
     }
 }

@@ -76,6 +76,7 @@ mod suspended;
 mod sweeps;
 mod terminal;
 mod tools;
+mod truth;
 mod unread;
 mod untrusted;
 mod unwritable;

@@ -1,6 +1,6 @@
 //! Content of `/view/info`: the scene as the page needs it.
 
-use ipc_types::scene::{Scene, planned_path_mm};
+use ipc_types::scene::{Scene, planned_path_in_bone_mm};
 use serde_json::{Value, json};
 use voxel_grid::slice::ANATOMICAL;
 
@@ -88,8 +88,8 @@ fn scene_part(scene: &Scene) -> Value {
         "dt_ns": scene.dt_ns(),
         "mode": scene.run.mode,
         "tick_count": scene.tick_count(),
-        "target_m": drilling.and_then(|drilling| drilling.target_mm).map(|target| target.map(metres)),
-        "planned_path_m": planned_path_mm(scene).map(|path| path.into_iter().map(|point| point.map(metres)).collect::<Vec<_>>()),
+        "target_m": drilling.and_then(|drilling| drilling.target_mm).map(|target| scene.in_bone_mm(target).map(metres)),
+        "planned_path_m": planned_path_in_bone_mm(scene).map(|path| path.into_iter().map(|point| point.map(metres)).collect::<Vec<_>>()),
         "burr_start_m": scene.tool.burr_start_mm.map(metres),
         "predrill": scene.predrill.iter().map(|hole| json!({
             "from_m": hole.from_mm.map(metres), "to_m": hole.to_mm.map(metres), "radius_m": 0.5 * metres(hole.diameter_mm),

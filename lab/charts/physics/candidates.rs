@@ -7,7 +7,7 @@ use simulation::manipulator::{Integrator, ManipulatorError, Rung};
 use super::against::{References, distance_mm};
 use super::drilled::Drilling;
 use super::problems::{self, Measured};
-use super::trials;
+use super::trials::{self, TunnelReferences};
 use super::voxel_wall::voxel_wall_mm;
 use crate::charts::method::Method;
 use trabecula::failure::Failure;
@@ -147,6 +147,7 @@ pub fn measure(
     mut save: impl FnMut(&[Row]) -> Result<(), Failure>,
 ) -> Result<(Vec<Row>, f64), Failure> {
     let (mut rows, mut references) = (Vec::new(), References::default());
+    let mut of_tunnels = TunnelReferences::default();
     for settings in settings(effort) {
         let row = without_bone(&settings, &mut references)?;
         for settings in [Some(settings), with_the_other_contact(&settings)].into_iter().flatten() {
@@ -164,7 +165,7 @@ pub fn measure(
     for place in 0..rows.len() {
         let settings = rows[place].settings;
         if is_drilled(&settings) || quick {
-            in_bone(&mut rows[place], &drilling, effort, &mut references)?;
+            in_bone(&mut rows[place], &drilling, effort, &mut references, &mut of_tunnels)?;
             rows[place].grid_path_mm = grid_mm[usize::from(settings.contact == ContactVoxels::Balls)];
             save(&rows)?;
         }
@@ -186,12 +187,13 @@ fn in_bone(
     drilling: &Drilling,
     effort: Effort,
     references: &mut References,
+    of_tunnels: &mut TunnelReferences,
 ) -> Result<(), Failure> {
     let settings = row.settings;
     let compared = drilling.compare(&settings, references)?;
     let (mut worst_mm, mut us_per_ms) = (compared.worst_path_mm, compared.us_per_ms);
     if effort == Effort::Full {
-        let tunnels_mm = trials::drilled_mm(&settings, references)?;
+        let tunnels_mm = trials::drilled_mm(&settings, of_tunnels)?;
         worst_mm = if tunnels_mm.is_nan() { f64::NAN } else { worst_mm.max(tunnels_mm) };
         // The path is the same every time; other load on the machine only adds to the cost.
         for _ in 1..TIMINGS {

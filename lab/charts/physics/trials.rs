@@ -137,17 +137,26 @@ pub fn free(settings: &Settings, pull: Pull, references: &mut References) -> Res
     Ok(worst)
 }
 
-/// The worst path error of the tunnels, r.m.s., mm.
+/// The references of the tunnels, for each place of the voxels.
+#[derive(Default)]
+pub struct TunnelReferences([References; PLACES.len()]);
+
+/// The path error of the worst tunnel, r.m.s. over the places of the voxels, mm. One place alone says little: by chance it may hide the
+/// error of one setting and add to that of another.
 ///
 /// # Errors
 /// The physics refuses the settings.
-pub fn drilled_mm(settings: &Settings, references: &mut References) -> Result<f64, Failure> {
-    let block = block([0.0; 3]);
-    let ct = CtView { geometry: block.geometry, hu: &block.hu };
-    tunnels().iter().try_fold(0.0, |worst, trial| {
-        let own = against_reference(&with(settings, trial, Some(&block))?, Some(ct), references)?;
-        Ok(larger(worst, own.worst_path_mm))
-    })
+pub fn drilled_mm(settings: &Settings, references: &mut TunnelReferences) -> Result<f64, Failure> {
+    let mut squares = tunnels().map(|_| 0.0);
+    for (place, references) in PLACES.into_iter().zip(&mut references.0) {
+        let block = block(place);
+        let ct = CtView { geometry: block.geometry, hu: &block.hu };
+        for (trial, squares) in tunnels().iter().zip(&mut squares) {
+            let own = against_reference(&with(settings, trial, Some(&block))?, Some(ct), references)?;
+            *squares += own.worst_path_mm * own.worst_path_mm;
+        }
+    }
+    Ok(squares.into_iter().fold(0.0, |worst, squares| larger(worst, (squares / PLACES.len() as f64).sqrt())))
 }
 
 /// How far the path of a tunnel moves with the place of the voxels: the worst pair of places, r.m.s., mm.

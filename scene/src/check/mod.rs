@@ -59,30 +59,43 @@ impl Checker<'_> {
 pub(crate) fn check(scene: &Scene, given: &toml::Table, file: &Path) -> Result<(), SceneError> {
     let checker = Checker { file };
     ranges::check(&SCENE, given, "", &checker)?;
+    check_relations(scene, &checker)?;
+    if scene.truth.is_none() {
+        return Ok(());
+    }
+    if scene.has_registration_error() && scene.volume.is_none() {
+        return Err(checker
+            .invalid("truth.registration_error_mm", "needs a `[volume]`, the bone that lies elsewhere"));
+    }
+    // What is true must be possible together, too; what is wrong about it then comes from `[truth]`.
+    check_relations(&scene.as_it_is(), &checker).map_err(|error| error.below("truth"))
+}
+
+fn check_relations(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     match &scene.volume {
-        Some(volume) => check_volume(volume, &checker)?,
+        Some(volume) => check_volume(volume, checker)?,
         None if !scene.predrill.is_empty() => {
             return Err(checker.invalid("predrill", "needs a `[volume]` to be drilled into"));
         }
         None => {}
     }
-    check_bodies(scene, &checker)?;
-    check_tool(&scene.tool, &checker)?;
-    tool::beside(scene, &checker)?;
-    check_tendons(scene, &checker)?;
+    check_bodies(scene, checker)?;
+    check_tool(&scene.tool, checker)?;
+    tool::beside(scene, checker)?;
+    check_tendons(scene, checker)?;
     if scene.drilling.edge_force_n_per_mm.is_some() && scene.drilling.edge_pressure_mpa.is_some() {
         let problem = "stands beside `drilling.edge_pressure_mpa`; expected one of the two";
         return Err(checker.invalid("drilling.edge_force_n_per_mm", problem));
     }
-    arm::check(&scene.arm, &checker)?;
+    arm::check(&scene.arm, checker)?;
     if let Some(drr) = &scene.drr {
-        check_drr(drr, &checker)?;
+        check_drr(drr, checker)?;
         if scene.volume.is_none() {
             return Err(checker.invalid("drr", "needs a `[volume]` to look through"));
         }
     }
-    controllers::check(scene, &checker)?;
-    sensors::check(scene, &checker)
+    controllers::check(scene, checker)?;
+    sensors::check(scene, checker)
 }
 
 fn check_volume(volume: &Volume, checker: &Checker) -> Result<(), SceneError> {

@@ -12,6 +12,7 @@ mod run;
 mod sensor;
 mod tolerance;
 mod tool;
+mod truth;
 mod volume;
 
 pub use arm::*;
@@ -26,6 +27,7 @@ pub use run::*;
 pub use sensor::*;
 pub use tolerance::Tolerance;
 pub use tool::*;
+pub use truth::*;
 pub use volume::*;
 
 use messages::{MAX_BODIES, MAX_CONTROLLERS, MAX_SENSORS, MAX_TENDONS};
@@ -99,6 +101,8 @@ pub struct Scene {
     #[serde(default)]
     #[schemars(length(max = MAX_CONTROLLERS))]
     pub controller: Vec<Controller>,
+    /// Where the simulated world differs from what the scene says; absent: nowhere.
+    pub truth: Option<Truth>,
     /// What is recorded.
     #[serde(default)]
     pub recording: Recording,

@@ -28,6 +28,7 @@ pub(super) fn build<'v>(
     scene: &Scene,
     ct: Option<(GridGeometry, Hounsfield<'v>)>,
 ) -> Result<Simulation<'v>, SimulationError> {
+    let scene = &scene.as_it_is();
     let parameters = manipulator_parameters(scene)?;
     let t_world_base = tool_base(&scene.tool, &parameters);
     let arm = arm(scene, &t_world_base)?;

@@ -3,7 +3,7 @@
 use std::io::{BufWriter, Write as _};
 
 use ipc_types::messages::{Pose, State, Tick};
-use ipc_types::scene::{Scene, planned_path_mm};
+use ipc_types::scene::{Scene, planned_path_in_bone_mm};
 use output_file::{OutputError, OutputFile};
 use recorder_proc::exit_code::exit_code;
 use recorder_proc::log_file::{LogFile, log_path};
@@ -94,7 +94,7 @@ impl<'a, W: std::io::Write> Made<'a, W> {
             log,
             arguments,
             drawer: Drawer::new(&tool_shape(scene)),
-            planned_m: planned_path_mm(scene).map(metres),
+            planned_m: planned_path_in_bone_mm(scene).map(metres),
             travelled: Travelled::new(PATH_STEP_MM),
             every,
             drawings: 0,

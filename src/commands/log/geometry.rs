@@ -5,7 +5,7 @@ use std::path::Path;
 
 use clap::ValueEnum;
 use ipc_types::messages::{State, Tick};
-use ipc_types::scene::{Scene, planned_path_mm};
+use ipc_types::scene::{Scene, planned_path_in_bone_mm};
 use markups::{curve_json, points_fcsv};
 use output_file::{OutputError, OutputFile};
 use recorder_proc::log_file::{LogFile, log_path};
@@ -214,7 +214,7 @@ fn scene_of(reader: &LogReader, log: &Path) -> Result<Scene, Failure> {
 }
 
 fn planned(log: &Path, scene: &Scene) -> Result<Vec<[f64; 3]>, Failure> {
-    planned_path_mm(scene).ok_or_else(|| {
+    planned_path_in_bone_mm(scene).ok_or_else(|| {
         Failure::bad_input(format!(
             "{}: the scene of this run plans no path: expected a controller `curved_drilling` or `skiving`",
             log.display()

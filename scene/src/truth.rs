@@ -1,0 +1,215 @@
+//! The simulated world where it differs from what a scene's plan and controllers take it for.
+
+use markups::vector::{dot, length, minus, plus};
+
+use crate::{Contact, Drilling, Manipulator, Scene, TrueManipulator, Truth, planned_path_mm};
+
+impl Scene {
+    /// The scene as it is: with what `[truth]` says in the place of what the plan and the controllers believe, and without `[truth]`. The
+    /// bone's place is [`Scene::in_bone_mm`].
+    pub fn as_it_is(&self) -> Scene {
+        let mut scene = self.clone();
+        if let Some(truth) = scene.truth.take() {
+            manipulator(&mut scene.manipulator, &truth.manipulator);
+            contact(&mut scene.contact, &truth.contact);
+            drilling(&mut scene.drilling, &truth.drilling);
+        }
+        scene
+    }
+
+    /// Where a point that is fixed to the bone truly lies, mm; `point_mm` is where the plan has it. LPS.
+    pub fn in_bone_mm(&self, point_mm: [f64; 3]) -> [f64; 3] {
+        let Some(truth) = &self.truth else { return point_mm };
+        let start_mm = self.tool.burr_start_mm;
+        let turned = self.turned_with_bone(minus(point_mm, start_mm));
+        plus(plus(start_mm, 1.0, turned), 1.0, truth.registration_error_mm)
+    }
+
+    /// The direction that a direction of the plan has in the true bone.
+    pub fn turned_with_bone(&self, direction: [f64; 3]) -> [f64; 3] {
+        self.truth.as_ref().map_or(direction, |truth| turned(direction, truth.registration_error_deg))
+    }
+
+    /// Whether the bone lies elsewhere than the plan has it.
+    pub fn has_registration_error(&self) -> bool {
+        let moves = |truth: &Truth| {
+            [truth.registration_error_mm, truth.registration_error_deg].iter().flatten().any(|x| *x != 0.0)
+        };
+        self.truth.as_ref().is_some_and(moves)
+    }
+}
+
+/// The path of [`planned_path_mm`] where it truly lies in the bone: what a run is judged by.
+pub fn planned_path_in_bone_mm(scene: &Scene) -> Option<Vec<[f64; 3]>> {
+    let path = planned_path_mm(scene)?;
+    Some(path.into_iter().map(|point_mm| scene.in_bone_mm(point_mm)).collect())
+}
+
+/// Rodrigues' formula. Sine and cosine are those of `libm`, the same on every machine: the bone's place enters the hash of a run.
+fn turned(vector: [f64; 3], rotation_vector_deg: [f64; 3]) -> [f64; 3] {
+    let angle_deg = length(rotation_vector_deg);
+    if angle_deg == 0.0 {
+        return vector;
+    }
+    let axis = rotation_vector_deg.map(|x| x / angle_deg);
+    let angle_rad = angle_deg.to_radians();
+    let (sine, cosine) = (libm::sin(angle_rad), libm::cos(angle_rad));
+    let along = dot(axis, vector);
+    let across = cross(axis, vector);
+    plus(plus(vector.map(|x| cosine * x), sine, across), along * (1.0 - cosine), axis)
+}
+
+fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    core::array::from_fn(|i| {
+        let (j, k) = ((i + 1) % 3, (i + 2) % 3);
+        a[j] * b[k] - a[k] * b[j]
+    })
+}
+
+/// Takes what is given.
+fn put<T: Clone>(into: &mut Option<T>, given: &Option<T>) {
+    if given.is_some() {
+        into.clone_from(given);
+    }
+}
+
+// Each takes its table apart, so that a key added there is not forgotten here.
+
+fn manipulator(into: &mut Manipulator, given: &TrueManipulator) {
+    let TrueManipulator {
+        stiffness_scale,
+        mass_scale,
+        damping_ratio,
+        tendon_friction,
+        mount_stiffness_n_per_m,
+        lateral_stiffness_ratio,
+        torsion_stiffness_ratio,
+        burr_stall_torque_nmm,
+    } = given;
+    put(&mut into.stiffness_scale, stiffness_scale);
+    put(&mut into.mass_scale, mass_scale);
+    put(&mut into.damping_ratio, damping_ratio);
+    put(&mut into.tendon_friction, tendon_friction);
+    put(&mut into.mount_stiffness_n_per_m, mount_stiffness_n_per_m);
+    put(&mut into.lateral_stiffness_ratio, lateral_stiffness_ratio);
+    put(&mut into.torsion_stiffness_ratio, torsion_stiffness_ratio);
+    put(&mut into.burr_stall_torque_nmm, burr_stall_torque_nmm);
+}
+
+fn contact(into: &mut Contact, given: &Contact) {
+    let Contact { friction, stiffness_n_per_m, strength_mpa, strength_exponent, voxels } = given;
+    put(&mut into.friction, friction);
+    put(&mut into.stiffness_n_per_m, stiffness_n_per_m);
+    put(&mut into.strength_mpa, strength_mpa);
+    put(&mut into.strength_exponent, strength_exponent);
+    put(&mut into.voxels, voxels);
+}
+
+fn drilling(into: &mut Drilling, given: &Drilling) {
+    let Drilling {
+        specific_energy_j_per_mm3,
+        density_exponent,
+        cutting_coefficient,
+        edge_pressure_mpa,
+        edge_force_n_per_mm,
+        edge_exponent,
+        side_force,
+        removal,
+    } = given;
+    put(&mut into.specific_energy_j_per_mm3, specific_energy_j_per_mm3);
+    put(&mut into.density_exponent, density_exponent);
+    put(&mut into.cutting_coefficient, cutting_coefficient);
+    put(&mut into.edge_pressure_mpa, edge_pressure_mpa);
+    put(&mut into.edge_force_n_per_mm, edge_force_n_per_mm);
+    put(&mut into.edge_exponent, edge_exponent);
+    put(&mut into.side_force, side_force);
+    put(&mut into.removal, removal);
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test fails by it")]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::SceneError;
+    use crate::declaration::SCENE;
+
+    const TEXT: &str = "name = \"a\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[volume]\nphantom = \"block\"\n\
+        [drilling]\nedge_pressure_mpa = 1.0\nedge_exponent = 2.0\n\
+        [tool]\nburr_start_mm = [1.0, 2.0, 3.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n";
+
+    fn scene(truth: &str) -> Result<Scene, SceneError> {
+        Scene::parse(&format!("{TEXT}{truth}"), Path::new("a.toml"))
+    }
+
+    #[test]
+    fn keys_of_the_truth_take_the_place_of_what_is_believed_and_no_others() {
+        let believed =
+            scene("[truth.manipulator]\nstiffness_scale = 0.8\n[truth.drilling]\nedge_pressure_mpa = 3.0\n")
+                .unwrap();
+        let mut expected = scene("[manipulator]\nstiffness_scale = 0.8\n").unwrap();
+        expected.drilling.edge_pressure_mpa = Some(3.0);
+        assert_eq!(believed.as_it_is(), expected);
+        assert_eq!(believed.drilling.edge_pressure_mpa, Some(1.0));
+        assert_eq!(scene("").unwrap().as_it_is(), scene("").unwrap());
+    }
+
+    /// A quarter turn about z through the burr's start, and a shift.
+    #[test]
+    fn the_bone_is_turned_about_the_start_and_moved() {
+        let scene = scene(
+            "[truth]\nregistration_error_mm = [0.5, 0.0, 0.0]\nregistration_error_deg = [0.0, 0.0, 90.0]\n",
+        )
+        .unwrap();
+        let placed = scene.in_bone_mm([11.0, 2.0, 4.0]);
+        let expected = [1.5, 12.0, 4.0];
+        assert!(length(minus(placed, expected)) < 1e-12, "{placed:?}");
+        assert_eq!(scene.turned_with_bone([0.0, 0.0, 1.0]), [0.0, 0.0, 1.0]);
+        assert!(scene.has_registration_error());
+    }
+
+    /// Rodrigues' turn keeps lengths, and its trace is 1 + 2 cos of the angle.
+    #[test]
+    fn a_turn_about_any_axis_is_a_rotation_by_its_angle() {
+        let vector = [3.0, -4.0, 12.0];
+        let columns = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|axis| turned(axis, vector));
+        let trace: f64 = (0..3).map(|i| columns[i][i]).sum();
+        assert!((trace - (1.0 + 2.0 * 13.0_f64.to_radians().cos())).abs() < 1e-14);
+        let determinant = dot(cross(columns[0], columns[1]), columns[2]);
+        assert!((determinant - 1.0).abs() < 1e-14);
+        assert!(length(minus(turned(vector, vector), vector)) < 1e-14);
+    }
+
+    #[test]
+    fn a_truth_out_of_range_or_that_contradicts_itself_is_refused_by_its_key() {
+        for (truth, key) in [
+            ("[truth.manipulator]\nstiffness_scale = 0.0\n", "truth.manipulator.stiffness_scale"),
+            ("[truth]\nregistration_error_mm = [0.0, 200.0, 0.0]\n", "truth.registration_error_mm[1]"),
+            ("[truth.manipulator]\nlinks = 5\n", "links"),
+            ("[truth.drilling]\nedge_force_n_per_mm = 3.0\n", "truth.drilling.edge_force_n_per_mm"),
+        ] {
+            let refused = scene(truth).unwrap_err().to_string();
+            assert!(refused.contains(key), "{refused}");
+        }
+        let without = TEXT.replace("[volume]\nphantom = \"block\"\n", "");
+        let moved = format!("{without}[truth]\nregistration_error_mm = [0.0, 1.0, 0.0]\n");
+        let refused = Scene::parse(&moved, Path::new("a.toml")).unwrap_err().to_string();
+        assert!(refused.contains("`truth.registration_error_mm`"), "{refused}");
+    }
+
+    #[test]
+    fn a_key_of_the_true_tool_has_the_range_of_its_namesake() {
+        let truth = SCENE.kind("truth.manipulator").and_then(|kind| kind.table()).unwrap();
+        assert!(truth.keys.len() >= 8);
+        for key in &truth.keys {
+            let [own, believed] = ["truth.manipulator", "manipulator"].map(|table| {
+                SCENE
+                    .kind(&format!("{table}.{}", key.name))
+                    .and_then(|kind| kind.range())
+                    .map(|range| [range.lowest, range.highest])
+            });
+            assert_eq!(own, believed, "{}", key.name);
+        }
+    }
+}
