@@ -40,6 +40,16 @@ pub struct Group {
     pub range: [f64; 3],
 }
 
+impl Group {
+    /// As in a scene.
+    fn name(&self) -> String {
+        match &self.value {
+            Value::String(text) => format!("{} = {text}", self.key),
+            value => format!("{} = {value}", self.key),
+        }
+    }
+}
+
 /// Refuses a name that no row has.
 ///
 /// # Errors
@@ -147,7 +157,7 @@ impl Sensitivity {
 
     fn group_lines(&self) -> Vec<String> {
         let named: Vec<(String, &Group)> =
-            self.groups.iter().map(|group| (format!("{} = {}", group.key, group.value), group)).collect();
+            self.groups.iter().map(|group| (group.name(), group)).collect();
         let Some(width) = named.iter().map(|(name, _)| name.len()).max() else { return Vec::new() };
         let head = format!(
             "{:width$}  {:>6}  {:>10}  {:>10}  {:>10}",
