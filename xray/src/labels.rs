@@ -167,6 +167,7 @@ fn is_another(part: &ToolPart, point_m: Vec3, width_m: f64) -> bool {
         ToolPart::Cylinder { start_m, end_m, .. }
         | ToolPart::HollowCylinder { start_m, end_m, .. }
         | ToolPart::NotchedTube { start_m, end_m, .. }
+        | ToolPart::MitredTube { start_m, end_m, .. }
         | ToolPart::Cone { start_m, end_m, .. } => {
             let (along, from_start) = (sub(end_m, start_m), sub(point_m, start_m));
             let nearest = (dot(from_start, along) / dot(along, along)).clamp(0.0, 1.0);
@@ -180,9 +181,9 @@ fn half_width_m(part: &ToolPart) -> f64 {
     match *part {
         ToolPart::Sphere { .. } => 0.0,
         ToolPart::Cylinder { radius_m, .. } => radius_m,
-        ToolPart::HollowCylinder { outer_radius_m, .. } | ToolPart::NotchedTube { outer_radius_m, .. } => {
-            outer_radius_m
-        }
+        ToolPart::HollowCylinder { outer_radius_m, .. }
+        | ToolPart::NotchedTube { outer_radius_m, .. }
+        | ToolPart::MitredTube { outer_radius_m, .. } => outer_radius_m,
         ToolPart::Cone { start_radius_m, end_radius_m, .. } => start_radius_m.max(end_radius_m),
     }
 }
