@@ -1,7 +1,7 @@
 //! X-ray model of the manipulator and its burr.
 
 use messages::{Pose, State};
-use scene::{Notch as SceneNotch, ToolRadii};
+use scene::{Holder, Notch as SceneNotch, ToolRadii};
 
 use crate::tool::LEAST_MITRE_COSINE;
 use crate::vector::{Vec3, add_scaled, cross, dot, norm, scale, sub};
@@ -9,13 +9,23 @@ use crate::{Material, Notch, Tool, ToolPart};
 
 /// Links that turn by less are in line: rounding of their places, rad.
 const STRAIGHT_RAD: f64 = 1e-9;
+/// Wall of the holder, an assumption, m: the drive in it is not drawn.
+const HOLDER_WALL_M: f64 = 2e-3;
 
 /// Shaft and links as nitinol tubes around a steel cable, the burr as a steel ball. With `notch`, every link between two flexures has a
 /// notch at its middle, on alternating sides of the bending plane. Where two links meet at an angle, the plane through the joint that
-/// halves it cuts both, so that no wedge is missing and no metal counts twice. The burr is the last part.
-pub fn tool_of(state: &State, radii: &ToolRadii, notch: Option<&SceneNotch>) -> Tool {
-    let links = links_of(state);
-    let mut parts = Vec::with_capacity(2 * links.len() + 1);
+/// halves it cuts both, so that no wedge is missing and no metal counts twice. Behind the base the shaft goes on to the holder on the
+/// arm's flange, a steel sleeve. The burr is the last part.
+pub fn tool_of(state: &State, radii: &ToolRadii, holder: &Holder, notch: Option<&SceneNotch>) -> Tool {
+    let front_m = holder.front_m(state.t_world_flange.position_m, state.t_world_base.position_m);
+    let links = links_of(state, front_m);
+    let mut parts = Vec::with_capacity(2 * links.len() + 2);
+    if let Some(sleeve) =
+        front_m.and_then(|front_m| Link::new(0, state.t_world_flange.position_m, front_m, [0.0; 3]))
+    {
+        let inner_m = (holder.radius_m - HOLDER_WALL_M).max(0.0);
+        parts.push(sleeve.part([None; 2], [holder.radius_m, inner_m], None, Material::Steel316L));
+    }
     for (at, link) in links.iter().enumerate() {
         let before = at.checked_sub(1).and_then(|before| links.get(before));
         let ends = [
@@ -36,7 +46,7 @@ pub fn tool_of(state: &State, radii: &ToolRadii, notch: Option<&SceneNotch>) -> 
 
 /// A straight piece between two joints.
 struct Link {
-    /// From base to tip; 0 is the shaft.
+    /// From base to tip; 0 is the shaft, before and behind the base.
     number: usize,
     start_m: Vec3,
     end_m: Vec3,
@@ -47,6 +57,13 @@ struct Link {
 }
 
 impl Link {
+    /// A link between two places; `None` if it has no length.
+    fn new(number: usize, start_m: Vec3, end_m: Vec3, toward: Vec3) -> Option<Self> {
+        let length_m = norm(sub(end_m, start_m));
+        let axis = sub(end_m, start_m).map(|x| x / length_m);
+        (length_m >= 1e-6).then_some(Self { number, start_m, end_m, axis, length_m, toward })
+    }
+
     /// A tube about the link, or a rod if the second radius is 0; `None` is an end across the axis.
     fn part(
         &self,
@@ -81,19 +98,16 @@ impl Link {
     }
 }
 
-/// The links of the tool from base to burr, but for those without length.
-fn links_of(state: &State) -> Vec<Link> {
+/// The shaft from the holder's front on, and the links of the tool from base to burr, but for those without length.
+fn links_of(state: &State, front_m: Option<Vec3>) -> Vec<Link> {
     let joints = &state.t_world_link[..(state.joint_count as usize).min(state.t_world_link.len())];
     let origins = core::iter::once(&state.t_world_base).chain(joints);
     let ends = joints.iter().chain(core::iter::once(&state.t_world_burr));
     let link = |(number, (start, end)): (usize, (&Pose, &Pose))| {
-        let (start_m, end_m) = (start.position_m, end.position_m);
-        let length_m = norm(sub(end_m, start_m));
-        let axis = sub(end_m, start_m).map(|x| x / length_m);
-        let toward = x_axis(&start.orientation_xyzw);
-        (length_m >= 1e-6).then_some(Link { number, start_m, end_m, axis, length_m, toward })
+        Link::new(number, start.position_m, end.position_m, x_axis(&start.orientation_xyzw))
     };
-    origins.zip(ends).enumerate().filter_map(link).collect()
+    let behind = front_m.and_then(|front_m| Link::new(0, front_m, state.t_world_base.position_m, [0.0; 3]));
+    behind.into_iter().chain(origins.zip(ends).enumerate().filter_map(link)).collect()
 }
 
 /// Normal of the plane that halves the angle between two links; `None` if they are in line, or if a mitre would be too oblique.

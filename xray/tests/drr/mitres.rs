@@ -2,7 +2,7 @@
 
 use messages::State;
 use proptest::prelude::*;
-use scene::STANDARD_RADII;
+use scene::{STANDARD_HOLDER, STANDARD_RADII};
 use xray::ray::WorldRay;
 use xray::tool::PreparedPart;
 use xray::tool_model::tool_of;
@@ -47,7 +47,7 @@ fn bent(turn_rad: f64) -> (State, Vec<[f64; 3]>) {
 fn the_metal_at_a_joint_is_that_of_the_ellipse_in_its_plane() {
     for turn_rad in [0.02_f64, 0.2, 0.6] {
         let (state, joints) = bent(turn_rad);
-        let tool = tool_of(&state, &STANDARD_RADII, None);
+        let tool = tool_of(&state, &STANDARD_RADII, &STANDARD_HOLDER, None);
         for (joint, at) in joints.iter().enumerate() {
             let middle = (joint as f64 + 0.5) * turn_rad;
             let (normal, along) = ([middle.sin(), 0.0, middle.cos()], [middle.cos(), 0.0, -middle.sin()]);
@@ -73,12 +73,38 @@ fn the_metal_at_a_joint_is_that_of_the_ellipse_in_its_plane() {
 /// A straight tool has the flat ends of before: the same bits.
 #[test]
 fn links_in_line_end_flat() {
-    let tool = tool_of(&bent(0.0).0, &STANDARD_RADII, None);
+    let tool = tool_of(&bent(0.0).0, &STANDARD_RADII, &STANDARD_HOLDER, None);
     assert!(tool.parts.iter().all(|part| !matches!(part, ToolPart::MitredTube { .. })), "{tool:?}");
     assert_eq!(tool.parts.len(), 11);
     // So oblique that a mitre would stick out by more than the tube is wide.
-    let tool = tool_of(&bent(2.2).0, &STANDARD_RADII, None);
+    let tool = tool_of(&bent(2.2).0, &STANDARD_RADII, &STANDARD_HOLDER, None);
     assert!(tool.parts.iter().all(|part| !matches!(part, ToolPart::MitredTube { .. })), "{tool:?}");
+}
+
+/// From a base 200 mm before the flange, the shaft goes on to the holder of 60 mm: a straight ray along y crosses its two walls.
+#[test]
+fn the_shaft_goes_on_behind_the_base_to_the_holder() {
+    let (mut state, joints) = bent(0.2);
+    state.t_world_flange.position_m = [0.0, 0.0, -0.2];
+    let tool = tool_of(&state, &STANDARD_RADII, &STANDARD_HOLDER, None);
+    let metal = |z: f64, material| metal_m(&tool, material, [0.0, -0.1, z], [0.0, 0.1, z]);
+    for (z, nitinol_m, steel_m) in [
+        (-0.21, 0.0, 0.0),
+        (-0.199, 0.0, 4e-3),
+        (-0.141, 0.0, 4e-3),
+        (-0.139, 2e-3, 2e-3),
+        (-0.001, 2e-3, 2e-3),
+        (0.001, 2e-3, 2e-3),
+    ] {
+        assert!((metal(z, Material::Nitinol) - nitinol_m).abs() < 1e-12, "z {z}");
+        assert!((metal(z, Material::Steel316L) - steel_m).abs() < 1e-12, "z {z}");
+    }
+    assert!(matches!(tool.parts.last(), Some(ToolPart::Sphere { .. })), "the burr is the last part");
+    // A base nearer than the holder is long: no bare shaft. On the flange: neither.
+    for (z, parts) in [(-0.04, 2 * (joints.len() + 1) + 2), (0.0, 2 * (joints.len() + 1) + 1)] {
+        state.t_world_flange.position_m = [0.0, 0.0, z];
+        assert_eq!(tool_of(&state, &STANDARD_RADII, &STANDARD_HOLDER, None).parts.len(), parts);
+    }
 }
 
 #[test]
@@ -108,7 +134,7 @@ proptest! {
         turn_rad in 0.05..0.4_f64,
     ) {
         let (state, joints) = bent(turn_rad);
-        let tool = tool_of(&state, &STANDARD_RADII, None);
+        let tool = tool_of(&state, &STANDARD_RADII, &STANDARD_HOLDER, None);
         let [from, to] = [from, to].map(|p| [p[0] + 4e-3, p[1], p[2] + 0.035]);
         let got = metal_m(&tool, Material::Nitinol, from, to);
         let ends: Vec<[f64; 3]> = [[0.0; 3]].into_iter().chain(joints).chain([state.t_world_burr.position_m]).collect();
