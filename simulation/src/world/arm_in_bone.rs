@@ -127,7 +127,10 @@ impl Piece {
             return false;
         }
         let (x, y) = perpendiculars(&axis);
-        let [before_m, beyond_m] = self.is_round.map(|is_round| if is_round { radius_m } else { 0.0 });
+        let [before_m, beyond_m] = self.is_round.map(|is_round| if is_round { radius_m } else { outward_m });
+        if before_m + length_m + beyond_m <= 0.0 {
+            return false;
+        }
         let rings = ((before_m + length_m + beyond_m) / SPACING_M).ceil().max(1.0) as usize;
         (0..=rings).any(|ring| {
             let share = ring as f64 / rings as f64;
