@@ -30,7 +30,7 @@ fn radii_m(scene: &Scene) -> [Vec<f64>; 2] {
     ];
     let simulation = Simulation::new(scene, None).unwrap();
     let mut seen = [0.0; 3];
-    for part in tool_of(simulation.state(), &scene.manipulator.radii(), None).parts {
+    for part in tool_of(simulation.state(), &scene.manipulator.radii(), &scene.arm.holder(), None).parts {
         match part {
             ToolPart::Sphere { radius_m, .. } => seen[0] = radius_m,
             ToolPart::HollowCylinder { outer_radius_m, inner_radius_m, .. } => {

@@ -7,7 +7,7 @@ use controllers::{Controller, built_in};
 use drr_proc::ThisMachine;
 use hub::in_process::{Answer, InProcess};
 use ipc_types::messages::{Latched, Restores, State, Volume as VolumeMessage};
-use ipc_types::scene::{Drr, Mode, Notch, Scene, ToolRadii};
+use ipc_types::scene::{Drr, Holder, Mode, Notch, Scene, ToolRadii};
 use ipc_types::services::MAX_KEYFRAME_BYTES;
 use simulation::{CtView, Simulation};
 use xray::frame::{Cache, Job, Rendered, render_job};
@@ -150,6 +150,7 @@ struct XRay<'v> {
     threads: usize,
     noise_seed: u64,
     radii: ToolRadii,
+    holder: Holder,
     notch: Option<Notch>,
     removed: Vec<u32>,
     shown: u64,
@@ -179,6 +180,7 @@ impl<'v> XRay<'v> {
             threads: drr.threads,
             noise_seed: scene.run.seed,
             radii: scene.manipulator.radii(),
+            holder: scene.arm.holder(),
             notch: drr.notch,
             removed: predrilled.to_vec(),
             shown: 0,
@@ -222,6 +224,7 @@ impl<'v> XRay<'v> {
             notch: self.notch,
             noise_seed: self.noise_seed,
             radii: self.radii,
+            holder: self.holder,
         };
         let began = Instant::now();
         let rendered = render_job(&mut self.renderer, &self.view, &job).map_err(failed)?;

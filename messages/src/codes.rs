@@ -340,6 +340,9 @@ codes! {
         Reset = EVENT_RESET, 12, "reset";
         /// The run ends: the simulation could not compute a tick, or its result was no state of the tool; `text` says which tick, and why.
         SimulationFailed = EVENT_SIMULATION_FAILED, 13, "simulation_failed";
+        /// A link of the arm, the holder or the shaft behind the tool's base has entered bone, where nothing collides; `text` says which, and
+        /// how deep.
+        ArmInBone = EVENT_ARM_IN_BONE, 14, "arm_in_bone";
     }
 }
 

@@ -42,6 +42,11 @@ pub trait Plant {
         0
     }
 
+    /// The part of the arm that was found to have entered bone in the last tick.
+    fn arm_entry(&self) -> Option<&ArmEntry> {
+        None
+    }
+
     /// Takes the memory that the next tick may need. Called between ticks; changes no result.
     fn make_room(&mut self) {}
 
@@ -56,6 +61,15 @@ pub trait Plant {
     /// # Errors
     /// Not a keyframe, or from another scene.
     fn restore_keyframe(&mut self, keyframe: &[u8]) -> Result<(), Self::Error>;
+}
+
+/// A part of the arm that has entered bone, where nothing collides.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ArmEntry {
+    /// Which link, holder or shaft.
+    pub part: &'static str,
+    /// How far bone reaches into it, m.
+    pub depth_m: f64,
 }
 
 /// Part of a valid command that the plant could not follow (an unreachable goal). That part, tendon or arm, is unchanged; the command's

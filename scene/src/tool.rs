@@ -1,6 +1,6 @@
 //! The tool's dimensions, from which physics, contact spheres, X-ray, viewer and controllers take theirs.
 
-use crate::{Manipulator, ToolDescription, ToolFlexure};
+use crate::{Arm, Manipulator, ToolDescription, ToolFlexure};
 
 /// Radii of the tool.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -21,6 +21,42 @@ pub struct ToolRadii {
 /// The cable's 2 mm are an assumption: only X-ray frames show it.
 pub const STANDARD_RADII: ToolRadii =
     ToolRadii { tube_outer_m: 3.0e-3, tube_inner_m: 2.0e-3, drive_cable_m: 1.0e-3, burr_m: 3.25e-3 };
+
+/// What joins the tool to the arm's flange. The shaft goes on from it to the tool's base.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Holder {
+    /// Length from the flange on.
+    pub length_m: f64,
+    /// Outer radius.
+    pub radius_m: f64,
+}
+
+/// An assumption, about the size of a drive unit with two motors; only the pictures and the check of the arm against bone use it.
+pub const STANDARD_HOLDER: Holder = Holder { length_m: 0.06, radius_m: 0.02 };
+
+impl Holder {
+    /// Where the holder ends and the bare shaft begins, on the line from the flange to the tool's base, world, m. `None` if the base is on
+    /// the flange; the base itself if it is no farther away than the holder is long.
+    pub fn front_m(&self, flange_m: [f64; 3], base_m: [f64; 3]) -> Option<[f64; 3]> {
+        let way: [f64; 3] = core::array::from_fn(|axis| base_m[axis] - flange_m[axis]);
+        let length_m = way.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let share = (self.length_m / length_m).min(1.0);
+        (length_m > ON_FLANGE_M).then(|| core::array::from_fn(|axis| flange_m[axis] + share * way[axis]))
+    }
+}
+
+/// A base so near to the flange is on it: the mount gives way by less than this, m.
+const ON_FLANGE_M: f64 = 5e-3;
+
+impl Arm {
+    /// The holder on the scene's arm.
+    pub fn holder(&self) -> Holder {
+        Holder {
+            length_m: self.holder_length_mm.map_or(STANDARD_HOLDER.length_m, |mm| mm * 1e-3),
+            radius_m: self.holder_diameter_mm.map_or(STANDARD_HOLDER.radius_m, |mm| mm * 0.5e-3),
+        }
+    }
+}
 
 impl Manipulator {
     /// The radii of the scene's tool.

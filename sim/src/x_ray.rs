@@ -115,6 +115,7 @@ impl XRay {
             isocentre_m: scene_isocentre_m(scene),
             noise_seed: scene.run.seed,
             radii: scene.manipulator.radii(),
+            holder: scene.arm.holder(),
             notch: scene.drr.as_ref().and_then(|drr| drr.notch),
         })
     }

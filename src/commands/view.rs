@@ -197,12 +197,14 @@ pub fn tool_shape(scene: &Scene) -> ToolShape {
             tip_offset_m: parameters.tip_offset_m,
             outer_radius_m: parameters.tube_radii_m[0],
             burr_radius_m: parameters.burr_radius_m,
+            holder: scene.arm.holder(),
         },
         Err(_) => ToolShape {
             joint_positions_m: Vec::new(),
             tip_offset_m: 0.0,
             outer_radius_m: scene.manipulator.radii().tube_outer_m,
             burr_radius_m: scene.manipulator.radii().burr_m,
+            holder: scene.arm.holder(),
         },
     }
 }

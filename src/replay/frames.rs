@@ -137,6 +137,7 @@ impl<'l> FrameReplay<'l> {
             isocentre_m: scene_isocentre_m(&self.log.scene),
             noise_seed: self.log.scene.run.seed,
             radii: self.log.scene.manipulator.radii(),
+            holder: self.log.scene.arm.holder(),
             notch: self.log.scene.drr.as_ref().and_then(|drr| drr.notch),
         }))
     }

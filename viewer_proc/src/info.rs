@@ -1,6 +1,6 @@
 //! Content of `/view/info`: the scene as the page needs it.
 
-use ipc_types::scene::{Scene, planned_path_in_bone_mm};
+use ipc_types::scene::{Holder, Scene, planned_path_in_bone_mm};
 use serde_json::{Value, json};
 use voxel_grid::slice::ANATOMICAL;
 
@@ -20,6 +20,8 @@ pub struct ToolShape {
     pub outer_radius_m: f64,
     /// Radius of the burr.
     pub burr_radius_m: f64,
+    /// What joins the tool to the arm.
+    pub holder: Holder,
 }
 
 /// A volume's bounding box in the patient frame, and its voxel spacing.
@@ -134,5 +136,6 @@ fn tool_part(tool: &ToolShape) -> Value {
         "links": links,
         "burr_radius_m": tool.burr_radius_m,
         "shaft": {"length_m": tool.joint_positions_m.first(), "radius_m": tool.outer_radius_m},
+        "holder": {"length_m": tool.holder.length_m, "radius_m": tool.holder.radius_m},
     })
 }

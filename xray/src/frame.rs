@@ -1,7 +1,7 @@
 //! One frame: from the state, the removed voxels and the C-arm to the message bytes.
 
 use messages::{Frame, ImagePrefix, Restores, State};
-use scene::{Notch as SceneNotch, ToolRadii};
+use scene::{Holder, Notch as SceneNotch, ToolRadii};
 use xxhash_rust::xxh3::xxh3_128;
 use zerocopy::IntoBytes;
 
@@ -43,6 +43,8 @@ pub struct Job {
     pub noise_seed: u64,
     /// The tool's radii.
     pub radii: ToolRadii,
+    /// What joins the tool to the arm.
+    pub holder: Holder,
     /// Notches of the links.
     pub notch: Option<SceneNotch>,
 }
@@ -82,7 +84,7 @@ pub fn render_job(
     job: &Job,
 ) -> Result<Rendered, DrrError> {
     take_removals(renderer, view, job)?;
-    let tool = tool_of(&job.state, &job.radii, job.notch.as_ref());
+    let tool = tool_of(&job.state, &job.radii, &job.holder, job.notch.as_ref());
     let seed = FrameSeed { seed: job.noise_seed, frame: job.state.tick };
     let mut pixels = vec![0_u16; job.c_arm.pixels()];
     let report = match job.cache {
@@ -117,7 +119,7 @@ pub fn label_job(
     bone_from_hu: i16,
 ) -> Result<Labels, DrrError> {
     take_removals(renderer, view, job)?;
-    let tool = tool_of(&job.state, &job.radii, job.notch.as_ref());
+    let tool = tool_of(&job.state, &job.radii, &job.holder, job.notch.as_ref());
     // The burr is the tool's last part.
     let burr = tool.parts.len().saturating_sub(1);
     let points_m = points_of(&job.state);

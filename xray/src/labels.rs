@@ -136,7 +136,9 @@ pub(crate) fn keypoints(
     parts: &[PreparedPart],
     points_m: &[Vec3],
 ) -> Vec<Keypoint> {
-    let width_m = tool.parts.iter().map(half_width_m).fold(0.0, f64::max) * 2.0;
+    // The tool's own width: the holder behind it bears no point.
+    let bears = |part: &&ToolPart| points_m.iter().any(|point| is_end(part, *point));
+    let width_m = tool.parts.iter().filter(bears).map(half_width_m).fold(0.0, f64::max) * 2.0;
     let at = |&point_m: &Vec3| {
         let Some(seen) = c_arm.project(point_m) else {
             let (column, row, depth_m) = (f64::NAN, f64::NAN, f64::NAN);
@@ -167,10 +169,25 @@ fn is_another(part: &ToolPart, point_m: Vec3, width_m: f64) -> bool {
         ToolPart::Cylinder { start_m, end_m, .. }
         | ToolPart::HollowCylinder { start_m, end_m, .. }
         | ToolPart::NotchedTube { start_m, end_m, .. }
+        | ToolPart::MitredTube { start_m, end_m, .. }
         | ToolPart::Cone { start_m, end_m, .. } => {
             let (along, from_start) = (sub(end_m, start_m), sub(point_m, start_m));
             let nearest = (dot(from_start, along) / dot(along, along)).clamp(0.0, 1.0);
             norm(add_scaled(from_start, -nearest, along)) > width_m
+        }
+    }
+}
+
+/// Whether a point is an end of a part's axis.
+fn is_end(part: &ToolPart, point_m: Vec3) -> bool {
+    match *part {
+        ToolPart::Sphere { .. } => false,
+        ToolPart::Cylinder { start_m, end_m, .. }
+        | ToolPart::HollowCylinder { start_m, end_m, .. }
+        | ToolPart::NotchedTube { start_m, end_m, .. }
+        | ToolPart::MitredTube { start_m, end_m, .. }
+        | ToolPart::Cone { start_m, end_m, .. } => {
+            [start_m, end_m].iter().any(|end_m| norm(sub(*end_m, point_m)) < 1e-9)
         }
     }
 }
@@ -180,9 +197,9 @@ fn half_width_m(part: &ToolPart) -> f64 {
     match *part {
         ToolPart::Sphere { .. } => 0.0,
         ToolPart::Cylinder { radius_m, .. } => radius_m,
-        ToolPart::HollowCylinder { outer_radius_m, .. } | ToolPart::NotchedTube { outer_radius_m, .. } => {
-            outer_radius_m
-        }
+        ToolPart::HollowCylinder { outer_radius_m, .. }
+        | ToolPart::NotchedTube { outer_radius_m, .. }
+        | ToolPart::MitredTube { outer_radius_m, .. } => outer_radius_m,
         ToolPart::Cone { start_radius_m, end_radius_m, .. } => start_radius_m.max(end_radius_m),
     }
 }

@@ -1,48 +1,122 @@
 //! X-ray model of the manipulator and its burr.
 
 use messages::{Pose, State};
-use scene::{Notch as SceneNotch, ToolRadii};
+use scene::{Holder, Notch as SceneNotch, ToolRadii};
 
+use crate::tool::LEAST_MITRE_COSINE;
+use crate::vector::{Vec3, add_scaled, cross, dot, norm, scale, sub};
 use crate::{Material, Notch, Tool, ToolPart};
 
+/// Links that turn by less are in line: rounding of their places, rad.
+const STRAIGHT_RAD: f64 = 1e-9;
+/// Wall of the holder, an assumption, m: the drive in it is not drawn.
+const HOLDER_WALL_M: f64 = 2e-3;
+
 /// Shaft and links as nitinol tubes around a steel cable, the burr as a steel ball. With `notch`, every link between two flexures has a
-/// notch at its middle, on alternating sides of the bending plane. The burr is the last part.
-pub fn tool_of(state: &State, radii: &ToolRadii, notch: Option<&SceneNotch>) -> Tool {
-    let links = &state.t_world_link[..(state.joint_count as usize).min(state.t_world_link.len())];
-    let origins = core::iter::once(&state.t_world_base).chain(links);
-    let ends = links.iter().chain(core::iter::once(&state.t_world_burr));
-    let mut parts = Vec::with_capacity(2 * links.len() + 3);
-    for (number, (start, end)) in origins.zip(ends).enumerate() {
-        let (start_m, end_m) = (start.position_m, end.position_m);
-        if distance(start, end) < 1e-6 {
-            continue;
-        }
+/// notch at its middle, on alternating sides of the bending plane. Where two links meet at an angle, the plane through the joint that
+/// halves it cuts both, so that no wedge is missing and no metal counts twice. Behind the base the shaft goes on to the holder on the
+/// arm's flange, a steel sleeve. The burr is the last part.
+pub fn tool_of(state: &State, radii: &ToolRadii, holder: &Holder, notch: Option<&SceneNotch>) -> Tool {
+    let front_m = holder.front_m(state.t_world_flange.position_m, state.t_world_base.position_m);
+    let links = links_of(state, front_m);
+    let mut parts = Vec::with_capacity(2 * links.len() + 2);
+    if let Some(sleeve) =
+        front_m.and_then(|front_m| Link::new(0, state.t_world_flange.position_m, front_m, [0.0; 3]))
+    {
+        let inner_m = (holder.radius_m - HOLDER_WALL_M).max(0.0);
+        parts.push(sleeve.part([None; 2], [holder.radius_m, inner_m], None, Material::Steel316L));
+    }
+    for (at, link) in links.iter().enumerate() {
+        let before = at.checked_sub(1).and_then(|before| links.get(before));
+        let ends = [
+            before.and_then(|before| mitre(before.axis, link.axis)),
+            links.get(at + 1).and_then(|next| mitre(link.axis, next.axis)),
+        ];
         // The first part is the rigid shaft.
-        let cut = notch.filter(|_| number > 0).and_then(|notch| notch_between(notch, number, start, end));
-        let (outer_radius_m, inner_radius_m) = (radii.tube_outer_m, radii.tube_inner_m);
-        let material = Material::Nitinol;
-        parts.push(match cut {
-            // A solid rod.
-            _ if inner_radius_m == 0.0 => {
-                ToolPart::Cylinder { start_m, end_m, radius_m: outer_radius_m, material }
-            }
-            None => ToolPart::HollowCylinder { start_m, end_m, outer_radius_m, inner_radius_m, material },
-            Some(notch) => {
-                ToolPart::NotchedTube { start_m, end_m, outer_radius_m, inner_radius_m, notch, material }
-            }
-        });
+        let notch = notch.filter(|_| link.number > 0).and_then(|notch| notch_of(notch, link));
+        parts.push(link.part(ends, [radii.tube_outer_m, radii.tube_inner_m], notch, Material::Nitinol));
         if radii.drive_cable_m > 0.0 {
-            parts.push(ToolPart::Cylinder {
-                start_m,
-                end_m,
-                radius_m: radii.drive_cable_m,
-                material: Material::Steel316L,
-            });
+            parts.push(link.part(ends, [radii.drive_cable_m, 0.0], None, Material::Steel316L));
         }
     }
     let centre_m = state.t_world_burr.position_m;
     parts.push(ToolPart::Sphere { centre_m, radius_m: radii.burr_m, material: Material::Steel316L });
     Tool { parts }
+}
+
+/// A straight piece between two joints.
+struct Link {
+    /// From base to tip; 0 is the shaft, before and behind the base.
+    number: usize,
+    start_m: Vec3,
+    end_m: Vec3,
+    axis: Vec3,
+    length_m: f64,
+    /// Toward tendon 0.
+    toward: Vec3,
+}
+
+impl Link {
+    /// A link between two places; `None` if it has no length.
+    fn new(number: usize, start_m: Vec3, end_m: Vec3, toward: Vec3) -> Option<Self> {
+        let length_m = norm(sub(end_m, start_m));
+        let axis = sub(end_m, start_m).map(|x| x / length_m);
+        (length_m >= 1e-6).then_some(Self { number, start_m, end_m, axis, length_m, toward })
+    }
+
+    /// A tube about the link, or a rod if the second radius is 0; `None` is an end across the axis.
+    fn part(
+        &self,
+        ends: [Option<Vec3>; 2],
+        [outer_radius_m, inner_radius_m]: [f64; 2],
+        notch: Option<Notch>,
+        material: Material,
+    ) -> ToolPart {
+        let Self { start_m, end_m, .. } = *self;
+        let notch = notch.filter(|_| inner_radius_m > 0.0);
+        match notch {
+            _ if ends != [None; 2] => {
+                let normals = ends.map(|normal| normal.unwrap_or(self.axis));
+                ToolPart::MitredTube {
+                    start_m,
+                    end_m,
+                    normals,
+                    outer_radius_m,
+                    inner_radius_m,
+                    notch,
+                    material,
+                }
+            }
+            Some(notch) => {
+                ToolPart::NotchedTube { start_m, end_m, outer_radius_m, inner_radius_m, notch, material }
+            }
+            None if inner_radius_m > 0.0 => {
+                ToolPart::HollowCylinder { start_m, end_m, outer_radius_m, inner_radius_m, material }
+            }
+            None => ToolPart::Cylinder { start_m, end_m, radius_m: outer_radius_m, material },
+        }
+    }
+}
+
+/// The shaft from the holder's front on, and the links of the tool from base to burr, but for those without length.
+fn links_of(state: &State, front_m: Option<Vec3>) -> Vec<Link> {
+    let joints = &state.t_world_link[..(state.joint_count as usize).min(state.t_world_link.len())];
+    let origins = core::iter::once(&state.t_world_base).chain(joints);
+    let ends = joints.iter().chain(core::iter::once(&state.t_world_burr));
+    let link = |(number, (start, end)): (usize, (&Pose, &Pose))| {
+        Link::new(number, start.position_m, end.position_m, x_axis(&start.orientation_xyzw))
+    };
+    let behind = front_m.and_then(|front_m| Link::new(0, front_m, state.t_world_base.position_m, [0.0; 3]));
+    behind.into_iter().chain(origins.zip(ends).enumerate().filter_map(link)).collect()
+}
+
+/// Normal of the plane that halves the angle between two links; `None` if they are in line, or if a mitre would be too oblique.
+fn mitre(before: Vec3, after: Vec3) -> Option<Vec3> {
+    let sum = add_scaled(before, 1.0, after);
+    let normal = scale(sum, 1.0 / norm(sum).max(f64::MIN_POSITIVE));
+    let turns = norm(cross(before, after)) > STRAIGHT_RAD;
+    // A margin, since both links' cosines are as good as equal.
+    (turns && dot(normal, before) > LEAST_MITRE_COSINE + 1e-6).then_some(normal)
 }
 
 /// The points of the tool that a frame's labels name: base, each joint from base to tip, burr. World, m.
@@ -53,21 +127,18 @@ pub fn points_of(state: &State) -> Vec<[f64; 3]> {
 }
 
 /// The notch of a link; `None` if the link is too short for it.
-fn notch_between(notch: &SceneNotch, number: usize, start: &Pose, end: &Pose) -> Option<Notch> {
-    let (length_m, width_m) = (distance(start, end), notch.width_mm * 1e-3);
-    if width_m >= length_m {
+fn notch_of(notch: &SceneNotch, link: &Link) -> Option<Notch> {
+    let width_m = notch.width_mm * 1e-3;
+    if width_m >= link.length_m {
         return None;
     }
-    let axis: [f64; 3] = core::array::from_fn(|i| (end.position_m[i] - start.position_m[i]) / length_m);
     // +x of the link points toward tendon 0; remove its component along the axis.
-    let x = x_axis(&start.orientation_xyzw);
-    let along: f64 = axis.iter().zip(&x).map(|(a, b)| a * b).sum();
-    let across: [f64; 3] = core::array::from_fn(|i| x[i] - along * axis[i]);
-    let size = libm::sqrt(across.iter().map(|a| a * a).sum());
-    let turn = if number.is_multiple_of(2) { 1.0 } else { -1.0 };
+    let across = add_scaled(link.toward, -dot(link.axis, link.toward), link.axis);
+    let size = norm(across);
+    let turn = if link.number.is_multiple_of(2) { 1.0 } else { -1.0 };
     let side = across.map(|a| turn * a / size);
     (size > 0.1).then_some(Notch {
-        offset_m: 0.5 * (length_m - width_m),
+        offset_m: 0.5 * (link.length_m - width_m),
         width_m,
         side,
         depth_m: notch.depth_mm * 1e-3,
@@ -77,9 +148,4 @@ fn notch_between(notch: &SceneNotch, number: usize, start: &Pose, end: &Pose) ->
 /// First column of the rotation matrix of a unit quaternion.
 fn x_axis([x, y, z, w]: &[f64; 4]) -> [f64; 3] {
     [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w), 2.0 * (x * z - y * w)]
-}
-
-fn distance(a: &Pose, b: &Pose) -> f64 {
-    let squares = a.position_m.iter().zip(&b.position_m).map(|(x, y)| (x - y) * (x - y));
-    libm::sqrt(squares.sum())
 }

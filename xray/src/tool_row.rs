@@ -7,7 +7,7 @@ use pulp::Arch;
 
 use crate::lanes::lanes;
 use crate::ray::{Pixel, RayFan, WorldRay};
-use crate::tool::{Crossing, Radii, SeenPart};
+use crate::tool::{Crossing, End, Radii, SeenPart};
 use crate::vector::{Vec3, add_scaled, dot};
 
 /// World rays of neighbouring pixels of a row.
@@ -117,8 +117,7 @@ lanes! {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Tube {
     axis: Vec3,
-    length_m: f64,
-    along: f64,
+    ends: [End; 2],
     across: Vec3,
     outer_m: f64,
     inner_m: f64,
@@ -129,16 +128,16 @@ impl Tube {
         match *part {
             SeenPart::Axial {
                 axis,
-                length_m,
+                ends,
                 radii: Radii::Tube { outer_m, inner_m, notch: None },
-                along,
                 across,
-            } => Some(Self { axis, length_m, along, across, outer_m, inner_m }),
+                ..
+            } => Some(Self { axis, ends, across, outer_m, inner_m }),
             _ => None,
         }
     }
 
-    /// Same as [`SeenPart::cross`], operation by operation. False if a ray is exactly parallel or perpendicular to the axis: use
+    /// Same as [`SeenPart::cross`], operation by operation. False if a ray is exactly parallel to the axis or to an end: use
     /// [`SeenPart::cross`] then.
     #[inline(always)]
     fn cross(&self, direction_m: [&[f64]; 3], length_m: &[f64], out: [&mut [f64]; 3]) -> bool {
@@ -152,17 +151,25 @@ impl Tube {
             let direction = [x[i], y[i], z[i]];
             let d_along = dot(direction, self.axis);
             let d = add_scaled(direction, -d_along, self.axis);
-            let (a, b) = ((0.0 - self.along) / d_along, (self.length_m - self.along) / d_along);
+            let [rate_a, rate_b] = self.ends.map(|end| dot(direction, end.normal));
+            let (a, b) = (self.ends[0].ahead_m / rate_a, self.ends[1].ahead_m / rate_b);
+            // A ray enters by the end that it runs with, and leaves by the other.
+            let (a_enters, b_enters) = (rate_a > 0.0, rate_b < 0.0);
+            let enter_a = if a_enters { a } else { f64::NEG_INFINITY };
+            let enter_b = if b_enters { b } else { f64::NEG_INFINITY };
+            let leave_a = if a_enters { f64::INFINITY } else { a };
+            let leave_b = if b_enters { f64::INFINITY } else { b };
             let dd = dot(d, d);
-            special |= u64::from(d_along == 0.0) | u64::from(dd.sqrt() < 1e-12 * length_m[i]);
+            special |= u64::from(rate_a == 0.0) | u64::from(rate_b == 0.0);
+            special |= u64::from(dd.sqrt() < 1e-12 * length_m[i]);
             let closest = -dot(self.across, d) / dd;
             let miss = add_scaled(self.across, closest, d);
             let square = dot(miss, miss);
             let (rest_outer, rest_inner) = (outer - square, inner - square);
             let half_outer = (rest_outer.max(0.0) / dd).sqrt();
             let half_inner = (rest_inner.max(0.0) / dd).sqrt();
-            let first = a.min(b).max(closest - half_outer).max(0.0);
-            let last = a.max(b).min(closest + half_outer).min(1.0);
+            let first = enter_a.max(enter_b).max(closest - half_outer).max(0.0);
+            let last = leave_a.min(leave_b).min(closest + half_outer).min(1.0);
             let hit = (rest_outer > 0.0) & (first < last);
             let lumen = first.max(closest - half_inner)..last.min(closest + half_inner);
             let open = hollow & (rest_inner > 0.0) & (lumen.start < lumen.end);

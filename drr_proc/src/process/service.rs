@@ -11,7 +11,7 @@ use ipc_types::messages::{
 };
 use ipc_types::ports::PortError;
 use ipc_types::process::EndRequest;
-use ipc_types::scene::{Notch, Scene, ToolRadii};
+use ipc_types::scene::{Holder, Notch, Scene, ToolRadii};
 use ipc_types::services::DRR_REQUEST;
 use xray::frame::{Cache, Job, Rendered, render_job};
 use xray::from_scene::scene_isocentre_m;
@@ -76,6 +76,7 @@ struct Service {
     notch: Option<Notch>,
     noise_seed: u64,
     radii: ToolRadii,
+    holder: Holder,
     jobs: SyncSender<Job>,
     outcomes: Receiver<Outcome>,
     in_flight: usize,
@@ -111,6 +112,7 @@ impl Service {
             notch: scene.drr.as_ref().and_then(|drr| drr.notch),
             noise_seed: scene.run.seed,
             radii: scene.manipulator.radii(),
+            holder: scene.arm.holder(),
             jobs,
             outcomes,
             in_flight: 0,
@@ -351,6 +353,7 @@ impl Service {
             notch: self.notch,
             noise_seed: self.noise_seed,
             radii: self.radii,
+            holder: self.holder,
         })
     }
 

@@ -47,6 +47,7 @@ impl<P: Plant> Hub<P> {
         self.report_sources(env, made)?;
         self.report_refusals(env)?;
         self.report_shortfall(env, made)?;
+        self.report_arm_entry(env)?;
         self.steps_left = self.steps_left.saturating_sub(1);
         self.send_status(env, Phase::Running, When::IfDue)?;
         Ok((Stage::TickDue, None))
@@ -113,6 +114,15 @@ impl<P: Plant> Hub<P> {
             env.send_event(&Note { tick: self.tick, severity, code, text: &text })?;
         }
         Ok(())
+    }
+
+    /// Reports a part of the arm that has entered bone. A plant looks at each part a few times a second, so there is no limit here.
+    fn report_arm_entry<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
+        let Some(entry) = self.plant.arm_entry() else { return Ok(()) };
+        let depth_mm = entry.depth_m * 1e3;
+        let text = format!("the arm's {} is {depth_mm:.0} mm in bone; nothing collides there", entry.part);
+        let (severity, code) = (Severity::Warning, EventCode::ArmInBone);
+        Ok(env.send_event(&Note { tick: self.tick, severity, code, text: &text })?)
     }
 
     /// Reports what the tick had no room for: at once, then once a second.

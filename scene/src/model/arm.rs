@@ -65,6 +65,13 @@ pub struct Arm {
     /// Orientation of the tool's base in the flange's frame: axis times angle.
     #[schemars(inner(range(min = -360.0, max = 360.0)))]
     pub tool_rotation_vector_deg: [f64; 3],
+    /// Length of the holder on the flange, that of the drive that turns the burr and pulls the tendons; 60 by default, and at most up to
+    /// the tool's base. From there on the tool's shaft is bare. Without a place of the tool's base off the flange there is neither.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub holder_length_mm: Option<f64>,
+    /// Outer diameter of the holder; 40 by default.
+    #[schemars(range(min = 1.0, max = 500.0))]
+    pub holder_diameter_mm: Option<f64>,
     /// Largest force of the tool on the flange. A greater one stops the arm until a controller commands `hold`; it may then move away. No limit by default.
     #[schemars(range(min = 1.0, max = 1e5), extend("x-absent" = "none"))]
     pub max_force_n: Option<f64>,
@@ -97,6 +104,8 @@ impl Default for Arm {
             initial_joints_deg: None,
             tool_position_mm: [0.0; 3],
             tool_rotation_vector_deg: [0.0; 3],
+            holder_length_mm: None,
+            holder_diameter_mm: None,
             max_force_n: None,
             compliance: None,
             joint: None,

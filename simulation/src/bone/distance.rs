@@ -1,4 +1,4 @@
-//! How far a point is from bone, or from where there is none. For checks of a scene; not for the tick.
+//! How far a point is from bone, or from where there is none: for checks of a scene, not for the tick. Whether it is in bone: for both.
 
 use nalgebra::Vector3;
 
@@ -15,6 +15,27 @@ pub enum Matter {
 }
 
 impl Voxels {
+    /// Whether a world point is in a voxel of bone.
+    pub(crate) fn holds_bone(&self, point_world_m: &Vector3<f64>) -> bool {
+        let (point, h) = (self.geometry().point_to_grid(point_world_m), self.geometry().spacing_m);
+        self.is_mostly_solid([0, 1, 2].map(|a| floor_to_i64(point[a] / h[a] + 0.5)))
+    }
+
+    /// Whether a ball touches the box of the volume.
+    pub(crate) fn is_near(&self, centre_world_m: &Vector3<f64>, radius_m: f64) -> bool {
+        let geometry = self.geometry();
+        let centre = geometry.point_to_grid(centre_world_m);
+        let beyond_m2: f64 = (0..3)
+            .map(|a| {
+                let (low_m, high_m) =
+                    (-0.5 * geometry.spacing_m[a], (geometry.dims[a] as f64 - 0.5) * geometry.spacing_m[a]);
+                let beyond_m = (low_m - centre[a]).max(centre[a] - high_m).max(0.0);
+                beyond_m * beyond_m
+            })
+            .sum();
+        beyond_m2 <= radius_m * radius_m
+    }
+
     /// Distance of a world point from the nearest voxel of this matter, to its faces, m; 0 inside one. `None` if there is no such voxel.
     pub fn distance_m(&self, point_world_m: &Vector3<f64>, matter: Matter) -> Option<f64> {
         let geometry = self.geometry();

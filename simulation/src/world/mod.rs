@@ -12,6 +12,7 @@
 //! 6. extend the hash chain with commands, state and removed voxels; let the sensors see the state.
 
 mod apply;
+mod arm_in_bone;
 mod burr_drive;
 mod feasibility;
 mod keyframe;
@@ -25,9 +26,9 @@ mod tool;
 
 use std::sync::Arc;
 
-use messages::{ControllerIndex, Latched, Refusal, SensorReading, State, Volume};
+use messages::{ArmEntry, ControllerIndex, Latched, Refusal, SensorReading, State, Volume};
 use nalgebra::{Matrix3, Vector3};
-use scene::Scene;
+use scene::{Holder, Scene};
 use sensors::{SensorArray, SensorArrayState};
 use thiserror::Error;
 use xxhash_rust::xxh3::Xxh3;
@@ -44,6 +45,7 @@ use crate::manipulator::{
     StepReport,
 };
 use crate::rigid::{RigidError, RigidScene, RigidSnapshot, ToolDrive};
+use arm_in_bone::ArmWatch;
 use burr_drive::{BurrDrive, BurrDriveState};
 use move_tool::Reach;
 use tendon_drive::{TendonDrive, TendonDriveState};
@@ -186,6 +188,8 @@ pub struct Simulation<'v> {
     state: State,
     predrilled: Vec<u32>,
     refusals: Vec<Refusal>,
+    holder: Holder,
+    arm_watch: ArmWatch,
     /// The sender of the last arm command.
     arm_driver: Driver,
     /// The sender of the last burr command.
@@ -315,6 +319,11 @@ impl<'v> Simulation<'v> {
         &self.refusals
     }
 
+    /// The link of the arm, holder or shaft that was found in bone in the last tick, if it was outside when last looked at.
+    pub fn arm_entry(&self) -> Option<&ArmEntry> {
+        self.arm_watch.entry()
+    }
+
     /// Computes tick k from its commands u_k, `latched`.
     ///
     /// # Errors
@@ -337,6 +346,7 @@ impl<'v> Simulation<'v> {
         self.update_state(latched, removed);
         self.update_hash(latched);
         self.sensors.see(&self.state);
+        self.watch_arm();
         Ok(())
     }
 
@@ -450,6 +460,7 @@ impl<'v> Simulation<'v> {
         self.crushing_energy_j = snapshot.crushing_energy_j;
         self.sensors.restore(&snapshot.sensors);
         self.state = snapshot.state;
+        self.note_arm();
         Ok(())
     }
 

@@ -1,6 +1,6 @@
 //! The simulation as the hub steps it.
 
-use messages::{Latched, Plant, Refusal, SensorReading, State};
+use messages::{ArmEntry, Latched, Plant, Refusal, SensorReading, State};
 
 use super::{Simulation, SimulationError};
 
@@ -37,6 +37,10 @@ impl Plant for Simulation<'_> {
 
     fn left_out_contacts(&self) -> usize {
         self.left_out_contacts
+    }
+
+    fn arm_entry(&self) -> Option<&ArmEntry> {
+        self.arm_entry()
     }
 
     fn make_room(&mut self) {

@@ -81,6 +81,8 @@ pub(super) fn build<'v>(
         state: State::zeroed(),
         predrilled,
         refusals: Vec::with_capacity(messages::MAX_CONTROLLERS + 2),
+        holder: scene.arm.holder(),
+        arm_watch: super::ArmWatch::default(),
         arm_driver: Driver::default(),
         burr_driver: Driver::default(),
         arm_fault: None,

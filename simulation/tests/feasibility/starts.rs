@@ -63,6 +63,20 @@ fn bone() -> Vec<Case> {
                 "unlikely: `tool.burr_start_mm` puts the shaft up to 8.6 mm inside bone; expected a `[[predrill]]` hole along it",
             ],
         ),
+        // The flange is 60 mm before the tool's base, in the block, and comes 20 mm farther.
+        case(
+            "a wrist that goes round the tool",
+            changed("[arm]\n", "[arm]\ntool_position_mm = [0.0, 0.0, -70.0]\n"),
+            &[
+                "unlikely: `arm.tool_position_mm` is [0, 0, -70]: the arm's holder starts 10 mm inside bone, where nothing collides; expected a longer way from flange to tool, as [0.0, 0.0, 200.0]",
+                "unlikely: `arm.tool_position_mm` is [0, 0, -70]: the arm's wrist 3 ends 30 mm inside bone, where nothing collides; expected a longer way from flange to tool, as [0.0, 0.0, 200.0]",
+            ],
+        ),
+        case(
+            "a flange as far in front of the bone as the tool goes in",
+            changed("[arm]\n", "[arm]\ntool_position_mm = [0.0, 0.0, -39.0]\n"),
+            &[],
+        ),
         case("the burr's centre on the bone's face", start("[100.0, 0.0, -27.0]"), &[]),
         case("the burr's centre in bone by less than is printed", start("[100.0, 0.0, -26.96]"), &[]),
         case(

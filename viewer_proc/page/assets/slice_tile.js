@@ -4,7 +4,7 @@ import { distanceText } from "/assets/measure.js";
 import { cutBall, cutCylinder, normal, place, pointAt } from "/assets/slice_geometry.js";
 import { textScale } from "/assets/plot.js";
 import { drawHandles } from "/assets/plan_edit.js";
-import { COLOURS } from "/assets/tool_model.js";
+import { COLOURS, holderFront } from "/assets/tool_model.js";
 import { add, dot, scale, subtract, transform } from "/assets/vector.js";
 
 /** @typedef {import("/assets/vector.js").Vector} Vector */
@@ -219,6 +219,8 @@ export class SliceTile {
   /** Outlines of what the plane cuts of shaft and links together, and of the burr. */
   #drawTool({ context, plane, ratio, scaleBy, width, height }, poses, tool) {
     const cylinders = [{ from: poses.base.position, to: transform(poses.base, [0, 0, tool.shaft?.length_m ?? 0]), radius: tool.shaft?.radius_m ?? 0.003 }];
+    const front = holderFront(poses, tool);
+    if (front) cylinders.push({ from: front, to: poses.base.position, radius: tool.shaft?.radius_m ?? 0.003 });
     poses.links.forEach((pose, i) => {
       const link = tool.links?.[i];
       if (link) cylinders.push({ from: pose.position, to: transform(pose, [0, 0, link.length_m]), radius: link.outer_radius_m });

@@ -16,7 +16,7 @@ const LEAP_M = 0.005;
 
 /** @type {Record<string, import("/assets/parts_list.js").Colour>} */
 export const COLOURS = {
-  arm: [0.5, 0.51, 0.53, 0.4], shaft: [0.66, 0.67, 0.7, 1], linkEven: [0.16, 0.55, 0.78, 1], linkOdd: [0.52, 0.8, 0.93, 1],
+  arm: [0.5, 0.51, 0.53, 0.4], shaft: [0.66, 0.67, 0.7, 1], holder: [0.46, 0.47, 0.5, 1], linkEven: [0.16, 0.55, 0.78, 1], linkOdd: [0.52, 0.8, 0.93, 1],
   burr: [0.96, 0.45, 0.08, 1], cursor: [0.2, 0.72, 0.45, 1], measure: [0.9, 0.75, 0.05, 1], target: [0.85, 0.15, 0.65, 1], planned: [0.1, 0.62, 0.33, 1], drilled: [0.95, 0.75, 0.1, 1],
   force: [0.86, 0.1, 0.16, 1], body: [0.55, 0.5, 0.75, 1], second: [0.45, 0.4, 0.95, 0.45],
 };
@@ -53,6 +53,12 @@ export function addTool(list, poses, tool, one) {
   const shaft = tool.shaft ?? { length_m: 0, radius_m: 0.003 };
   const end = transform(poses.base, [0, 0, shaft.length_m]);
   list.cylinder(poses.base.position, end, shaft.radius_m, one ?? COLOURS.shaft);
+  const front = holderFront(poses, tool);
+  if (front) {
+    list.cylinder(poses.flange.position, front, tool.holder?.radius_m ?? 0.02, one ?? COLOURS.holder);
+    list.cylinder(front, poses.base.position, shaft.radius_m, one ?? COLOURS.shaft);
+    list.sphere(poses.base.position, shaft.radius_m, one ?? COLOURS.shaft);
+  }
   poses.links.forEach((pose, i) => {
     const link = tool.links?.[i] ?? { length_m: 0.001, outer_radius_m: 0.003 };
     const colour = one ?? (i % 2 === 0 ? COLOURS.linkEven : COLOURS.linkOdd);
@@ -69,7 +75,13 @@ export function addArm(list, poses) {
   for (let i = 1; i < points.length; i++) {
     list.capsule(points[i - 1], points[i], ARM_RADII_M[Math.min(i - 1, ARM_RADII_M.length - 1)], COLOURS.arm);
   }
-  list.capsule(poses.flange.position, poses.base.position, 0.012, COLOURS.arm);
+}
+
+/** Where the holder on the flange ends and the bare shaft begins; undefined if the tool's base is on the flange. As `Holder::front_m`. @param {Poses} poses @param {object} tool */
+export function holderFront(poses, tool) {
+  const way = subtract(poses.base.position, poses.flange.position);
+  const share = Math.min(1, (tool.holder?.length_m ?? 0) / length(way));
+  return length(way) > 0.005 ? add(poses.flange.position, scale(way, share)) : undefined;
 }
 
 /** @param {PartsList} list @param {{point: import("/assets/vector.js").Vector, force: import("/assets/vector.js").Vector}[]} contacts force on the tool in newtons */

@@ -18,7 +18,32 @@ pub(crate) enum SeenPart {
     /// `o` runs from the centre to the source.
     Sphere { o: Vec3, radius_m: f64 },
     /// The source's coordinate along the axis, and its vector across the axis.
-    Axial { axis: Vec3, length_m: f64, radii: Radii, along: f64, across: Vec3 },
+    Axial { axis: Vec3, ends: [End; 2], radii: Radii, along: f64, across: Vec3 },
+}
+
+/// The plane that cuts an end of a part, seen from the source.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct End {
+    /// Unit normal, from the part's start to its end.
+    pub(crate) normal: Vec3,
+    /// From the source to the plane, along the normal.
+    pub(crate) ahead_m: f64,
+}
+
+/// Parameters for which a ray from the source is beyond the first end and before the second.
+#[inline]
+fn between_ends(ends: &[End; 2], direction_m: Vec3) -> Option<(f64, f64)> {
+    let whole = (f64::NEG_INFINITY, f64::INFINITY);
+    let side = |end: &End, is_first: bool| {
+        let rate = dot(direction_m, end.normal);
+        if rate == 0.0 {
+            let is_inside = if is_first { end.ahead_m < 0.0 } else { end.ahead_m > 0.0 };
+            return is_inside.then_some(whole);
+        }
+        let edge = end.ahead_m / rate;
+        Some(if (rate > 0.0) == is_first { (edge, whole.1) } else { (whole.0, edge) })
+    };
+    overlap(side(&ends[0], true)?, side(&ends[1], false)?)
 }
 
 impl SeenPart {
@@ -30,14 +55,14 @@ impl SeenPart {
                 let envelope = clip(Closest::new(o, direction_m).inside(radius_m)?)?;
                 Some(Crossing { envelope, metal_m: (envelope.1 - envelope.0) * length_m })
             }
-            Self::Axial { axis, length_m: part_length_m, radii, along, across } => {
+            Self::Axial { axis, ends, radii, along, across } => {
                 let d_along = dot(direction_m, axis);
                 let ray = AxialRay {
                     along: (along, d_along),
                     across: (across, add_scaled(direction_m, -d_along, axis)),
                     length_m,
                 };
-                let caps = ray.between(0.0, part_length_m)?;
+                let caps = between_ends(&ends, direction_m)?;
                 match radii {
                     Radii::Tube { outer_m, inner_m, notch } => ray.cross_tube(caps, outer_m, inner_m, notch),
                     Radii::Cone { start_m, slope, .. } => ray.cross_cone(caps, start_m, slope),

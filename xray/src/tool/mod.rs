@@ -9,10 +9,10 @@ mod part;
 
 use crate::attenuation::Material;
 
-pub(crate) use crossing::SeenPart;
 pub use crossing::{Crossing, join_intervals};
+pub(crate) use crossing::{End, SeenPart};
 pub use part::PreparedPart;
-pub(crate) use part::Radii;
+pub(crate) use part::{LEAST_MITRE_COSINE, Radii};
 
 /// One part of the tool, in the world.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -54,6 +54,24 @@ pub enum ToolPart {
         /// The notch.
         notch: Notch,
         /// Wall material.
+        material: Material,
+    },
+    /// A link of a bent tool: a rod or a tube whose ends are cut by planes, so that the link beyond, cut by the same plane, fits without
+    /// a gap and without overlap.
+    MitredTube {
+        /// Where the axis meets the plane of one end.
+        start_m: [f64; 3],
+        /// Where the axis meets the plane of the other end.
+        end_m: [f64; 3],
+        /// Unit normals of the two planes, both from start to end; at most 60 degrees from the axis.
+        normals: [[f64; 3]; 2],
+        /// Outer radius.
+        outer_radius_m: f64,
+        /// Radius of the lumen; 0 for a solid rod.
+        inner_radius_m: f64,
+        /// A notch in the wall.
+        notch: Option<Notch>,
+        /// Material of the wall or rod.
         material: Material,
     },
     /// A solid frustum of a cone with flat ends.

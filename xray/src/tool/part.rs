@@ -1,6 +1,6 @@
 //! A validated part of the tool with its precomputed constants.
 
-use super::crossing::{Crossing, SeenPart};
+use super::crossing::{Crossing, End, SeenPart};
 use super::{Notch, ToolPart};
 use crate::attenuation::Material;
 use crate::ray::WorldRay;
@@ -16,8 +16,11 @@ pub struct PreparedPart {
 #[derive(Debug, Clone, Copy)]
 enum Shape {
     Sphere { centre_m: Vec3, radius_m: f64 },
-    Axial { start_m: Vec3, axis: Vec3, length_m: f64, radii: Radii },
+    Axial { start_m: Vec3, axis: Vec3, length_m: f64, normals: [Vec3; 2], radii: Radii },
 }
+
+/// Least cosine between an axis and the normal of an end: 60 degrees.
+pub(crate) const LEAST_MITRE_COSINE: f64 = 0.5;
 
 /// The cross-section about an axis.
 #[derive(Debug, Clone, Copy)]
@@ -34,12 +37,24 @@ pub(crate) struct Cut {
     pub(super) above: f64,
 }
 
+impl Shape {
+    /// The same shape with other ends.
+    fn with_ends(self, ends: [Vec3; 2]) -> Self {
+        match self {
+            Self::Axial { start_m, axis, length_m, radii, .. } => {
+                Self::Axial { start_m, axis, length_m, normals: ends, radii }
+            }
+            Self::Sphere { .. } => self,
+        }
+    }
+}
+
 impl PreparedPart {
     /// Checks a part and computes its constants.
     ///
     /// # Errors
     /// A number is not finite or above 100 m, a radius or length is not positive, the lumen is as wide as the tube, or a notch is outside
-    /// its tube.
+    /// its tube, or an end is cut more obliquely than at 60 degrees.
     pub fn new(part: &ToolPart) -> Result<Self, &'static str> {
         let (shape, material) = match *part {
             ToolPart::Sphere { centre_m, radius_m, material } => {
@@ -62,6 +77,26 @@ impl PreparedPart {
                     Ok(Radii::Tube { outer_m: outer_radius_m, inner_m: inner_radius_m, notch: cut })
                 };
                 (axial(start_m, end_m, notched)?, material)
+            }
+            ToolPart::MitredTube {
+                start_m,
+                end_m,
+                normals,
+                outer_radius_m,
+                inner_radius_m,
+                notch,
+                material,
+            } => {
+                check_radius(outer_radius_m)?;
+                if inner_radius_m != 0.0 {
+                    check_tube(outer_radius_m, inner_radius_m)?;
+                }
+                let notched = |axis, length_m| {
+                    check_normals(&normals, axis)?;
+                    let notch = notch.map(|notch| notch.cut(axis, length_m, outer_radius_m)).transpose()?;
+                    Ok(Radii::Tube { outer_m: outer_radius_m, inner_m: inner_radius_m, notch })
+                };
+                (axial(start_m, end_m, notched)?.with_ends(normals), material)
             }
             ToolPart::Cone { start_m, end_m, start_radius_m, end_radius_m, material } => {
                 let widest_m = start_radius_m.max(end_radius_m);
@@ -94,10 +129,17 @@ impl PreparedPart {
     pub(crate) fn seen_from(&self, source_m: Vec3) -> SeenPart {
         match self.shape {
             Shape::Sphere { centre_m, radius_m } => SeenPart::Sphere { o: sub(source_m, centre_m), radius_m },
-            Shape::Axial { start_m, axis, length_m, radii } => {
+            Shape::Axial { start_m, axis, length_m, normals, radii } => {
                 let o = sub(source_m, start_m);
                 let along = dot(o, axis);
-                SeenPart::Axial { axis, length_m, radii, along, across: add_scaled(o, -along, axis) }
+                let end = |normal: Vec3, at_m: f64| {
+                    let is_flat = normal == axis;
+                    let ahead_m =
+                        if is_flat { at_m - along } else { at_m * dot(axis, normal) - dot(o, normal) };
+                    End { normal, ahead_m }
+                };
+                let ends = [end(normals[0], 0.0), end(normals[1], length_m)];
+                SeenPart::Axial { axis, ends, radii, along, across: add_scaled(o, -along, axis) }
             }
         }
     }
@@ -108,19 +150,24 @@ impl PreparedPart {
             Shape::Sphere { centre_m, radius_m: r } => {
                 (centre_m, [[r, 0.0, 0.0], [0.0, r, 0.0], [0.0, 0.0, r]])
             }
-            Shape::Axial { start_m, axis, length_m, radii } => {
-                let centre = add_scaled(start_m, 0.5 * length_m, axis);
+            Shape::Axial { start_m, axis, length_m, normals, radii } => {
+                let radius_m = match radii {
+                    Radii::Tube { outer_m, .. } => outer_m,
+                    Radii::Cone { widest_m, .. } => widest_m,
+                };
+                // An oblique end stands out by the radius times the tangent of its angle.
+                let [before_m, beyond_m] = normals.map(|normal| {
+                    let cosine = dot(normal, axis);
+                    if normal == axis { 0.0 } else { radius_m * norm(cross(normal, axis)) / cosine }
+                });
+                let centre = add_scaled(start_m, 0.5 * (length_m + beyond_m - before_m), axis);
+                let half_m = 0.5 * (length_m + beyond_m + before_m);
                 let sight = sub(centre, source_m);
                 let side = cross(axis, sight);
                 let size = norm(side);
                 let side =
                     if size > 1e-6 * norm(sight) { scale(side, 1.0 / size) } else { any_perpendicular(axis) };
-                let radius_m = match radii {
-                    Radii::Tube { outer_m, .. } => outer_m,
-                    Radii::Cone { widest_m, .. } => widest_m,
-                };
-                let half =
-                    [scale(axis, 0.5 * length_m), scale(side, radius_m), scale(cross(axis, side), radius_m)];
+                let half = [scale(axis, half_m), scale(side, radius_m), scale(cross(axis, side), radius_m)];
                 (centre, half)
             }
         }
@@ -144,6 +191,19 @@ impl Notch {
         }
         let along = (self.offset_m, self.offset_m + self.width_m);
         Ok(Cut { along, side: self.side, above: outer_radius_m - self.depth_m })
+    }
+}
+
+/// Checks the normals of a part's ends.
+fn check_normals(normals: &[Vec3; 2], axis: Vec3) -> Result<(), &'static str> {
+    let is_good =
+        |normal: &Vec3| (norm(*normal) - 1.0).abs() < 1e-6 && dot(*normal, axis) >= LEAST_MITRE_COSINE;
+    if normals.iter().all(is_good) {
+        Ok(())
+    } else {
+        Err(
+            "the normal of an end is no unit vector within 60 degrees of the axis from start to end: correct normals",
+        )
     }
 }
 
@@ -188,7 +248,7 @@ fn axial(
         return Err("its two ends coincide: give it a length");
     }
     let axis = scale(along, 1.0 / length_m);
-    Ok(Shape::Axial { start_m, axis, length_m, radii: radii(axis, length_m)? })
+    Ok(Shape::Axial { start_m, axis, length_m, normals: [axis; 2], radii: radii(axis, length_m)? })
 }
 
 /// A unit vector perpendicular to a unit vector.

@@ -24,6 +24,7 @@ mod labels;
 mod ladder;
 #[cfg(test)]
 mod machine;
+mod mitres;
 #[cfg(test)]
 mod poses;
 #[cfg(test)]

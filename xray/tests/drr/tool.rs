@@ -160,7 +160,7 @@ fn a_tool_in_a_drilled_channel_displaces_nothing_more() {
     assert!((added - NITINOL.mu_per_m(60.0).unwrap() * 2e-3).abs() < 1e-12, "{added}");
 }
 
-/// A chain of 27 notched links, a shaft, a cone and a burr, bent in a plane; half a metre of shaft leaves the picture.
+/// A chain of 27 links, two of three of them notched and every second with mitred ends, a shaft, a cone and a burr, bent in a plane; half a metre of shaft leaves the picture.
 pub fn whole_tool() -> Tool {
     let mut at = [0.0_f64, -0.01, 0.0];
     let along = |angle: f64| [angle.cos() * 0.8, -0.6, angle.sin() * 0.8];
@@ -179,13 +179,15 @@ pub fn whole_tool() -> Tool {
         // Perpendicular to the axis, on alternating sides.
         let turn = if i % 2 == 0 { 1.0 } else { -1.0 };
         let side = [-turn * angle.sin(), 0.0, turn * angle.cos()];
-        parts.push(ToolPart::NotchedTube {
-            start_m: at,
-            end_m: next,
-            outer_radius_m: 3e-3,
-            inner_radius_m: 2e-3,
-            notch: Notch { offset_m: 0.4e-3, width_m: 0.5e-3, side, depth_m: 2e-3 },
-            material: NITINOL,
+        let notch = Notch { offset_m: 0.4e-3, width_m: 0.5e-3, side, depth_m: 2e-3 };
+        let (start_m, end_m, outer_radius_m, inner_radius_m) = (at, next, 3e-3, 2e-3);
+        let material = NITINOL;
+        parts.push(if i % 2 == 0 {
+            ToolPart::NotchedTube { start_m, end_m, outer_radius_m, inner_radius_m, notch, material }
+        } else {
+            let normals = [-0.4, 0.6].map(|turn| along(angle + turn));
+            let notch = (i % 3 > 0).then_some(notch);
+            ToolPart::MitredTube { start_m, end_m, normals, outer_radius_m, inner_radius_m, notch, material }
         });
         at = next;
     }

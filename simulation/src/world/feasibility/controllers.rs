@@ -32,7 +32,7 @@ impl Start<'_> {
     }
 
     /// A feed along a path of the arm.
-    fn arm_feed(&self) -> Option<Feed<'_>> {
+    pub(super) fn arm_feed(&self) -> Option<Feed<'_>> {
         self.feeds().find(|feed| feed.drives.contains(&Drives::Arm) && feed.length_mm > 0.0)
     }
 }

@@ -122,6 +122,34 @@ pub(super) fn shaft_in_bone(start: &Start) -> Option<String> {
     })
 }
 
+/// What to do about an arm in bone.
+const FARTHER: &str = "expected a longer way from flange to tool, as [0.0, 0.0, 200.0]";
+
+/// The deepest of parts of the arm in bone.
+fn deepest(parts: impl Iterator<Item = (&'static str, f64)>) -> Option<(&'static str, f64)> {
+    parts.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(name, depth_m)| (name, 1e3 * depth_m))
+}
+
+pub(super) fn arm_in_bone(start: &Start) -> Option<String> {
+    let (name, depth_mm) = deepest(start.simulation.pieces_in_bone())?;
+    let [x, y, z] = start.scene.arm.tool_position_mm;
+    Some(format!(
+        "is [{x}, {y}, {z}]: the arm's {name} starts {depth_mm:.0} mm inside bone, where nothing collides; {FARTHER}"
+    ))
+}
+
+pub(super) fn arm_in_bone_at_end(start: &Start) -> Option<String> {
+    let length_m = 1e-3 * start.arm_feed()?.length_mm;
+    let t_world_tool = start.simulation.arm.state().t_world_tool;
+    let ahead_m = t_world_tool.rotation * Vector3::new(0.0, 0.0, length_m);
+    let at_end = nalgebra::Translation3::from(ahead_m) * t_world_tool;
+    let (name, depth_mm) = deepest(start.simulation.pieces_in_bone_at(&at_end)?.into_iter())?;
+    let [x, y, z] = start.scene.arm.tool_position_mm;
+    Some(format!(
+        "is [{x}, {y}, {z}]: the arm's {name} ends {depth_mm:.0} mm inside bone, where nothing collides; {FARTHER}"
+    ))
+}
+
 pub(super) fn hole_thinner_than_tool(start: &Start) -> Option<String> {
     let tube_mm = start.tube_diameter_mm();
     let is_tools = |hole: &&Predrill| {

@@ -64,7 +64,7 @@ const fn unlikely(key: &'static str, find: fn(&Start) -> Option<String>) -> Rule
 }
 
 /// Every rule, in the order in which findings are told.
-const RULES: [Rule; 19] = [
+const RULES: [Rule; 21] = [
     impossible("controller.command", controllers::program_is_missing),
     impossible("volume.bone_threshold_hu", geometry::nothing_to_drill),
     unlikely("volume.bone_threshold_hu", geometry::no_bone),
@@ -80,6 +80,8 @@ const RULES: [Rule; 19] = [
     impossible("arm.model", controllers::no_arm_to_move),
     impossible("arm.initial_joints_deg", controllers::no_path_from_singular_start),
     unlikely("arm.initial_joints_deg", controllers::singular_start),
+    unlikely("arm.tool_position_mm", geometry::arm_in_bone),
+    unlikely("arm.tool_position_mm", geometry::arm_in_bone_at_end),
     impossible("controller.curved_drilling.target_mm", controllers::target_out_of_reach),
     unlikely("controller.curved_drilling.insertion_mm", controllers::insertion_shorter_than_arc),
     unlikely("run.duration_s", controllers::run_shorter_than_plan),

@@ -1,0 +1,262 @@
+//! Whether the arm, the holder or the bare shaft behind the tool's base stands in bone.
+//!
+//! Nothing there collides: only the tool's spheres have contacts. The links are capsules between the origins of the arm's frames, as in
+//! a skeleton, so an upper arm that stands beside its plane is drawn into it; the wrist, which comes near to bone, is where it is. A tick
+//! looks at one piece at most, so the whole arm takes [`PERIOD_TICKS`].
+
+use core::f64::consts::TAU;
+
+use messages::{ArmEntry, State};
+use nalgebra::{Isometry3, Vector3};
+use scene::Holder;
+
+use super::Simulation;
+use crate::arm::{ArmParameters, Joints};
+use crate::bone::Voxels;
+use crate::manipulator::ManipulatorModel;
+
+/// Links, holder and shaft.
+const PIECES: usize = 8;
+/// Ticks between two looks at a piece.
+const TICKS_PER_PIECE: u64 = 8;
+/// Ticks in which every piece is looked at once.
+const PERIOD_TICKS: u64 = TICKS_PER_PIECE * PIECES as u64;
+/// Distance of the points that are looked at on a piece: bone thinner than this may be missed, m.
+const SPACING_M: f64 = 4e-3;
+/// Steps in which the depth is found, m.
+const DEPTH_STEP_M: f64 = 1e-3;
+/// A piece has left the bone when none is within this of it, m.
+const LEAVING_M: f64 = 2e-3;
+
+/// Names and radii of the links. The radii are those of the cylinders in Universal Robots' ROS description of the UR5 (`ur_description`,
+/// `ur5.urdf.xacro`: shoulder 60 mm, upper arm 54, forearm 40, wrists 45); other arms are given the same.
+const LINKS: [(&str, f64); 6] = [
+    ("shoulder", 0.060),
+    ("upper arm", 0.054),
+    ("forearm", 0.040),
+    ("wrist 1", 0.045),
+    ("wrist 2", 0.045),
+    ("wrist 3", 0.045),
+];
+
+/// A capsule, or a cylinder where an end is flat.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Piece {
+    pub(super) name: &'static str,
+    from_m: Vector3<f64>,
+    to_m: Vector3<f64>,
+    radius_m: f64,
+    /// Whether each end is half a ball.
+    is_round: [bool; 2],
+}
+
+/// Where the arm and the tool's base are.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Posture {
+    pub(super) q_rad: Joints,
+    pub(super) flange_m: [f64; 3],
+    pub(super) base_m: [f64; 3],
+}
+
+impl Posture {
+    pub(super) fn of(state: &State) -> Posture {
+        Posture {
+            q_rad: state.arm_joint_position_rad,
+            flange_m: state.t_world_flange.position_m,
+            base_m: state.t_world_base.position_m,
+        }
+    }
+}
+
+/// What stands on the arm, beside its links.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Fixture {
+    pub(super) holder: Holder,
+    pub(super) shaft_radius_m: f64,
+}
+
+/// One of the pieces: links from the base on, then the holder, then the shaft. `None` where the arm has none.
+pub(super) fn piece(
+    index: usize,
+    arm: &ArmParameters,
+    fixture: &Fixture,
+    posture: &Posture,
+) -> Option<Piece> {
+    let flange_m = Vector3::from(posture.flange_m);
+    let Some(&(name, radius_m)) = LINKS.get(index) else {
+        let front_m = Vector3::from(fixture.holder.front_m(posture.flange_m, posture.base_m)?);
+        let is_round = [false; 2];
+        let (name, from_m, to_m, radius_m) = if index == LINKS.len() {
+            ("holder", flange_m, front_m, fixture.holder.radius_m)
+        } else {
+            ("shaft behind its base", front_m, Vector3::from(posture.base_m), fixture.shaft_radius_m)
+        };
+        return ((to_m - from_m).norm() > 1e-6).then_some(Piece { name, from_m, to_m, radius_m, is_round });
+    };
+    if !arm.geometry.moves() {
+        return None;
+    }
+    let frames = arm.geometry.frames(&posture.q_rad);
+    let world = |at: usize| arm.t_world_arm_base.transform_point(&frames.origin_m[at].into()).coords;
+    let is_last = index + 1 == LINKS.len();
+    // The last frame is that of the tool's base.
+    let to_m = if is_last { flange_m } else { world(index + 1) };
+    Some(Piece { name, from_m: world(index), to_m, radius_m, is_round: [true, !is_last] })
+}
+
+impl Piece {
+    /// How far bone reaches into the piece, m, to a millimetre; `None` if there is none in it by more than a voxel.
+    pub(super) fn depth_m(&self, voxels: &Voxels) -> Option<f64> {
+        let (mut deepest_m, mut below_m) =
+            (None, voxels.geometry().spacing_m.iter().copied().fold(0.0, f64::max));
+        while below_m <= self.radius_m {
+            if self.meets_bone(voxels, -below_m) {
+                deepest_m = Some(below_m);
+            }
+            below_m += DEPTH_STEP_M;
+        }
+        deepest_m
+    }
+
+    /// Whether bone crosses the piece's surface, moved outward by so much.
+    fn meets_bone(&self, voxels: &Voxels, outward_m: f64) -> bool {
+        let way = self.to_m - self.from_m;
+        let (length_m, radius_m) = (way.norm(), (self.radius_m + outward_m).max(0.0));
+        let axis = way.try_normalize(1e-9).unwrap_or_else(Vector3::z);
+        if !voxels.is_near(&(self.from_m + 0.5 * way), 0.5 * length_m + radius_m) {
+            return false;
+        }
+        let (x, y) = perpendiculars(&axis);
+        let [before_m, beyond_m] = self.is_round.map(|is_round| if is_round { radius_m } else { outward_m });
+        if before_m + length_m + beyond_m <= 0.0 {
+            return false;
+        }
+        let rings = ((before_m + length_m + beyond_m) / SPACING_M).ceil().max(1.0) as usize;
+        (0..=rings).any(|ring| {
+            let share = ring as f64 / rings as f64;
+            let along_m = share * (before_m + length_m + beyond_m) - before_m;
+            let past_m = (-along_m).max(along_m - length_m).max(0.0);
+            let ring_m = (radius_m * radius_m - past_m * past_m).max(0.0).sqrt();
+            let centre_m = self.from_m + along_m * axis;
+            // A flat end is looked at as a disc.
+            let is_end = (ring == 0 && !self.is_round[0]) || (ring == rings && !self.is_round[1]);
+            let inner = if is_end { (ring_m / SPACING_M).floor() as usize } else { 0 };
+            (0..=inner)
+                .any(|step| circle_meets(voxels, &centre_m, (&x, &y), ring_m - step as f64 * SPACING_M))
+        })
+    }
+}
+
+/// Whether a point of a circle is in bone.
+fn circle_meets(
+    voxels: &Voxels,
+    centre_m: &Vector3<f64>,
+    (x, y): (&Vector3<f64>, &Vector3<f64>),
+    radius_m: f64,
+) -> bool {
+    let points = (TAU * radius_m / SPACING_M).ceil().max(1.0);
+    let (sine, cosine) = libm::sincos(TAU / points);
+    let mut at_m = [radius_m, 0.0];
+    (0..points as usize).any(|_| {
+        let point_m = centre_m + at_m[0] * x + at_m[1] * y;
+        at_m = [cosine * at_m[0] - sine * at_m[1], sine * at_m[0] + cosine * at_m[1]];
+        voxels.holds_bone(&point_m)
+    })
+}
+
+/// Two unit vectors across a unit vector and each other.
+fn perpendiculars(axis: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
+    let helper = if axis.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
+    let x = axis.cross(&helper).normalize();
+    (x, axis.cross(&x))
+}
+
+/// Which pieces were in bone when they were last looked at, and those that have entered it in the last tick.
+#[derive(Debug, Default)]
+pub(super) struct ArmWatch {
+    is_in: [bool; PIECES],
+    entry: Option<ArmEntry>,
+}
+
+impl ArmWatch {
+    /// The piece that has entered bone in the last tick.
+    pub(super) fn entry(&self) -> Option<&ArmEntry> {
+        self.entry.as_ref()
+    }
+}
+
+impl Simulation<'_> {
+    fn fixture(&self) -> Fixture {
+        let shaft_radius_m = self.manipulator.parameters().tube_radii_m[0];
+        Fixture { holder: self.holder, shaft_radius_m }
+    }
+
+    /// A piece of the arm as it stands.
+    fn piece(&self, index: usize) -> Option<Piece> {
+        piece(index, self.arm.parameters(), &self.fixture(), &Posture::of(&self.state))
+    }
+
+    /// The pieces that stand in bone now, with their depths, m.
+    pub(super) fn pieces_in_bone(&self) -> impl Iterator<Item = (&'static str, f64)> {
+        let voxels = self.bone.as_ref().map(|bone| bone.field.voxels());
+        (0..PIECES).filter_map(move |index| {
+            let piece = self.piece(index)?;
+            Some((piece.name, piece.depth_m(voxels?)?))
+        })
+    }
+
+    /// The links and the holder that stand in bone when the tool's base is elsewhere, with their depths, m; `None` if the arm does not
+    /// reach there. The shaft is left out: it goes where the burr has drilled until then.
+    pub(super) fn pieces_in_bone_at(
+        &self,
+        t_world_tool: &Isometry3<f64>,
+    ) -> Option<Vec<(&'static str, f64)>> {
+        let arm = self.arm.parameters();
+        let voxels = self.bone.as_ref()?.field.voxels();
+        let t_base_tool = arm.t_world_arm_base.inverse() * t_world_tool;
+        let limits = &arm.joint_limits;
+        let (now_rad, lower_rad, upper_rad) = (&self.arm.state().q_rad, &limits.lower_rad, &limits.upper_rad);
+        let q_rad = arm.geometry.inverse_nearest(&t_base_tool, now_rad, lower_rad, upper_rad).ok()?;
+        let t_tool_flange = arm.geometry.t_flange_tool().map_or_else(Isometry3::identity, Isometry3::inverse);
+        let flange_m = (t_world_tool * t_tool_flange).translation.vector.into();
+        let posture = Posture { q_rad, flange_m, base_m: t_world_tool.translation.vector.into() };
+        let fixture = self.fixture();
+        let pieces = (0..=LINKS.len()).filter_map(|index| piece(index, arm, &fixture, &posture));
+        Some(pieces.filter_map(|piece| Some((piece.name, piece.depth_m(voxels)?))).collect())
+    }
+
+    /// Looks at one piece of the arm, if the tick is one for it. Changes no state.
+    pub(super) fn watch_arm(&mut self) {
+        self.arm_watch.entry = None;
+        if self.state.tick.is_multiple_of(TICKS_PER_PIECE) {
+            self.look_at((self.state.tick % PERIOD_TICKS / TICKS_PER_PIECE) as usize);
+        }
+    }
+
+    /// Sets what is known of the arm to how it stands, as after a keyframe.
+    pub(super) fn note_arm(&mut self) {
+        (0..PIECES).for_each(|index| self.look_at(index));
+        self.arm_watch.entry = None;
+    }
+
+    fn look_at(&mut self, index: usize) {
+        let Some(bone) = &self.bone else { return };
+        let (voxels, piece) = (bone.field.voxels(), self.piece(index));
+        let was_in = self.arm_watch.is_in[index];
+        let mut entry = None;
+        let is_in = piece.is_some_and(|piece| {
+            if was_in {
+                return piece.meets_bone(voxels, LEAVING_M);
+            }
+            let skin_m = voxels.geometry().spacing_m.iter().copied().fold(0.0, f64::max);
+            if !piece.meets_bone(voxels, -skin_m) {
+                return false;
+            }
+            let depth_m = piece.depth_m(voxels).unwrap_or(skin_m);
+            entry = Some(ArmEntry { part: piece.name, depth_m });
+            true
+        });
+        self.arm_watch = ArmWatch { is_in: self.arm_watch.is_in, entry };
+        self.arm_watch.is_in[index] = is_in;
+    }
+}
