@@ -82,3 +82,4 @@ mod unwritable;
 mod versions;
 mod view;
 mod volumes;
+mod wheel;
