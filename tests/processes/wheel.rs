@@ -11,26 +11,24 @@ use crate::common::program::Place;
 use crate::languages::{clients, install_package, library, output_of};
 use crate::simulations::native;
 
-/// What goes into a whole wheel, by the variables that name what is built already.
-pub fn binaries() -> [(&'static str, PathBuf); 3] {
-    [
-        ("TRABECULA_CLIENT_LIBRARY", library()),
-        ("TRABECULA_SIM_LIBRARY", native()),
-        ("TRABECULA_PROGRAM", PathBuf::from(env!("CARGO_BIN_EXE_trabecula"))),
-    ]
-}
-
-/// An environment with the whole wheel and NumPy, nothing else.
-fn with_the_wheel() -> Option<PathBuf> {
-    let python = or_skip("wheel-1", &["numpy==2.3.5"], "numpy")?;
-    let binaries = binaries();
-    install_package(&python, &binaries.each_ref().map(|(variable, path)| (*variable, path.as_path())));
-    Some(python)
+/// Installs the whole wheel into an environment: libraries and program as they are built for these tests.
+pub fn install_wheel(python: &Path) {
+    let (client, simulations) = (library(), native());
+    let program = Path::new(env!("CARGO_BIN_EXE_trabecula"));
+    install_package(
+        python,
+        &[
+            ("TRABECULA_CLIENT_LIBRARY", &client),
+            ("TRABECULA_SIM_LIBRARY", &simulations),
+            ("TRABECULA_PROGRAM", program),
+        ],
+    );
 }
 
 #[test]
 fn a_wheel_runs_replays_simulates_and_shows_without_cargo_and_checkout() {
-    let Some(python) = with_the_wheel() else { return };
+    let Some(python) = or_skip("wheel-1", &["numpy==2.3.5"], "numpy") else { return };
+    install_wheel(&python);
     let place = Place::new();
     let mut command = Command::new(&python);
     command.arg(clients().join("python/tests/wheel.py")).current_dir(place.path(""));
