@@ -211,12 +211,17 @@ mod tests {
         assert!(advice("0.1.0+bbbbbbbbbbbb").contains("`pip install trabecula-0.1.0-*.whl`"));
         // The same number on other sources: no package says which.
         let unreleased = advice("0.2.0+cccccccccccc");
-        assert!(unreleased.contains("says 0.2.0+cccccccccccc") && !unreleased.contains("pip"), "{unreleased}");
+        assert!(
+            unreleased.contains("says 0.2.0+cccccccccccc") && !unreleased.contains("pip"),
+            "{unreleased}"
+        );
     }
 
     #[test]
     fn no_log_puts_words_into_a_command_that_users_paste() {
-        for version in ["1.0.0;reboot", "1.0.0 --index-url x", "../..", "", "1.0", "1.0.0`id`", &"1".repeat(40)] {
+        for version in
+            ["1.0.0;reboot", "1.0.0 --index-url x", "../..", "", "1.0", "1.0.0`id`", &"1".repeat(40)]
+        {
             let advice = original_build(&build(version), &build("0.2.0+a"));
             assert!(!advice.contains("pip"), "{advice}");
         }

@@ -101,7 +101,8 @@ pub fn python() -> Result<PathBuf, String> {
 
 fn make_python() -> Result<PathBuf, String> {
     let python = environment_with(NUMPY, "numpy")?;
-    install_package(&python, &[("TRABECULA_CLIENT_LIBRARY", &library())]);
+    let program = Path::new(env!("CARGO_BIN_EXE_trabecula"));
+    install_package(&python, &[("TRABECULA_CLIENT_LIBRARY", &library()), ("TRABECULA_PROGRAM", program)]);
     Ok(python)
 }
 

@@ -21,8 +21,10 @@ fn root() -> &'static Path {
 }
 
 fn python() -> Option<PathBuf> {
-    let packages = ["numpy==2.3.5", "pandas==3.1.1", "pyarrow==26.0.1", "matplotlib==3.11.2", KERNEL[0], KERNEL[1]];
-    let python = or_skip("notebooks-1", &packages, "numpy, pandas, pyarrow, matplotlib, nbclient, ipykernel")?;
+    let packages =
+        ["numpy==2.3.5", "pandas==3.1.1", "pyarrow==26.0.1", "matplotlib==3.11.2", KERNEL[0], KERNEL[1]];
+    let python =
+        or_skip("notebooks-1", &packages, "numpy, pandas, pyarrow, matplotlib, nbclient, ipykernel")?;
     install_wheel(&python);
     Some(python)
 }
@@ -91,7 +93,8 @@ fn the_notebook_of_a_sweep_names_the_parameter_that_decides() {
 #[test]
 fn the_notebook_of_registration_finds_the_c_arm_with_nanodrr() {
     let packages = ["numpy==2.3.5", "nanodrr==0.1.7", "matplotlib==3.11.2", KERNEL[0], KERNEL[1]];
-    let Some(python) = or_skip("registration-1", &packages, "nanodrr, matplotlib, nbclient, ipykernel, torch")
+    let Some(python) =
+        or_skip("registration-1", &packages, "nanodrr, matplotlib, nbclient, ipykernel, torch")
     else {
         return;
     };

@@ -82,8 +82,7 @@ fn a_source_distribution_is_the_workspace_and_makes_itself_again() {
     // Cargo agrees that every package is there.
     let mut cargo = Command::new(env!("CARGO"));
     cargo.args(["metadata", "--offline", "--no-deps", "--format-version", "1"]);
-    let metadata: serde_json::Value =
-        serde_json::from_str(&output_of(cargo.current_dir(&sources))).unwrap();
+    let metadata: serde_json::Value = serde_json::from_str(&output_of(cargo.current_dir(&sources))).unwrap();
     assert!(metadata["packages"].as_array().unwrap().len() > 25, "{metadata}");
     // Without git it makes itself.
     let again = Place::new();
