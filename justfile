@@ -12,7 +12,7 @@ test-all:
     cargo test --workspace --release
 
 # what .ci/run checks without running tests: format, lints, licences, documents, types (or: just check clippy docs)
-check *steps="format clippy minimum deny docs page python scenes fuzz readme":
+check *steps="format clippy minimum deny docs page python scenes site fuzz readme":
     .ci/run {{steps}}
 
 # every crate's pages, in target/doc

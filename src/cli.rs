@@ -3,6 +3,7 @@
 use std::process::ExitCode;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use recorder_proc::build_info;
 
 use crate::commands;
 use crate::commands::bridge::BridgeCommand;
@@ -30,7 +31,7 @@ use crate::program;
 
 /// A zero-copy shared-memory co-simulation hub for image-guided bone drilling with a continuum manipulator.
 #[derive(Debug, Parser)]
-#[command(name = "trabecula", version, about)]
+#[command(name = "trabecula", version = build_info::VERSION, about)]
 pub struct Arguments {
     #[command(subcommand)]
     command: Option<Command>,

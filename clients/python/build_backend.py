@@ -1,83 +1,161 @@
-"""Builds the wheel: cargo builds the client library and the native half of trabecula.sim, which go into the package.
+"""Builds the wheel, with the program, the client library and the native half of trabecula.sim from cargo; and the sdist.
 
-Needs Rust, a C++ compiler and Python, nothing else.
+Needs Rust, a C++ compiler with its binutils and Python. Settings (`-C` of pip and build): `platform=manylinux_2_28_x86_64` names what the
+given binaries were built for; without it the wheel is for machines like this one.
 """
 
 from __future__ import annotations
 
 import base64
+import gzip
 import hashlib
+import io
 import os
 import re
 import subprocess
 import sysconfig
+import tarfile
+import tempfile
 import zipfile
 from pathlib import Path
+from typing import NamedTuple
+
+try:
+    import tomllib
+except ModuleNotFoundError:  # Python before 3.11
+    import tomli as tomllib
 
 HERE = Path(__file__).resolve().parent
-#: Name in the package, name as cargo builds it, package of the workspace, environment variable with the path of one that is built already.
-LIBRARIES = [
-    ("libtrabecula_client.so", "libtrabecula_client.so", "trabecula_client", "TRABECULA_CLIENT_LIBRARY"),
-    ("_sim.abi3.so", "libtrabecula_sim.so", "trabecula_sim", "TRABECULA_SIM_LIBRARY"),
-]
-REQUIREMENTS = ["numpy>=1.24", "gymnasium>=1.0; extra == 'gym'"]
+ROOT = HERE.parents[1]
 #: The native half of trabecula.sim keeps to the interface that every Python from 3.9 on has.
 TAG = "cp39-abi3"
+#: Zip files know no time before; a fixed one makes the same wheel of the same files.
+EPOCH = (1980, 1, 1, 0, 0, 0)
+
+
+class Binary(NamedTuple):
+    """One file of cargo's."""
+
+    #: Place in the wheel; {data} is the folder of what goes elsewhere than into the package.
+    place: str
+    #: Name as cargo builds it.
+    built: str
+    #: Package of the workspace, and the option that names what of it.
+    package: str
+    target: str
+    #: Environment variable with the path of one that is built already.
+    variable: str
+    mode: int
+
+
+LIBRARIES = [
+    Binary("trabecula/libtrabecula_client.so", "libtrabecula_client.so", "trabecula_client", "--lib", "TRABECULA_CLIENT_LIBRARY", 0o644),
+    Binary("trabecula/_sim.abi3.so", "libtrabecula_sim.so", "trabecula_sim", "--lib", "TRABECULA_SIM_LIBRARY", 0o644),
+]
+PROGRAM = Binary("{data}/scripts/trabecula", "trabecula", "trabecula", "--bin=trabecula", "TRABECULA_PROGRAM", 0o755)
+
+
+def _project() -> dict:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 
 def _version() -> str:
     return re.search(r'^VERSION = "(.*)"$', (HERE / "trabecula/_generated.py").read_text(), re.M).group(1)
 
 
-def _libraries() -> dict[str, bytes]:
-    """Those that are given; if none is, all as cargo builds them."""
-    given = {name: os.environ[variable] for name, _, _, variable in LIBRARIES if os.environ.get(variable)}
-    if not given:
-        root = HERE.parents[1]
-        packages = [word for _, _, package, _ in LIBRARIES for word in ("-p", package)]
-        subprocess.run(["cargo", "build", "--release", "--lib", *packages], cwd=root, check=True)
-        built = Path(os.environ.get("CARGO_TARGET_DIR", root / "target")) / "release"
-        given = {name: str(built / file) for name, file, _, _ in LIBRARIES}
-    return {f"trabecula/{name}": Path(path).read_bytes() for name, path in given.items()}
+def _binaries() -> dict[Binary, Path]:
+    """Those that are given; if no library is, all as cargo builds them."""
+    binaries = [*LIBRARIES, PROGRAM]
+    if any(os.environ.get(library.variable) for library in LIBRARIES):
+        return {binary: Path(os.environ[binary.variable]) for binary in binaries if os.environ.get(binary.variable)}
+    packages = [f"--package={binary.package}" for binary in binaries]
+    targets = sorted({binary.target for binary in binaries})
+    subprocess.run(["cargo", "build", "--release", "--locked", *packages, *targets], cwd=ROOT, check=True)
+    built = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "release"
+    return {binary: built / binary.built for binary in binaries}
 
 
-def _metadata() -> dict[str, bytes]:
-    version = _version()
-    folder = f"trabecula-{version}.dist-info"
-    platform = re.sub(r"[-.]", "_", sysconfig.get_platform())
-    metadata = (
-        f"Metadata-Version: 2.1\nName: trabecula\nVersion: {version}\nRequires-Python: >=3.9\n"
-        + "".join(f"Requires-Dist: {requirement}\n" for requirement in REQUIREMENTS)
-        + "Provides-Extra: gym\nSummary: Simulations of bone drilling, and controllers and observers of a running Trabecula session\n"
-    )
-    wheel = f"Wheel-Version: 1.0\nGenerator: trabecula\nRoot-Is-Purelib: false\nTag: {TAG}-{platform}\n"
-    return {f"{folder}/METADATA": metadata.encode(), f"{folder}/WHEEL": wheel.encode()}
+def _stripped(path: Path) -> bytes:
+    """Without line tables and symbols, nine tenths of a program's file."""
+    with tempfile.TemporaryDirectory() as folder:
+        small = Path(folder) / path.name
+        subprocess.run(["strip", "-o", str(small), str(path)], check=True)
+        return small.read_bytes()
 
 
-def _write_wheel(wheel_directory: str, files: dict[str, bytes]) -> str:
-    version = _version()
-    platform = re.sub(r"[-.]", "_", sysconfig.get_platform())
-    name = f"trabecula-{version}-{TAG}-{platform}.whl"
-    record = f"trabecula-{version}.dist-info/RECORD"
+def _metadata() -> str:
+    project = _project()
+    lines = [
+        "Metadata-Version: 2.4",
+        f"Name: {project['name']}",
+        f"Version: {_version()}",
+        f"Summary: {project['description']}",
+        f"License-Expression: {project['license']}",
+        *(f"License-File: {file}" for file in project["license-files"]),
+        *(f"Classifier: {classifier}" for classifier in project["classifiers"]),
+        f"Requires-Python: {project['requires-python']}",
+        *(f"Requires-Dist: {requirement}" for requirement in project["dependencies"]),
+    ]
+    for extra, requirements in project["optional-dependencies"].items():
+        lines += [f"Provides-Extra: {extra}", *(f"Requires-Dist: {wanted}; extra == '{extra}'" for wanted in requirements)]
+    lines += ["Description-Content-Type: text/markdown", "", (ROOT / project["readme"]).read_text()]
+    return "\n".join(lines)
+
+
+def _write_wheel(path: Path, files: dict[str, tuple[bytes, int]], record: str) -> None:
     lines = []
-    with zipfile.ZipFile(Path(wheel_directory) / name, "w", zipfile.ZIP_DEFLATED) as wheel:
-        for path, content in files.items():
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as wheel:
+        for name, (content, mode) in files.items():
             digest = base64.urlsafe_b64encode(hashlib.sha256(content).digest()).rstrip(b"=").decode()
-            lines.append(f"{path},sha256={digest},{len(content)}\n")
-            wheel.writestr(path, content)
-        wheel.writestr(record, "".join(lines) + f"{record},,\n")
-    return name
+            lines.append(f"{name},sha256={digest},{len(content)}\n")
+            entry = zipfile.ZipInfo(name, EPOCH)
+            entry.external_attr = (0o100000 | mode) << 16
+            wheel.writestr(entry, content, zipfile.ZIP_DEFLATED)
+        wheel.writestr(zipfile.ZipInfo(record, EPOCH), "".join(lines) + f"{record},,\n", zipfile.ZIP_DEFLATED)
 
 
 def build_wheel(wheel_directory, config_settings=None, metadata_directory=None):
-    """PEP 517: the wheel with the sources and the libraries."""
-    files = {f"trabecula/{path.name}": path.read_bytes() for path in sorted((HERE / "trabecula").glob("*.py*")) if path.is_file()}
-    files["trabecula/py.typed"] = b""
-    files.update(_libraries())
-    files.update(_metadata())
-    return _write_wheel(wheel_directory, files)
+    """PEP 517: the wheel with the sources, the libraries and the program."""
+    name = f"trabecula-{_version()}"
+    info, data = f"{name}.dist-info", f"{name}.data"
+    platform = (config_settings or {}).get("platform") or re.sub(r"[-.]", "_", sysconfig.get_platform())
+    sources = [path for path in sorted((HERE / "trabecula").glob("*.py*")) if path.is_file()]
+    files = {f"trabecula/{path.name}": (path.read_bytes(), 0o644) for path in [*sources, HERE / "trabecula/py.typed"]}
+    for binary, path in _binaries().items():
+        files[binary.place.format(data=data)] = (_stripped(path), binary.mode)
+    wheel = f"Wheel-Version: 1.0\nGenerator: trabecula\nRoot-Is-Purelib: false\nTag: {TAG}-{platform}\n"
+    files[f"{info}/METADATA"] = (_metadata().encode(), 0o644)
+    files[f"{info}/WHEEL"] = (wheel.encode(), 0o644)
+    for file in _project()["license-files"]:
+        files[f"{info}/licenses/{file}"] = ((ROOT / file).read_bytes(), 0o644)
+    file = f"{name}-{TAG}-{platform}.whl"
+    _write_wheel(Path(wheel_directory) / file, files, f"{info}/RECORD")
+    return file
+
+
+def _source_files() -> list[str]:
+    """What belongs to the sources: what git knows, or, in an unpacked sdist, all that cargo has not made."""
+    if (ROOT / ".git").exists():
+        listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True).stdout.decode()
+        return [name for name in listed.split("\0") if name and (ROOT / name).is_file()]
+    found = []
+    for folder, folders, names in os.walk(ROOT):
+        folders[:] = [name for name in folders if not (name in ("__pycache__", ".venv") or (name in ("target", "out") and Path(folder) == ROOT))]
+        found += [str((Path(folder) / name).relative_to(ROOT)) for name in names if not (name == "PKG-INFO" and Path(folder) == ROOT)]
+    return sorted(found)
 
 
 def build_sdist(sdist_directory, config_settings=None):
-    """PEP 517 wants it; the sources of the libraries are the whole workspace."""
-    raise NotImplementedError("install from a checkout: pip install ./clients/python")
+    """PEP 517: the whole workspace, because program and libraries are built from it."""
+    name = f"trabecula-{_version()}"
+    path = Path(sdist_directory) / f"{name}.tar.gz"
+    contents = [("PKG-INFO", _metadata().encode(), 0o644)]
+    contents += [(file, (ROOT / file).read_bytes(), 0o755 if os.access(ROOT / file, os.X_OK) else 0o644) for file in _source_files()]
+    # Fixed times, so that the same sources make the same file.
+    with open(path, "wb") as raw, gzip.GzipFile("", "wb", mtime=0, fileobj=raw) as packed:
+        with tarfile.open(fileobj=packed, mode="w", format=tarfile.PAX_FORMAT) as archive:
+            for file, content, mode in contents:
+                entry = tarfile.TarInfo(f"{name}/{file}")
+                entry.size, entry.mode = len(content), mode
+                archive.addfile(entry, io.BytesIO(content))
+    return path.name

@@ -70,8 +70,9 @@ impl OpenedLog {
         mismatches.extend(volume_mismatch(&reader, volume.as_ref().map(|(_, hash)| hash)));
         if !mismatches.is_empty() && !overrides.allow_mismatch {
             let list = mismatches.join("\n  ");
+            let originals = original_build(&reader.header().build, &build_info::current());
             return Err(Failure::bad_input(format!(
-                "{}: this log does not match this build or its inputs:\n  {list}\nuse the originals, or --allow-mismatch",
+                "{}: this log does not match this build or its inputs:\n  {list}\nuse the originals{originals}, or --allow-mismatch",
                 path.display()
             )));
         }
@@ -125,6 +126,24 @@ fn build_mismatch(reader: &LogReader) -> Vec<String> {
     vec![format!("build: the log was written by {}, this is {}", name(theirs), name(&ours))]
 }
 
+/// What to install to have the build that wrote a log, in brackets; empty if this is it. The log's text becomes part of a command that
+/// users paste, so only what a version is made of does; and the command takes a file, since no index need hold the version.
+fn original_build(theirs: &BuildInfo, ours: &BuildInfo) -> String {
+    if theirs == ours {
+        return String::new();
+    }
+    let number = |build: &BuildInfo| build.version.split('+').next().unwrap_or_default().to_owned();
+    let theirs_number = number(theirs);
+    let is_plain = theirs_number.split('.').count() == 3
+        && theirs_number.len() <= 16
+        && theirs_number.chars().all(|c| c.is_ascii_digit() || c == '.');
+    if theirs_number != number(ours) && is_plain {
+        format!(" (version {theirs_number} wrote it: `pip install trabecula-{theirs_number}-*.whl`)")
+    } else {
+        format!(" (a build whose `trabecula --version` says {} wrote it)", foreign(&theirs.version))
+    }
+}
+
 /// Messages whose layout differs; nonempty only if the reader allows other layouts.
 fn layout_mismatches(reader: &LogReader) -> Vec<String> {
     let ours = layout_hashes();
@@ -172,4 +191,39 @@ fn volume_mismatch(reader: &LogReader, ours: Option<&[u8; 32]>) -> Option<String
     }
     let name = |hash: Option<&[u8; 32]>| hash.map_or("none".to_owned(), |hash| hex(hash));
     Some(format!("volume: SHA-256 was {} in the log, is now {}", name(theirs.as_ref()), name(ours)))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::panic)]
+
+    use super::*;
+
+    fn build(version: &str) -> BuildInfo {
+        BuildInfo { version: version.to_owned(), target: "a".to_owned(), rustc: None }
+    }
+
+    #[test]
+    fn a_foreign_log_says_which_version_to_install() {
+        let ours = build("0.2.0+aaaaaaaaaaaa");
+        let advice = |version: &str| original_build(&build(version), &ours);
+        assert_eq!(advice("0.2.0+aaaaaaaaaaaa"), "");
+        assert!(advice("0.1.0+bbbbbbbbbbbb").contains("`pip install trabecula-0.1.0-*.whl`"));
+        // The same number on other sources: no package says which.
+        let unreleased = advice("0.2.0+cccccccccccc");
+        assert!(
+            unreleased.contains("says 0.2.0+cccccccccccc") && !unreleased.contains("pip"),
+            "{unreleased}"
+        );
+    }
+
+    #[test]
+    fn no_log_puts_words_into_a_command_that_users_paste() {
+        for version in
+            ["1.0.0;reboot", "1.0.0 --index-url x", "../..", "", "1.0", "1.0.0`id`", &"1".repeat(40)]
+        {
+            let advice = original_build(&build(version), &build("0.2.0+a"));
+            assert!(!advice.contains("pip"), "{advice}");
+        }
+    }
 }

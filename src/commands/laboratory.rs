@@ -68,7 +68,7 @@ pub fn run(command: &LaboratoryCommand) -> Result<(), Failure> {
     let cause = Command::new(&program).arg(OsStr::new(name)).args(arguments).exec();
     Err(Failure::failed(match cause.kind() {
         ErrorKind::NotFound => format!(
-            "`{name}` needs {}, which does not exist; build it with `cargo build --release`",
+            "`{name}` needs {}, which does not exist; `cargo build --release` in a checkout builds it, wheels leave it out",
             program.display()
         ),
         _ => format!("{}: cannot be started ({cause})", program.display()),

@@ -101,31 +101,32 @@ pub fn python() -> Result<PathBuf, String> {
 
 fn make_python() -> Result<PathBuf, String> {
     let python = environment_with(NUMPY, "numpy")?;
-    install_package(&python, &[("TRABECULA_CLIENT_LIBRARY", &library())]);
+    let program = Path::new(env!("CARGO_BIN_EXE_trabecula"));
+    install_package(&python, &[("TRABECULA_CLIENT_LIBRARY", &library()), ("TRABECULA_PROGRAM", program)]);
     Ok(python)
 }
 
-/// Installs the package into an environment as the README says, but with libraries that are built already. What is there already and the
+/// Installs the package into an environment as the README says, but with libraries and program that are built already. What is there already and the
 /// same stays: another test, which may be another process, may be about to import it.
-pub fn install_package(python: &Path, libraries: &[(&str, &Path)]) {
+pub fn install_package(python: &Path, binaries: &[(&str, &Path)]) {
     let folder = python.ancestors().nth(2).unwrap();
     let lock = fs::File::create(folder.join("package.lock")).unwrap();
     lock.lock().unwrap();
     let installed = folder.join("package.installed");
-    let wanted = fingerprint(libraries);
+    let wanted = fingerprint(binaries);
     if fs::read_to_string(&installed).is_ok_and(|there| there == wanted) {
         return;
     }
     let pip = ["-m", "pip", "install", "-q", "--no-deps", "--force-reinstall", "--disable-pip-version-check"];
     let mut install = Command::new(python);
-    install.args(pip).arg(clients().join("python")).envs(libraries.iter().copied());
+    install.args(pip).arg(env!("CARGO_MANIFEST_DIR")).envs(binaries.iter().copied());
     let done = install.limited_output().unwrap();
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     fs::write(installed, wanted).unwrap();
 }
 
-/// Of the package's sources and of the libraries that go into it.
-fn fingerprint(libraries: &[(&str, &Path)]) -> String {
+/// Of the package's sources and of what cargo has built that goes into it.
+fn fingerprint(binaries: &[(&str, &Path)]) -> String {
     let package = clients().join("python");
     let mut sources: Vec<PathBuf> = [package.clone(), package.join("trabecula")]
         .iter()
@@ -133,14 +134,15 @@ fn fingerprint(libraries: &[(&str, &Path)]) -> String {
         .map(|entry| entry.unwrap().path())
         .filter(|path| path.is_file())
         .collect();
+    sources.push(Path::new(env!("CARGO_MANIFEST_DIR")).join("pyproject.toml"));
     sources.sort();
     let mut hasher = DefaultHasher::new();
     for source in sources {
         (&source, fs::read(&source).unwrap()).hash(&mut hasher);
     }
-    for (_, library) in libraries {
-        let facts = fs::metadata(library).unwrap();
-        (library, facts.len(), facts.modified().unwrap()).hash(&mut hasher);
+    for (_, binary) in binaries {
+        let facts = fs::metadata(binary).unwrap();
+        (binary, facts.len(), facts.modified().unwrap()).hash(&mut hasher);
     }
     format!("{:016x}", hasher.finish())
 }

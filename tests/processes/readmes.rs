@@ -12,7 +12,7 @@ use test_support::limited::Limited;
 use test_support::python::{downloads, or_skip};
 
 use crate::common::program::{LIMIT, Place};
-use crate::languages::{ZIG, built, clients, environment_with, library, output_within_limit, python};
+use crate::languages::{ZIG, built, clients, environment_with, install_package, library, python};
 
 /// The first block of shell lines of a README.
 fn shell_lines(language: &str) -> Vec<String> {
@@ -115,10 +115,8 @@ fn the_first_hour_goes_as_its_page_says() {
     assert!(script.lines().count() > 20 && shown.len() > 8, "{script}{shown:?}");
     let packages = ["numpy==2.3.5", "pandas==3.1.1", "pyarrow==26.0.1"];
     let Some(python) = or_skip("first-hour", &packages, "numpy, pandas, pyarrow") else { return };
-    let pip = ["-m", "pip", "install", "-q", "--no-deps", "--force-reinstall", "--disable-pip-version-check"];
-    let mut install = Command::new(&python);
-    install.args(pip).arg(clients().join("python")).env("TRABECULA_CLIENT_LIBRARY", library());
-    output_within_limit(&mut install);
+    let program = Path::new(env!("CARGO_BIN_EXE_trabecula"));
+    install_package(&python, &[("TRABECULA_CLIENT_LIBRARY", &library()), ("TRABECULA_PROGRAM", program)]);
     let place = checkout();
     std::os::unix::fs::symlink(root.join("configs"), place.path("configs")).unwrap();
     let mut shell = Command::new("sh");

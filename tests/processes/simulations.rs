@@ -16,10 +16,16 @@ fn python() -> Option<PathBuf> {
     PYTHON.get_or_init(make_python).clone()
 }
 
-fn make_python() -> Option<PathBuf> {
+/// The native half of `trabecula.sim`, which cargo builds with the workspace.
+pub fn native() -> PathBuf {
     let native = built().join("deps/libtrabecula_sim.so");
     let hint = "`cargo build --release --workspace` builds it";
     assert!(native.exists(), "{}: not built; {hint}", native.display());
+    native
+}
+
+fn make_python() -> Option<PathBuf> {
+    let native = native();
     let python = or_skip("sim-1", &["numpy==2.3.5", "gymnasium==1.4.0"], "numpy, gymnasium")?;
     install_package(&python, &[("TRABECULA_CLIENT_LIBRARY", &library()), ("TRABECULA_SIM_LIBRARY", &native)]);
     Some(python)

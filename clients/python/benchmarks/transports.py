@@ -4,7 +4,7 @@
 
 Both answer every state of the same lockstep scene with a command, waiting by polling, in turn in one run; the physics
 measures from the publication of a state (7064 bytes) to the arrival of its answer (320 bytes), and the log has it. Needs
-both packages and NumPy: `pip install ./clients/python iceoryx2==0.10.0 numpy`.
+both packages and NumPy: `pip install . iceoryx2==0.10.0 numpy`.
 """
 
 import csv

@@ -33,7 +33,7 @@ def load() -> ctypes.CDLL:
     if path is None:
         places = ", ".join(str(path) for path in candidates)
         raise ImportError(
-            f"{NAME} is in none of: {places}; `pip install ./clients/python` builds it, or name it in {VARIABLE}"
+            f"{NAME} is in none of: {places}; `pip install .` in a checkout builds it, or name it in {VARIABLE}"
         )
     try:
         library = ctypes.CDLL(str(path))

@@ -32,7 +32,7 @@ def _load() -> Any:
     if path is None:
         places = ", ".join(str(path) for path in candidates)
         raise ImportError(
-            f"the native half of trabecula.sim is in none of: {places}; `pip install ./clients/python` builds it, or name it in {VARIABLE}"
+            f"the native half of trabecula.sim is in none of: {places}; `pip install .` in a checkout builds it, or name it in {VARIABLE}"
         )
     name = f"{__package__}._sim"
     spec = spec_from_file_location(name, path, loader=ExtensionFileLoader(name, str(path)))

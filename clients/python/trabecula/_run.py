@@ -9,6 +9,7 @@ import subprocess
 import threading
 import time
 from contextlib import contextmanager, suppress
+from importlib import metadata
 from pathlib import Path
 from typing import IO, Any, Iterator, Mapping, Optional, Union
 
@@ -77,12 +78,22 @@ def _joined(session: str, controller: Optional[str], timeout_s: float) -> Client
 def _program() -> str:
     given = os.environ.get(PROGRAM_VARIABLE)
     built = Path(__file__).resolve().parents[3] / "target" / "release" / NAME
-    found = given or (str(built) if built.exists() else shutil.which(NAME))
+    found = given or (str(built) if built.exists() else _installed() or shutil.which(NAME))
     if found is None or not os.access(found, os.X_OK):
-        places = f"{found}" if found else f"{built} and the PATH"
-        text = f"no program `{NAME}` in {places}: build it with `cargo build --release` and put its folder into the PATH, or name it in {PROGRAM_VARIABLE}"
+        places = f"{found}" if found else f"{built}, this package and the PATH"
+        text = f"no program `{NAME}` in {places}: install the package by `pip install .` in a checkout, or name the program in {PROGRAM_VARIABLE}"
         raise Error(g.ERROR_ABSENT, text)
     return found
+
+
+def _installed() -> Optional[str]:
+    """The program that came in the wheel of this package: of its version, and there also where the environment is not activated."""
+    try:
+        files = metadata.files("trabecula") or []
+    except metadata.PackageNotFoundError:
+        return None
+    programs = (file.locate() for file in files if file.name == NAME and file.parent.name == "bin")
+    return next((str(Path(program).resolve()) for program in programs), None)
 
 
 def settings(overrides: Optional[Mapping[str, Any]]) -> list[str]:

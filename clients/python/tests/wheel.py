@@ -1,0 +1,99 @@
+"""What an installed wheel does in an empty folder: `wheel.py`, by the environment's Python, with nothing but that environment in PATH.
+
+The default scene, its replay, a controller, a simulation, the viewer. Prints `done` at the end.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import trabecula
+from trabecula.sim import Sim
+
+#: Longest time that a program may take.
+LIMIT_S = 300.0
+FREE_SPACE = """
+name = "free_space"
+[run]
+mode = "lockstep"
+duration_s = 0.5
+controller_limit_ms = 60000.0
+[tool]
+burr_start_mm = [0.0, 0.0, 0.0]
+direction = [1.0, 0.0, 0.0]
+bend_toward = [0.0, 0.0, 1.0]
+[[controller]]
+name = "mine"
+drives = ["tendon"]
+external = true
+"""
+
+
+def said(*words: str) -> str:
+    """What the program says; by its name, so as a user calls it."""
+    done = subprocess.run(["trabecula", *words], capture_output=True, text=True, timeout=LIMIT_S)
+    assert done.returncode == 0, f"{words}: {done.returncode}\n{done.stdout}{done.stderr}"
+    return done.stdout + done.stderr
+
+
+def nothing_else_is_there() -> None:
+    bin_folder = Path(sys.executable).parent
+    assert os.environ["PATH"] == str(bin_folder), os.environ["PATH"]
+    assert shutil.which("trabecula") == str(bin_folder / "trabecula")
+    assert shutil.which("cargo") is None
+    package = Path(trabecula.__file__).resolve()
+    assert package.is_relative_to(Path(sys.prefix).resolve()), package
+
+
+def the_default_scene_runs_and_replays() -> Path:
+    said("run", "--mode", "lockstep", "--duration-s", "0.5")
+    (run,) = Path("out").iterdir()
+    assert (run / "report.html").exists()
+    assert "replayed 500 ticks, all identical" in said("replay", str(run), "--verify")
+    return run
+
+
+def a_simulation_has_the_hash_of_the_run(run: Path) -> None:
+    sim = Sim()
+    sim.step(ticks=500)
+    assert sim.hash in said("replay", str(run)), sim.hash
+
+
+def a_controller_commands_its_run() -> None:
+    Path("free_space.toml").write_text(FREE_SPACE)
+    # The program of the package, although none is in the PATH.
+    path = os.environ.pop("PATH")
+    with trabecula.run("free_space.toml", output="mine") as client:
+        for state in client.states():
+            with client.command() as command:
+                command.tendon_mode = trabecula.TendonMode.SERVO_JF
+                command.tendon_force_n[0] = 5.0
+    os.environ["PATH"] = path
+    assert state.tick == 500 and state.bend_rad > 0.1, (state.tick, state.bend_rad)
+    (run,) = Path("mine").iterdir()
+    assert "replayed 500 ticks, all identical" in said("replay", str(run), "--verify")
+
+
+def the_viewer_shows_a_log(run: Path) -> None:
+    view = subprocess.Popen(["trabecula", "view", str(run), "--port", "0", "--no-open"], stdout=subprocess.PIPE, text=True)
+    try:
+        assert view.stdout is not None  # a pipe
+        address = view.stdout.readline().split("#")[0].strip()
+        with urllib.request.urlopen(address, timeout=LIMIT_S) as page:
+            assert "<title>" in page.read().decode(), address
+    finally:
+        view.terminate()
+        view.wait(LIMIT_S)
+
+
+nothing_else_is_there()
+default_run = the_default_scene_runs_and_replays()
+a_simulation_has_the_hash_of_the_run(default_run)
+a_controller_commands_its_run()
+the_viewer_shows_a_log(default_run)
+print("done")

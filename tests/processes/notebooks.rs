@@ -1,0 +1,107 @@
+//! The notebooks of `docs/notebooks`, executed cell by cell with the wheel, and what they print.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Duration;
+
+use ipc_types::session::{CONTROLLER_VARIABLE, SESSION_VARIABLE};
+use test_support::limited::Limited;
+use test_support::python::or_skip;
+
+use crate::common::program::Place;
+use crate::languages::clients;
+use crate::wheel::install_wheel;
+
+/// The registration takes minutes of two cores.
+const LIMIT: Duration = Duration::from_secs(900);
+const KERNEL: [&str; 2] = ["nbclient==0.11.0", "ipykernel==7.4.0"];
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn python() -> Option<PathBuf> {
+    let packages =
+        ["numpy==2.3.5", "pandas==3.1.1", "pyarrow==26.0.1", "matplotlib==3.11.2", KERNEL[0], KERNEL[1]];
+    let python =
+        or_skip("notebooks-1", &packages, "numpy, pandas, pyarrow, matplotlib, nbclient, ipykernel")?;
+    install_wheel(&python);
+    Some(python)
+}
+
+/// What the cells of a notebook print, executed in an empty folder.
+fn printed(python: &Path, name: &str) -> String {
+    let place = Place::new();
+    let mut command = Command::new(python);
+    command.arg(clients().join("python/tests/notebook.py"));
+    command.arg(root().join("docs/notebooks").join(name).with_extension("ipynb")).arg(place.path(""));
+    let path = std::env::var("PATH").unwrap();
+    command.env("PATH", format!("{}:{path}", python.parent().unwrap().display()));
+    command.env("IPYTHONDIR", place.path("ipython")).env("MPLCONFIGDIR", place.path("matplotlib"));
+    command.env_remove(SESSION_VARIABLE).env_remove(CONTROLLER_VARIABLE);
+    let output = command.output_within(LIMIT).unwrap();
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{name}: {}\n{error}", output.status);
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// The numbers of the line that begins with these words.
+fn numbers(said: &str, begin: &str) -> Vec<f64> {
+    let line = said.lines().find(|line| line.starts_with(begin));
+    let line = line.unwrap_or_else(|| panic!("no line begins with `{begin}`:\n{said}"));
+    let word = |c: char| c.is_whitespace() || c == ',';
+    line.split(word).filter_map(|word| word.parse().ok()).collect()
+}
+
+#[test]
+fn the_notebook_of_a_first_controller_bends_the_tool() {
+    let Some(python) = python() else { return };
+    let said = printed(&python, "first_controller");
+    assert_eq!(numbers(&said, "2001 states")[1..], [0.410, 0.5], "{said}");
+}
+
+#[test]
+fn the_notebook_of_a_log_draws_its_states_and_frames() {
+    let Some(python) = python() else { return };
+    let said = printed(&python, "log_to_figures");
+    for line in ["replayed 3000 ticks, all identical", "3001 states of", "16 frames"] {
+        assert!(said.contains(line), "no `{line}`:\n{said}");
+    }
+}
+
+#[test]
+fn the_notebook_of_branches_finds_a_plan_that_is_carried_out_bit_for_bit() {
+    let Some(python) = python() else { return };
+    let said = printed(&python, "branch_and_plan");
+    assert!(said.contains("the same hash: True"), "{said}");
+    let best = numbers(&said, "best:");
+    assert!(best[1] < 0.5, "{said}");
+}
+
+/// Of a tool in free space that one tendon holds, pull decides the bend.
+#[test]
+fn the_notebook_of_a_sweep_names_the_parameter_that_decides() {
+    let Some(python) = python() else { return };
+    let said = printed(&python, "sweep_and_sensitivities");
+    assert!(said.contains("80 runs, 80 completed"), "{said}");
+    let total = |key: &str| numbers(&said, key)[2];
+    assert!(total("controller.0.hold.tension_n") > 0.9, "{said}");
+    assert!(total("manipulator.stiffness_scale") < 0.2, "{said}");
+}
+
+/// A renderer that is not ours, in the geometry that we state, finds the pose that our frame was taken from.
+#[test]
+fn the_notebook_of_registration_finds_the_c_arm_with_nanodrr() {
+    let packages = ["numpy==2.3.5", "nanodrr==0.1.7", "matplotlib==3.11.2", KERNEL[0], KERNEL[1]];
+    let Some(python) =
+        or_skip("registration-1", &packages, "nanodrr, matplotlib, nbclient, ipykernel, torch")
+    else {
+        return;
+    };
+    install_wheel(&python);
+    let said = printed(&python, "registration");
+    println!("{said}");
+    let (start, found) = (numbers(&said, "start:"), numbers(&said, "found:"));
+    assert!((start[0] - 5.0).abs() < 0.01 && (start[1].hypot(start[2]) - 10.0).abs() < 0.01, "{said}");
+    assert!(found[0] < 0.5 && found[1] < 0.5 && found[2] < 3.0, "{said}");
+}

@@ -1,0 +1,90 @@
+//! The wheel and the source distribution: what one installs without a checkout, and without cargo.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use test_support::python::or_skip;
+
+use crate::common::program::Place;
+use crate::languages::{clients, install_package, library, output_of};
+use crate::simulations::native;
+
+/// Installs the whole wheel into an environment: libraries and program as they are built for these tests.
+pub fn install_wheel(python: &Path) {
+    let (client, simulations) = (library(), native());
+    let program = Path::new(env!("CARGO_BIN_EXE_trabecula"));
+    install_package(
+        python,
+        &[
+            ("TRABECULA_CLIENT_LIBRARY", &client),
+            ("TRABECULA_SIM_LIBRARY", &simulations),
+            ("TRABECULA_PROGRAM", program),
+        ],
+    );
+}
+
+#[test]
+fn a_wheel_runs_replays_simulates_and_shows_without_cargo_and_checkout() {
+    let Some(python) = or_skip("wheel-1", &["numpy==2.3.5"], "numpy") else { return };
+    install_wheel(&python);
+    let place = Place::new();
+    let mut command = Command::new(&python);
+    command.arg(clients().join("python/tests/wheel.py")).current_dir(place.path(""));
+    // Of the machine only the user's folders.
+    command.env_clear().env("PATH", python.parent().unwrap());
+    command.envs(["HOME", "XDG_RUNTIME_DIR"].iter().filter_map(|name| Some((name, std::env::var_os(name)?))));
+    assert_eq!(output_of(&mut command), "done\n");
+}
+
+/// The source distribution of some sources, made by their backend and unpacked in a folder.
+fn sdist(sources: &Path, folder: &Path) -> PathBuf {
+    let script = "import sys, tarfile, build_backend as backend
+name = backend.build_sdist(sys.argv[1])
+with tarfile.open(f'{sys.argv[1]}/{name}') as archive:
+    archive.extractall(sys.argv[1])
+print(name.removesuffix('.tar.gz'))";
+    let mut command = Command::new("python3");
+    command.args(["-c", script]).arg(folder).env("PYTHONPATH", sources.join("clients/python"));
+    folder.join(output_of(command.env("PYTHONDONTWRITEBYTECODE", "1")).trim())
+}
+
+/// Every file below a folder.
+fn files(folder: &Path) -> BTreeSet<PathBuf> {
+    let (mut found, mut folders) = (BTreeSet::new(), vec![folder.to_owned()]);
+    while let Some(next) = folders.pop() {
+        for entry in fs::read_dir(next).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                found.insert(path.strip_prefix(folder).unwrap().to_owned());
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn a_source_distribution_is_the_workspace_and_makes_itself_again() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    if !root.join(".git").exists() {
+        println!("\n*** SKIPPED: no checkout of git ***\n");
+        return;
+    }
+    let place = Place::new();
+    let sources = sdist(root, &place.path(""));
+    let first = files(&sources);
+    for file in ["Cargo.lock", "PKG-INFO", "LICENSE-MIT", "configs/femur_curved_drilling.toml", ".ci/run"] {
+        assert!(first.contains(Path::new(file)), "no {file}");
+    }
+    // Cargo agrees that every package is there.
+    let mut cargo = Command::new(env!("CARGO"));
+    cargo.args(["metadata", "--offline", "--no-deps", "--format-version", "1"]);
+    let metadata: serde_json::Value = serde_json::from_str(&output_of(cargo.current_dir(&sources))).unwrap();
+    assert!(metadata["packages"].as_array().unwrap().len() > 25, "{metadata}");
+    // Without git it makes itself.
+    let again = Place::new();
+    assert_eq!(files(&sdist(&sources, &again.path(""))), first);
+}
