@@ -10,9 +10,7 @@ use test_support::scenes::TOOL;
 
 /// Hash after 300 ticks under tension.
 fn hash(tables: &str) -> [u64; 2] {
-    let text = format!(
-        "name = \"a\"\nrun = {{ mode = \"lockstep\", duration_s = 1.0 }}\n{TOOL}{tables}"
-    );
+    let text = format!("name = \"a\"\nrun = {{ mode = \"lockstep\", duration_s = 1.0 }}\n{TOOL}{tables}");
     let scene = Scene::parse(&text, Path::new("a.toml")).unwrap();
     let mut simulation = Simulation::new(&scene, None).unwrap();
     let command = Command {

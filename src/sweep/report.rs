@@ -156,8 +156,7 @@ impl Sensitivity {
     }
 
     fn group_lines(&self) -> Vec<String> {
-        let named: Vec<(String, &Group)> =
-            self.groups.iter().map(|group| (group.name(), group)).collect();
+        let named: Vec<(String, &Group)> = self.groups.iter().map(|group| (group.name(), group)).collect();
         let Some(width) = named.iter().map(|(name, _)| name.len()).max() else { return Vec::new() };
         let head = format!(
             "{:width$}  {:>6}  {:>10}  {:>10}  {:>10}",
