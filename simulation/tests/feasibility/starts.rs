@@ -103,6 +103,8 @@ fn bone() -> Vec<Case> {
             ),
             &[
                 "unlikely: `tool.burr_start_mm` puts the shaft up to 17.0 mm inside bone; expected a `[[predrill]]` hole along it",
+                // The flange ends at 71.47 - 30 - 20 = 21.47 mm, the upper face is at 27 mm.
+                "unlikely: `arm.tool_position_mm` is [0, 0, 0]: the arm's wrist 3 ends 5 mm inside bone, where nothing collides; expected a longer way from flange to tool, as [0.0, 0.0, 200.0]",
             ],
         ),
         case(
