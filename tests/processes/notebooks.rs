@@ -12,7 +12,7 @@ use crate::common::program::Place;
 use crate::languages::clients;
 use crate::wheel::install_wheel;
 
-/// The registration takes minutes of two cores.
+/// A sweep of eighty runs takes a minute of two quiet cores.
 const LIMIT: Duration = Duration::from_secs(900);
 const KERNEL: [&str; 2] = ["nbclient==0.11.0", "ipykernel==7.4.0"];
 
@@ -87,21 +87,4 @@ fn the_notebook_of_a_sweep_names_the_parameter_that_decides() {
     let total = |key: &str| numbers(&said, key)[2];
     assert!(total("controller.0.hold.tension_n") > 0.9, "{said}");
     assert!(total("manipulator.stiffness_scale") < 0.2, "{said}");
-}
-
-/// A renderer that is not ours, in the geometry that we state, finds the pose that our frame was taken from.
-#[test]
-fn the_notebook_of_registration_finds_the_c_arm_with_nanodrr() {
-    let packages = ["numpy==2.3.5", "nanodrr==0.1.7", "matplotlib==3.11.2", KERNEL[0], KERNEL[1]];
-    let Some(python) =
-        or_skip("registration-1", &packages, "nanodrr, matplotlib, nbclient, ipykernel, torch")
-    else {
-        return;
-    };
-    install_wheel(&python);
-    let said = printed(&python, "registration");
-    println!("{said}");
-    let (start, found) = (numbers(&said, "start:"), numbers(&said, "found:"));
-    assert!((start[0] - 5.0).abs() < 0.01 && (start[1].hypot(start[2]) - 10.0).abs() < 0.01, "{said}");
-    assert!(found[0] < 0.5 && found[1] < 0.5 && found[2] < 3.0, "{said}");
 }
