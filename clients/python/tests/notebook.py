@@ -5,6 +5,7 @@ Its working folder is FOLDER. A cell that raises, or takes longer than the limit
 
 from __future__ import annotations
 
+import os
 import sys
 
 import nbformat
@@ -16,9 +17,11 @@ LIMIT_S = 600
 
 notebook = nbformat.read(sys.argv[1], as_version=4)
 nbformat.validate(notebook)
-# The kernel listens on files of this user, not on ports that every user of the machine reaches.
+# The kernel listens on files of this user, not on ports that every user of the machine reaches. Their names are relative to the working
+# folder, which must be the kernel's, too.
+os.chdir(sys.argv[2])
 config = Config({"KernelManager": {"transport": "ipc"}})
-folder = {"metadata": {"path": sys.argv[2]}}
+folder = {"metadata": {"path": "."}}
 NotebookClient(notebook, timeout=LIMIT_S, kernel_name="python3", resources=folder, config=config).execute()
 for cell in notebook.cells:
     for output in cell.get("outputs", []):
