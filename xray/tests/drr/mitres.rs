@@ -12,6 +12,7 @@ const OUTER_M: f64 = 3e-3;
 const INNER_M: f64 = 2e-3;
 
 /// Metal of a material on a ray.
+#[allow(clippy::unwrap_used, reason = "a helper that fails is a failed test")]
 fn metal_m(tool: &Tool, material: Material, from: [f64; 3], to: [f64; 3]) -> f64 {
     let ray = WorldRay::between(from, to);
     let parts = tool.parts.iter().map(|part| PreparedPart::new(part).unwrap());
