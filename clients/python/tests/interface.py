@@ -239,7 +239,7 @@ def starts_runs() -> None:
         text = refusal(t.ArgumentError, with_them.__enter__)
         assert words in text, text
     os.environ["TRABECULA_PROGRAM"] = "/nowhere/trabecula"
-    assert "build it with `cargo build --release`" in refusal(t.Error, t.run(scene).__enter__)
+    assert "install the package by `pip install .`" in refusal(t.Error, t.run(scene).__enter__)
 
 
 if __name__ == "__main__":
