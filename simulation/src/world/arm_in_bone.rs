@@ -107,8 +107,7 @@ pub(super) fn piece(
 impl Piece {
     /// How far bone reaches into the piece, m, to a millimetre; `None` if there is none in it by more than a voxel.
     pub(super) fn depth_m(&self, voxels: &Voxels) -> Option<f64> {
-        let (mut deepest_m, mut below_m) =
-            (None, voxels.geometry().spacing_m.iter().copied().fold(0.0, f64::max));
+        let (mut deepest_m, mut below_m) = (None, voxel_m(voxels));
         while below_m <= self.radius_m {
             if self.meets_bone(voxels, -below_m) {
                 deepest_m = Some(below_m);
@@ -147,13 +146,21 @@ impl Piece {
     }
 }
 
-/// Whether a point of a circle is in bone.
+/// A voxel's longest edge: bone that reaches less far into a piece is not told, m.
+fn voxel_m(voxels: &Voxels) -> f64 {
+    voxels.geometry().spacing_m.iter().copied().fold(0.0, f64::max)
+}
+
+/// Whether a point of a circle is in bone. A circle away from the volume, as most of a long link's are, is left at once.
 fn circle_meets(
     voxels: &Voxels,
     centre_m: &Vector3<f64>,
     (x, y): (&Vector3<f64>, &Vector3<f64>),
     radius_m: f64,
 ) -> bool {
+    if !voxels.is_near(centre_m, radius_m) {
+        return false;
+    }
     let points = (TAU * radius_m / SPACING_M).ceil().max(1.0);
     let (sine, cosine) = libm::sincos(TAU / points);
     let mut at_m = [radius_m, 0.0];
@@ -233,30 +240,33 @@ impl Simulation<'_> {
         }
     }
 
-    /// Sets what is known of the arm to how it stands, as after a keyframe.
+    /// Sets what is known of the arm to how it stands, as after a keyframe: by the state alone, whatever was known before.
     pub(super) fn note_arm(&mut self) {
-        (0..PIECES).for_each(|index| self.look_at(index));
-        self.arm_watch.entry = None;
+        self.arm_watch = ArmWatch::default();
+        for index in 0..PIECES {
+            self.arm_watch.is_in[index] = self.is_in_bone(index);
+        }
+    }
+
+    /// Whether a piece is in bone, by how it was when last looked at: it is out again only when it is clear of the bone.
+    fn is_in_bone(&self, index: usize) -> bool {
+        let (Some(bone), Some(piece)) = (&self.bone, self.piece(index)) else { return false };
+        let voxels = bone.field.voxels();
+        let outward_m = if self.arm_watch.is_in[index] { LEAVING_M } else { -voxel_m(voxels) };
+        piece.meets_bone(voxels, outward_m)
     }
 
     fn look_at(&mut self, index: usize) {
-        let Some(bone) = &self.bone else { return };
-        let (voxels, piece) = (bone.field.voxels(), self.piece(index));
-        let was_in = self.arm_watch.is_in[index];
-        let mut entry = None;
-        let is_in = piece.is_some_and(|piece| {
-            if was_in {
-                return piece.meets_bone(voxels, LEAVING_M);
-            }
-            let skin_m = voxels.geometry().spacing_m.iter().copied().fold(0.0, f64::max);
-            if !piece.meets_bone(voxels, -skin_m) {
-                return false;
-            }
-            let depth_m = piece.depth_m(voxels).unwrap_or(skin_m);
-            entry = Some(ArmEntry { part: piece.name, depth_m });
-            true
-        });
-        self.arm_watch = ArmWatch { is_in: self.arm_watch.is_in, entry };
+        let is_in = self.is_in_bone(index);
+        let has_entered = is_in && !self.arm_watch.is_in[index];
         self.arm_watch.is_in[index] = is_in;
+        if !has_entered {
+            return;
+        }
+        let entered = self.piece(index).zip(self.bone.as_ref());
+        self.arm_watch.entry = entered.map(|(piece, bone)| {
+            let voxels = bone.field.voxels();
+            ArmEntry { part: piece.name, depth_m: piece.depth_m(voxels).unwrap_or_else(|| voxel_m(voxels)) }
+        });
     }
 }
