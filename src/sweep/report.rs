@@ -97,10 +97,8 @@ pub fn sensitivity(study: &Study, rows: &[Row], figure: &str) -> Option<Sensitiv
 
 /// The values of a parameter in the order in which they first occur; none if it is a number.
 fn groups(key: &str, rows: &[Row], of: impl Fn(&Row) -> Option<f64>) -> Vec<Group> {
-    let value_of =
-        |row: &Row| row.parameters.iter().find(|(name, _)| name == key).map(|(_, value)| value.clone());
-    let mut found: Vec<(Value, Vec<f64>)> = Vec::new();
-    for (value, figure) in rows.iter().filter_map(|row| Some((value_of(row)?, of(row)?))) {
+    let mut found: Vec<(&Value, Vec<f64>)> = Vec::new();
+    for (value, figure) in rows.iter().filter_map(|row| Some((row.value(key)?, of(row)?))) {
         match found.iter_mut().find(|(known, _)| *known == value) {
             Some((_, figures)) => figures.push(figure),
             None => found.push((value, vec![figure])),
@@ -109,10 +107,10 @@ fn groups(key: &str, rows: &[Row], of: impl Fn(&Row) -> Option<f64>) -> Vec<Grou
     if found.iter().all(|(value, _)| value.is_number()) {
         return Vec::new();
     }
-    let group = |(value, mut figures): (Value, Vec<f64>)| {
+    let group = |(value, mut figures): (&Value, Vec<f64>)| {
         figures.sort_by(f64::total_cmp);
         let range = [figures[0], median(&figures), figures[figures.len() - 1]];
-        Group { key: key.to_owned(), value, runs: figures.len(), range }
+        Group { key: key.to_owned(), value: value.clone(), runs: figures.len(), range }
     };
     found.into_iter().map(group).collect()
 }

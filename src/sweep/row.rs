@@ -125,8 +125,13 @@ impl Row {
         self.figures()[index]
     }
 
+    /// A parameter.
+    pub fn value(&self, key: &str) -> Option<&Value> {
+        self.parameters.iter().find(|(name, _)| name == key).map(|(_, value)| value)
+    }
+
     /// A parameter as a number, if it is one.
     pub fn parameter(&self, key: &str) -> Option<f64> {
-        self.parameters.iter().find(|(name, _)| name == key)?.1.as_f64()
+        self.value(key)?.as_f64()
     }
 }
