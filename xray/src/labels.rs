@@ -164,31 +164,28 @@ pub(crate) fn keypoints(
 
 /// Whether a part counts as another one than that which a point lies on.
 fn is_another(part: &ToolPart, point_m: Vec3, width_m: f64) -> bool {
-    match *part {
-        ToolPart::Sphere { centre_m, .. } => norm(sub(centre_m, point_m)) > 1e-9,
-        ToolPart::Cylinder { start_m, end_m, .. }
-        | ToolPart::HollowCylinder { start_m, end_m, .. }
-        | ToolPart::NotchedTube { start_m, end_m, .. }
-        | ToolPart::MitredTube { start_m, end_m, .. }
-        | ToolPart::Cone { start_m, end_m, .. } => {
-            let (along, from_start) = (sub(end_m, start_m), sub(point_m, start_m));
-            let nearest = (dot(from_start, along) / dot(along, along)).clamp(0.0, 1.0);
-            norm(add_scaled(from_start, -nearest, along)) > width_m
-        }
-    }
+    let Some([start_m, end_m]) = axis_ends_m(part) else {
+        return matches!(*part, ToolPart::Sphere { centre_m, .. } if norm(sub(centre_m, point_m)) > 1e-9);
+    };
+    let (along, from_start) = (sub(end_m, start_m), sub(point_m, start_m));
+    let nearest = (dot(from_start, along) / dot(along, along)).clamp(0.0, 1.0);
+    norm(add_scaled(from_start, -nearest, along)) > width_m
 }
 
 /// Whether a point is an end of a part's axis.
 fn is_end(part: &ToolPart, point_m: Vec3) -> bool {
+    axis_ends_m(part).is_some_and(|ends_m| ends_m.iter().any(|end_m| norm(sub(*end_m, point_m)) < 1e-9))
+}
+
+/// The ends of a part's axis; `None` of a ball.
+fn axis_ends_m(part: &ToolPart) -> Option<[Vec3; 2]> {
     match *part {
-        ToolPart::Sphere { .. } => false,
+        ToolPart::Sphere { .. } => None,
         ToolPart::Cylinder { start_m, end_m, .. }
         | ToolPart::HollowCylinder { start_m, end_m, .. }
         | ToolPart::NotchedTube { start_m, end_m, .. }
         | ToolPart::MitredTube { start_m, end_m, .. }
-        | ToolPart::Cone { start_m, end_m, .. } => {
-            [start_m, end_m].iter().any(|end_m| norm(sub(*end_m, point_m)) < 1e-9)
-        }
+        | ToolPart::Cone { start_m, end_m, .. } => Some([start_m, end_m]),
     }
 }
 

@@ -37,18 +37,6 @@ pub(crate) struct Cut {
     pub(super) above: f64,
 }
 
-impl Shape {
-    /// The same shape with other ends.
-    fn with_ends(self, ends: [Vec3; 2]) -> Self {
-        match self {
-            Self::Axial { start_m, axis, length_m, radii, .. } => {
-                Self::Axial { start_m, axis, length_m, normals: ends, radii }
-            }
-            Self::Sphere { .. } => self,
-        }
-    }
-}
-
 impl PreparedPart {
     /// Checks a part and computes its constants.
     ///
@@ -64,11 +52,11 @@ impl PreparedPart {
             }
             ToolPart::Cylinder { start_m, end_m, radius_m, material } => {
                 check_radius(radius_m)?;
-                (axial(start_m, end_m, |_, _| Ok(tube(radius_m, 0.0)))?, material)
+                (axial(start_m, end_m, None, |_, _| Ok(tube(radius_m, 0.0)))?, material)
             }
             ToolPart::HollowCylinder { start_m, end_m, outer_radius_m, inner_radius_m, material } => {
                 check_tube(outer_radius_m, inner_radius_m)?;
-                (axial(start_m, end_m, |_, _| Ok(tube(outer_radius_m, inner_radius_m)))?, material)
+                (axial(start_m, end_m, None, |_, _| Ok(tube(outer_radius_m, inner_radius_m)))?, material)
             }
             ToolPart::NotchedTube { start_m, end_m, outer_radius_m, inner_radius_m, notch, material } => {
                 check_tube(outer_radius_m, inner_radius_m)?;
@@ -76,7 +64,7 @@ impl PreparedPart {
                     let cut = Some(notch.cut(axis, length_m, outer_radius_m)?);
                     Ok(Radii::Tube { outer_m: outer_radius_m, inner_m: inner_radius_m, notch: cut })
                 };
-                (axial(start_m, end_m, notched)?, material)
+                (axial(start_m, end_m, None, notched)?, material)
             }
             ToolPart::MitredTube {
                 start_m,
@@ -92,11 +80,10 @@ impl PreparedPart {
                     check_tube(outer_radius_m, inner_radius_m)?;
                 }
                 let notched = |axis, length_m| {
-                    check_normals(&normals, axis)?;
                     let notch = notch.map(|notch| notch.cut(axis, length_m, outer_radius_m)).transpose()?;
                     Ok(Radii::Tube { outer_m: outer_radius_m, inner_m: inner_radius_m, notch })
                 };
-                (axial(start_m, end_m, notched)?.with_ends(normals), material)
+                (axial(start_m, end_m, Some(normals), notched)?, material)
             }
             ToolPart::Cone { start_m, end_m, start_radius_m, end_radius_m, material } => {
                 let widest_m = start_radius_m.max(end_radius_m);
@@ -109,7 +96,7 @@ impl PreparedPart {
                     let slope = (end_radius_m - start_radius_m) / length_m;
                     Ok(Radii::Cone { start_m: start_radius_m, slope, widest_m })
                 };
-                (axial(start_m, end_m, cone)?, material)
+                (axial(start_m, end_m, None, cone)?, material)
             }
         };
         Ok(Self { shape, material })
@@ -239,6 +226,7 @@ fn tube(outer_m: f64, inner_m: f64) -> Radii {
 fn axial(
     start_m: Vec3,
     end_m: Vec3,
+    normals: Option<[Vec3; 2]>,
     radii: impl Fn(Vec3, f64) -> Result<Radii, &'static str>,
 ) -> Result<Shape, &'static str> {
     check_points(&[start_m, end_m])?;
@@ -248,7 +236,9 @@ fn axial(
         return Err("its two ends coincide: give it a length");
     }
     let axis = scale(along, 1.0 / length_m);
-    Ok(Shape::Axial { start_m, axis, length_m, normals: [axis; 2], radii: radii(axis, length_m)? })
+    let normals = normals.unwrap_or([axis; 2]);
+    check_normals(&normals, axis)?;
+    Ok(Shape::Axial { start_m, axis, length_m, normals, radii: radii(axis, length_m)? })
 }
 
 /// A unit vector perpendicular to a unit vector.
