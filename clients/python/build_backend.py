@@ -29,6 +29,9 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 #: The native half of trabecula.sim keeps to the interface that every Python from 3.9 on has.
 TAG = "cp39-abi3"
+#: Longest time for a build from nothing, which takes 20 minutes on two cores, and for any other program, s. Then it says which one.
+BUILD_LIMIT_S = 4 * 3600
+LIMIT_S = 120
 #: Zip files know no time before; a fixed one makes the same wheel of the same files.
 EPOCH = (1980, 1, 1, 0, 0, 0)
 
@@ -70,7 +73,7 @@ def _binaries() -> dict[Binary, Path]:
         return {binary: Path(os.environ[binary.variable]) for binary in binaries if os.environ.get(binary.variable)}
     packages = [f"--package={binary.package}" for binary in binaries]
     targets = sorted({binary.target for binary in binaries})
-    subprocess.run(["cargo", "build", "--release", "--locked", *packages, *targets], cwd=ROOT, check=True)
+    subprocess.run(["cargo", "build", "--release", "--locked", *packages, *targets], cwd=ROOT, check=True, timeout=BUILD_LIMIT_S)
     built = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "release"
     return {binary: built / binary.built for binary in binaries}
 
@@ -79,7 +82,7 @@ def _stripped(path: Path) -> bytes:
     """Without line tables and symbols, nine tenths of a program's file."""
     with tempfile.TemporaryDirectory() as folder:
         small = Path(folder) / path.name
-        subprocess.run(["strip", "-o", str(small), str(path)], check=True)
+        subprocess.run(["strip", "-o", str(small), str(path)], check=True, timeout=LIMIT_S)
         return small.read_bytes()
 
 
@@ -136,8 +139,8 @@ def build_wheel(wheel_directory, config_settings=None, metadata_directory=None):
 def _source_files() -> list[str]:
     """What belongs to the sources: what git knows, or, in an unpacked sdist, all that cargo has not made."""
     if (ROOT / ".git").exists():
-        listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True).stdout.decode()
-        return [name for name in listed.split("\0") if name and (ROOT / name).is_file()]
+        git = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True, timeout=LIMIT_S)
+        return [name for name in git.stdout.decode().split("\0") if name and (ROOT / name).is_file()]
     found = []
     for folder, folders, names in os.walk(ROOT):
         folders[:] = [name for name in folders if not (name in ("__pycache__", ".venv") or (name in ("target", "out") and Path(folder) == ROOT))]

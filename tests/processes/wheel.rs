@@ -31,7 +31,8 @@ fn a_wheel_runs_replays_simulates_and_shows_without_cargo_and_checkout() {
     install_wheel(&python);
     let place = Place::new();
     let mut command = Command::new(&python);
-    command.arg(clients().join("python/tests/wheel.py")).current_dir(place.path(""));
+    command.arg(clients().join("python/tests/wheel.py")).arg(clients().join("scenes/free_space.toml"));
+    command.current_dir(place.path(""));
     // Of the machine only the user's folders.
     command.env_clear().env("PATH", python.parent().unwrap());
     command.envs(["HOME", "XDG_RUNTIME_DIR"].iter().filter_map(|name| Some((name, std::env::var_os(name)?))));

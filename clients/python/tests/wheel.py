@@ -1,4 +1,5 @@
-"""What an installed wheel does in an empty folder: `wheel.py`, by the environment's Python, with nothing but that environment in PATH.
+"""What an installed wheel does in an empty folder: `wheel.py SCENE`, by the environment's Python, with nothing but that environment in PATH.
+SCENE has one external controller and no bone.
 
 The default scene, its replay, a controller, a simulation, the viewer. Prints `done` at the end.
 """
@@ -6,6 +7,7 @@ The default scene, its replay, a controller, a simulation, the viewer. Prints `d
 from __future__ import annotations
 
 import os
+import select
 import shutil
 import subprocess
 import sys
@@ -17,21 +19,6 @@ from trabecula.sim import Sim
 
 #: Longest time that a program may take.
 LIMIT_S = 300.0
-FREE_SPACE = """
-name = "free_space"
-[run]
-mode = "lockstep"
-duration_s = 0.5
-controller_limit_ms = 60000.0
-[tool]
-burr_start_mm = [0.0, 0.0, 0.0]
-direction = [1.0, 0.0, 0.0]
-bend_toward = [0.0, 0.0, 1.0]
-[[controller]]
-name = "mine"
-drives = ["tendon"]
-external = true
-"""
 
 
 def said(*words: str) -> str:
@@ -65,10 +52,10 @@ def a_simulation_has_the_hash_of_the_run(run: Path) -> None:
 
 
 def a_controller_commands_its_run() -> None:
-    Path("free_space.toml").write_text(FREE_SPACE)
     # The program of the package, although none is in the PATH.
     path = os.environ.pop("PATH")
-    with trabecula.run("free_space.toml", output="mine") as client:
+    overrides = {"run.duration_s": 0.5, "run.controller_limit_ms": 60000.0}
+    with trabecula.run(sys.argv[1], overrides=overrides, output="mine") as client:
         for state in client.states():
             with client.command() as command:
                 command.tendon_mode = trabecula.TendonMode.SERVO_JF
@@ -83,6 +70,8 @@ def the_viewer_shows_a_log(run: Path) -> None:
     view = subprocess.Popen(["trabecula", "view", str(run), "--port", "0", "--no-open"], stdout=subprocess.PIPE, text=True)
     try:
         assert view.stdout is not None  # a pipe
+        ready, _, _ = select.select([view.stdout], [], [], LIMIT_S)
+        assert ready, f"trabecula view printed no address within {LIMIT_S} s"
         address = view.stdout.readline().split("#")[0].strip()
         with urllib.request.urlopen(address, timeout=LIMIT_S) as page:
             assert "<title>" in page.read().decode(), address
