@@ -228,37 +228,63 @@ mod tests {
     /// Share by which the step's own error may differ between numbers of links.
     const ROUNDED: f64 = 0.05;
 
-    /// Share by which drilled paths may differ: 0.04 mm of 0.38, a tenth of what the place of the voxels does to a path. Four links are off by
-    /// 0.36 mm, eight by 0.38, thirteen by 0.37: links shorter than those are not what decides until they are the tool's own.
-    const DRILLED: f64 = 0.1;
+    /// Pairs of rows of the table, with planes, that differ in the number of links: fewer and more.
+    fn pairs(rows: &[Row]) -> Vec<(&Row, &Row)> {
+        let planes = |row: &&Row| row.settings.contact == ContactVoxels::Planes;
+        let more = |few: &Row, many: &Row| {
+            many.settings.links > few.settings.links
+                && many.settings == Settings { links: many.settings.links, ..few.settings }
+        };
+        let of = |few| rows.iter().filter(move |many| more(few, many)).map(move |many| (few, many));
+        rows.iter().filter(planes).flat_map(of).collect()
+    }
 
     /// More links are never worse: the reference has the tool's own flexures. What remains at 27 links is the step's. Hard pulls are left out:
     /// they throw the flexures against their stops, where the step decides.
     #[test]
     fn errors_of_the_table_fall_as_links_rise() {
         let rows = read(TABLE).unwrap();
-        let mut pairs = 0;
-        for few in rows.iter().filter(|row| row.settings.contact == ContactVoxels::Planes) {
-            let same = |many: &&Row| many.settings == Settings { links: many.settings.links, ..few.settings };
-            for many in rows.iter().filter(same).filter(|many| many.settings.links > few.settings.links) {
-                pairs += 1;
-                for (name, few_mm, many_mm, rounded) in [
-                    ("rest", few.rest_mm, many.rest_mm, ROUNDED),
-                    ("free path", few.free_path_mm, many.free_path_mm, ROUNDED),
-                    ("drilled path", few.drilled_path_mm, many.drilled_path_mm, DRILLED),
-                    ("tip force", few.tip_force_mm, many.tip_force_mm, ROUNDED),
-                ] {
-                    let both = few_mm.is_finite() && many_mm.is_finite();
-                    assert!(
-                        !both || many_mm <= few_mm * (1.0 + rounded),
-                        "{name}: {} is off by {few_mm} mm, {} by {many_mm}",
-                        few.settings.text(),
-                        many.settings.text()
-                    );
-                }
+        let pairs = pairs(&rows);
+        assert!(pairs.len() > 30, "{}", pairs.len());
+        for (few, many) in pairs {
+            for (name, few_mm, many_mm) in [
+                ("rest", few.rest_mm, many.rest_mm),
+                ("free path", few.free_path_mm, many.free_path_mm),
+                ("tip force", few.tip_force_mm, many.tip_force_mm),
+            ] {
+                let both = few_mm.is_finite() && many_mm.is_finite();
+                assert!(
+                    !both || many_mm <= few_mm * (1.0 + ROUNDED),
+                    "{name}: {} is off by {few_mm} mm, {} by {many_mm}",
+                    few.settings.text(),
+                    many.settings.text()
+                );
             }
         }
-        assert!(pairs > 30, "{pairs}");
+    }
+
+    /// Where each flexure lies decides a drilled path: equal links are off by about the same, however many.
+    #[test]
+    fn a_drilled_path_is_best_with_the_tools_own_flexures() {
+        let rows = read(TABLE).unwrap();
+        let drilled = |pair: &(&Row, &Row)| {
+            let (few, own) = pair;
+            own.settings.links == STANDARD.links
+                && few.drilled_path_mm.is_finite()
+                && own.drilled_path_mm.is_finite()
+        };
+        let pairs: Vec<_> = pairs(&rows).into_iter().filter(drilled).collect();
+        assert_eq!(pairs.len(), 3);
+        for (few, own) in pairs {
+            assert!(
+                own.drilled_path_mm < few.drilled_path_mm,
+                "{} is off by {} mm, {} by {}",
+                few.settings.text(),
+                few.drilled_path_mm,
+                own.settings.text(),
+                own.drilled_path_mm
+            );
+        }
     }
 
     /// The errors do not depend on the machine: 1e-3 covers the rounding of the table's five digits, and 1 nm the

@@ -15,6 +15,7 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::time::Instant;
 
+use ipc_types::scene::ContactVoxels;
 use output_file::SavedFile;
 use plotters::style::RGBColor;
 
@@ -71,13 +72,13 @@ pub struct Plan {
 const FILES: [&str; 4] =
     ["physics-plan.csv", "accuracy-physics.csv", "accuracy-physics.png", "accuracy-physics.svg"];
 
-/// Measures, and writes `accuracy-physics.svg`, `.png` and `.csv`, and `physics-plan.csv`, into the folder.
+/// Measures, and writes `accuracy-physics.svg`, `.png` and `.csv`, and `physics-plan.csv`, into the folder; of the settings only the last.
 ///
 /// # Errors
 /// A file that cannot be written.
 pub fn run(plan: &Plan) -> Result<(), Failure> {
     let folder = &plan.out;
-    refuse_existing(&within(folder, &FILES))?;
+    refuse_existing(&within(folder, if plan.settings_only { &FILES[..1] } else { &FILES }))?;
     output_file::create_folder(folder).map_err(Failure::folder(folder))?;
     let (all, mut measured) = (Instant::now(), Vec::new());
     for problem in if plan.settings_only { &[][..] } else { &Problem::BEAM[..] } {
@@ -97,6 +98,9 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
     let began = Instant::now();
     let (rows, coarse_mm) = candidates::measure(plan.effort, save)?;
     took("settings and drilled path", began);
+    if plan.settings_only {
+        return Ok(());
+    }
     measured.push((Problem::Drilled, drilled_points(&rows)));
     let mut text = csv(&measured);
     // Writing to a String cannot fail.
@@ -133,19 +137,25 @@ fn measure_all(problem: Problem, effort: Effort) -> Result<Vec<Point>, Failure> 
     Ok(points)
 }
 
-/// The drilled paths with the tool's own flexures; the arc as it is.
+/// The drilled paths with the tool's own flexures, the arc as it is; voxels as planes, since no line joins planes and balls.
 fn drilled_points(rows: &[Row]) -> Vec<Point> {
     let most = rows.iter().map(|row| row.settings.links).max().unwrap_or(0);
-    let own = rows.iter().filter(|row| row.settings.links == most && row.drilling_us_per_ms.is_finite());
-    own.map(|row| Point {
-        method: candidates::method(&row.settings),
-        links: row.settings.links,
-        dt_ms: row.settings.dt_ms,
-        us_per_ms: row.drilling_us_per_ms,
-        error: row.drilled_path_mm * 1e3,
-        more: Vec::new(),
-    })
-    .collect()
+    let is_drawn = |row: &&Row| {
+        row.settings.links == most
+            && row.settings.contact == ContactVoxels::Planes
+            && row.drilling_us_per_ms.is_finite()
+    };
+    rows.iter()
+        .filter(is_drawn)
+        .map(|row| Point {
+            method: candidates::method(&row.settings),
+            links: row.settings.links,
+            dt_ms: row.settings.dt_ms,
+            us_per_ms: row.drilling_us_per_ms,
+            error: row.drilled_path_mm * 1e3,
+            more: Vec::new(),
+        })
+        .collect()
 }
 
 fn line(problem: Problem, point: &Point) -> String {
