@@ -49,13 +49,16 @@ pub struct StabilityArguments {
     /// Output folder and effort of the map.
     #[command(flatten)]
     common: ChartArguments,
+    /// In place of the map, run the hard cases in bone at every rung and step.
+    #[arg(long, conflicts_with_all = ["quick", "random"])]
+    bone: bool,
     /// In place of the map, judge so many random scenes at the ends of the documented ranges, 1 to 100000.
     #[arg(long, value_name = "SCENES", conflicts_with = "quick", value_parser = clap::value_parser!(u64).range(1..=100_000))]
     random: Option<u64>,
     /// Seed of the first random scene; the others follow.
     #[arg(long, default_value_t = 1, requires = "random", value_parser = clap::value_parser!(u64).range(0..=1_000_000_000))]
     seed: u64,
-    /// How the figures of the random scenes are printed.
+    /// How the figures of the random scenes or of the cases in bone are printed.
     #[command(flatten)]
     figures: Figures,
 }
@@ -155,6 +158,15 @@ pub fn run(command: &ChartCommand) -> Result<(), Failure> {
             match exceeded {
                 0 => Ok(()),
                 exceeded => Err(Failure::failed(format!("{exceeded} scenes exceeded their tolerance"))),
+            }
+        }
+        ChartCommand::Stability(arguments) if arguments.bone => {
+            let mut sheet = Sheet::new(arguments.figures);
+            let wrong = stability::bone::run(&mut sheet)?;
+            sheet.end();
+            match wrong {
+                0 => Ok(()),
+                wrong => Err(Failure::failed(format!("{wrong} runs are not as they should be"))),
             }
         }
         ChartCommand::Stability(arguments) => {

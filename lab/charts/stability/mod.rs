@@ -1,9 +1,12 @@
 //! `trabecula chart stability`: every method over stiffness, mass, step and nine hard cases.
 
+pub mod bone;
+mod bone_cases;
 mod cases;
 mod figure;
 mod random;
 pub mod survey;
+mod watch;
 
 use crate::effort::Effort;
 use std::fmt::Write as _;

@@ -1,0 +1,97 @@
+//! What is watched of a run in this process: speeds, numbers that are not finite, chatter at rest.
+
+use ipc_types::messages::State;
+use nalgebra::Vector3;
+
+/// Greatest motion to and fro at rest, m a tick.
+const CHATTER_M: f64 = 10e-6;
+/// Share of the ticks at rest that turn back, from which on a motion is chatter and no swing.
+const TURNS_BACK: f64 = 0.25;
+/// Displacement that bounds the work of a tendon: a channel 2.5 mm off the axis and 27 flexures at 5 degrees, with a margin of two, m.
+const TAKE_UP_M: f64 = 12e-3;
+
+/// Motion to and fro at rest.
+#[derive(Debug, Clone, Copy)]
+pub struct Chatter {
+    /// Way beyond the net way, m a tick.
+    pub to_and_fro_m: f64,
+    /// Share of the ticks that turn back.
+    pub turned_back: f64,
+}
+
+/// What is watched of a run.
+#[derive(Debug, Default)]
+pub struct Watch {
+    last: Option<Vector3<f64>>,
+    moved: Vector3<f64>,
+    start: Option<Vector3<f64>>,
+    walked_m: f64,
+    turned_back: u64,
+    ticks: u64,
+    /// Greatest speed of the burr from tick to tick.
+    pub fastest_m_per_s: f64,
+    /// The first tick with a published number that is not finite.
+    pub not_finite: Option<u64>,
+}
+
+impl Watch {
+    /// Looks at the state after a tick; chatter is judged by those at rest.
+    pub fn look(&mut self, state: &State, is_at_rest: bool) {
+        if !is_finite(state) {
+            self.not_finite.get_or_insert(state.tick);
+        }
+        let burr = Vector3::from(state.t_world_burr.position_m);
+        let moved = self.last.map_or(Vector3::zeros(), |last| burr - last);
+        let dt_s = state.sim_time_s / state.tick as f64;
+        self.fastest_m_per_s = self.fastest_m_per_s.max(moved.norm() / dt_s);
+        if is_at_rest {
+            self.start.get_or_insert(burr);
+            self.walked_m += moved.norm();
+            self.turned_back += u64::from(moved.dot(&self.moved) < 0.0);
+            self.ticks += 1;
+        }
+        (self.last, self.moved) = (Some(burr), moved);
+    }
+
+    /// Chatter at rest, if there was any.
+    pub fn chatter(&self) -> Option<Chatter> {
+        let net_m = self.start.zip(self.last).map_or(0.0, |(start, last)| (last - start).norm());
+        let to_and_fro_m = (self.walked_m - net_m) / self.ticks.max(1) as f64;
+        let turned_back = self.turned_back as f64 / self.ticks.max(1) as f64;
+        let is_chatter = to_and_fro_m > CHATTER_M && turned_back > TURNS_BACK;
+        is_chatter.then_some(Chatter { to_and_fro_m, turned_back })
+    }
+}
+
+/// The speed at which the burr alone would carry all the work that a tendon's greatest tension can do.
+pub fn explained_m_per_s(greatest_tension_n: f64, mass_scale: f64) -> f64 {
+    let burr_kg = simulation::manipulator::ManipulatorParameters::jhu_27().burr_mass_kg * mass_scale;
+    (2.0 * greatest_tension_n * TAKE_UP_M / burr_kg).sqrt()
+}
+
+fn is_finite(state: &State) -> bool {
+    let joints = state.joint_count as usize;
+    let lists: [&[f64]; 9] = [
+        &state.t_world_burr.position_m,
+        &state.t_world_tip.position_m,
+        &state.t_world_base.position_m,
+        &state.flange_wrench.force_n,
+        &state.flange_wrench.torque_nm,
+        &state.tendon_tension_n,
+        &state.tendon_displacement_m,
+        &state.joint_position_rad[..joints],
+        &state.joint_velocity_rad_per_s[..joints],
+    ];
+    let single = [
+        state.bend_rad,
+        state.burr_force_n,
+        state.wall_force_n,
+        state.strength_share,
+        state.contact_residual_m_per_s,
+        state.stop_excess_rad,
+        state.cutting_energy_j,
+        state.crushing_energy_j,
+    ];
+    lists.iter().all(|list| list.iter().all(|value| value.is_finite()))
+        && single.iter().all(|value| value.is_finite())
+}
