@@ -7,7 +7,6 @@ is declared slightly otherwise, and must refuse it.
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from copy import deepcopy
 from pathlib import Path
@@ -92,7 +91,8 @@ class Seen:
 
 def pose(raw: Any) -> Array:
     """Position, then quaternion x y z w."""
-    return np.concatenate([raw["position_m"], raw["orientation_xyzw"]], axis=-1)
+    both: Array = np.concatenate([raw["position_m"], raw["orientation_xyzw"]], axis=-1)
+    return both
 
 
 class Truth:
@@ -217,7 +217,7 @@ def rounded(sigma: float, step: float) -> float:
 
 
 def period_s(declared: Declared) -> float:
-    return 1 / declared["rate_hz"]
+    return 1 / float(declared["rate_hz"])
 
 
 def noise_of_shape(seen: Seen, declared: Declared) -> str:
@@ -405,4 +405,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
