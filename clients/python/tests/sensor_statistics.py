@@ -86,7 +86,8 @@ class Seen:
 
     def error(self) -> Array:
         """Of each reading against the state that it measured."""
-        return self.value - self.truth[self.sample_tick]
+        error: Array = self.value - self.truth[self.sample_tick]
+        return error
 
 
 def pose(raw: Any) -> Array:
