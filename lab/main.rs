@@ -15,6 +15,7 @@ mod random;
 mod reproduce;
 mod sheet;
 mod stress;
+mod tools;
 
 use std::process::ExitCode;
 
@@ -82,6 +83,7 @@ fn command_line() -> clap::Command {
 const EXAMPLES: &[Examples] = &[
     ("bench overhead", &["trabecula bench overhead"]),
     ("bench step", &["trabecula bench step", "trabecula bench step --instructions"]),
+    ("bench tools", &["trabecula bench tools", "trabecula bench tools my_tool.toml --instructions"]),
     ("bench start", &["trabecula bench start", "trabecula bench start --rounds 9 --empty-cache"]),
     ("bench memory", &["trabecula bench memory"]),
     ("bench drr", &["trabecula bench drr", "trabecula bench drr --poses 64"]),
@@ -100,7 +102,14 @@ const EXAMPLES: &[Examples] = &[
     ("chart physics", &["trabecula chart physics --quick -o out/charts"]),
     ("chart flexure", &["trabecula chart flexure"]),
     ("chart promise", &["trabecula chart promise --free 10 --bone 10"]),
-    ("chart stability", &["trabecula chart stability --quick -o out/charts"]),
+    (
+        "chart stability",
+        &[
+            "trabecula chart stability --quick -o out/charts",
+            "trabecula chart stability --tools my_tool.toml",
+            "trabecula chart stability --bone",
+        ],
+    ),
     ("reproduce", &["trabecula reproduce", "trabecula reproduce --only 2 --quick -o out/reproduce"]),
 ];
 

@@ -17,6 +17,7 @@ pub mod samples;
 pub mod soak;
 pub mod start;
 pub mod step;
+pub mod tools;
 pub mod viewer;
 pub mod xray;
 

@@ -9,7 +9,7 @@ use crate::bench::ping_pong::Wait;
 use crate::bench::start::CacheState;
 use crate::bench::{
     bridge, drr, drr_poses, instructions, latency, log, memory, overhead, ping_pong, readings, recorder,
-    soak, start, step, viewer, xray,
+    soak, start, step, tools, viewer, xray,
 };
 use crate::sheet::Sheet;
 use trabecula::commands::run::PolicyArgument;
@@ -71,6 +71,19 @@ pub enum BenchCommand {
         /// Rounds in one process, 1 to 100; the minimum time of each tick is printed too.
         #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100))]
         rounds: u64,
+        #[command(flatten)]
+        figures: Figures,
+    },
+    /// Time a step of each tool on each model at three step sizes, in turn, beside the standard tool on the planar model at 1 ms.
+    Tools {
+        /// Scene or tool files; default: the shipped tools.
+        files: Vec<PathBuf>,
+        /// Number of rounds, 1 to 1000.
+        #[arg(long, default_value_t = 9, value_parser = clap::value_parser!(u64).range(1..=1000))]
+        rounds: u64,
+        /// Count the instructions of a step with valgrind, too (takes a minute).
+        #[arg(long)]
+        instructions: bool,
         #[command(flatten)]
         figures: Figures,
     },
@@ -209,6 +222,7 @@ impl BenchCommand {
         match self {
             BenchCommand::Overhead { figures, .. }
             | BenchCommand::Step { figures, .. }
+            | BenchCommand::Tools { figures, .. }
             | BenchCommand::Start { figures, .. }
             | BenchCommand::Memory { figures, .. }
             | BenchCommand::Drr { figures, .. }
@@ -255,6 +269,9 @@ fn measure(command: &BenchCommand, sheet: &mut Sheet) -> Result<(), Failure> {
             }
             sheet.line("");
             sheet.within("recorded_run", |sheet| log::run(&scene, *ticks, sheet))
+        }
+        BenchCommand::Tools { files, rounds, instructions, .. } => {
+            tools::run(files, *rounds as usize, *instructions, sheet)
         }
         BenchCommand::Start { scene, rounds, empty_cache, .. } => {
             let cache = if *empty_cache { CacheState::Empty } else { CacheState::AsItIs };

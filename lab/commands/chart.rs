@@ -50,7 +50,7 @@ pub struct StabilityArguments {
     #[command(flatten)]
     common: ChartArguments,
     /// In place of the map, run the hard cases in bone at every rung and step.
-    #[arg(long, conflicts_with_all = ["quick", "random"])]
+    #[arg(long, conflicts_with_all = ["quick", "random", "tools"])]
     bone: bool,
     /// In place of the map, judge so many random scenes at the ends of the documented ranges, 1 to 100000.
     #[arg(long, value_name = "SCENES", conflicts_with = "quick", value_parser = clap::value_parser!(u64).range(1..=100_000))]
@@ -58,7 +58,10 @@ pub struct StabilityArguments {
     /// Seed of the first random scene; the others follow.
     #[arg(long, default_value_t = 1, requires = "random", value_parser = clap::value_parser!(u64).range(0..=1_000_000_000))]
     seed: u64,
-    /// How the figures of the random scenes or of the cases in bone are printed.
+    /// In place of the map, run its cases with these scene or tool files, as they are; without a file with the shipped tools.
+    #[arg(long, value_name = "FILE", num_args = 0.., conflicts_with = "random")]
+    tools: Option<Vec<PathBuf>>,
+    /// How the figures of random scenes, of tools or of the cases in bone are printed.
     #[command(flatten)]
     figures: Figures,
 }
@@ -170,8 +173,15 @@ pub fn run(command: &ChartCommand) -> Result<(), Failure> {
             }
         }
         ChartCommand::Stability(arguments) => {
+            let effort = Effort::of_option(arguments.common.quick);
+            if let Some(files) = &arguments.tools {
+                let mut sheet = Sheet::new(arguments.figures);
+                stability::tools::run(files, effort, &mut sheet)?;
+                sheet.end();
+                return Ok(());
+            }
             let Some(count) = arguments.random else {
-                return stability::run(&arguments.common.output, Effort::of_option(arguments.common.quick));
+                return stability::run(&arguments.common.output, effort);
             };
             let mut sheet = Sheet::new(arguments.figures);
             let wrong = stability::survey::run(count, arguments.seed, &mut sheet)?;

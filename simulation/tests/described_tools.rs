@@ -232,3 +232,70 @@ fn every_shipped_tool_stands() {
         AnyManipulator::new(Rung::Full, p, &BaseMotion::at_rest(Isometry3::identity())).unwrap();
     }
 }
+
+/// Two tendons; `own` are further keys of each, `cable` those of both.
+fn two_tendons(own: [&str; 2], cable: &str) -> ManipulatorParameters {
+    let text = format!(
+        "name = \"two\"\ntube = {{ outer_diameter_mm = 6.0, inner_diameter_mm = 4.0, linear_density_kg_per_m = 0.1 }}\n\
+         burr = {{ diameter_mm = 6.5, offset_mm = 4.0, mass_g = 1.0 }}\n[tendon_cable]\n{cable}\n[[tendon]]\ntoward_mm = 2.5\n{}\n\
+         [[tendon]]\ntoward_mm = -2.0\n{}\n[[flexure]]\nat_mm = 36.0\ncount = 12\npitch_mm = 2.5\nstiffness_nm_per_deg = 0.01\n",
+        own[0], own[1]
+    );
+    let mut scene = scene("");
+    scene.manipulator.tool = Some(ToolDescription::parse(&text, Path::new("two.toml")).unwrap());
+    manipulator_parameters(&scene).unwrap()
+}
+
+/// Flexure angles and pulled lengths after 300 ms of a pull on one tendon that rises and falls.
+fn pulled(rung: Rung, p: &ManipulatorParameters, tendon: usize, is_length: bool) -> (Vec<f64>, [f64; 4]) {
+    let mut tool = AnyManipulator::new(rung, p.clone(), &BaseMotion::at_rest(Isometry3::identity())).unwrap();
+    for tick in 0..300 {
+        let mut each = [0.0; 4];
+        each[tendon] = if tick < 150 { 5.0 } else { 3.0 };
+        let tendon = if is_length {
+            // The other one is let out, so that it stays slack.
+            TendonCommand::EachDisplacement(each.map(|pull| if pull > 0.0 { pull * 4e-4 } else { -5e-3 }))
+        } else {
+            TendonCommand::EachForce(each)
+        };
+        let base = BaseMotion::at_rest(Isometry3::identity());
+        tool.step(1e-3, &StepInput { base, tendon, tip_wrench: Wrench::zero(), contacts: &[] }).unwrap();
+    }
+    (tool.joint_positions_rad().to_vec(), tool.last_report().tendon_displacement_m)
+}
+
+/// A tendon of its own friction and stiffness moves the tool bit for bit as if all had them; what it stretches is tension over stiffness.
+#[test]
+fn a_tendon_with_friction_and_stiffness_of_its_own_pulls_as_if_all_had_them() {
+    let mixed = two_tendons(["friction = 0.3\nstiffness_n_per_m = 2e4", "stiffness_n_per_m = 5e4"], "");
+    let alone = [
+        two_tendons(["", ""], "friction = 0.3\nstiffness_n_per_m = 2e4"),
+        two_tendons(["", ""], "friction = 0.0\nstiffness_n_per_m = 5e4"),
+    ];
+    for rung in Rung::ALL {
+        for (tendon, alone) in alone.iter().enumerate() {
+            for is_length in [false, true] {
+                let (own, all) =
+                    (pulled(rung, &mixed, tendon, is_length), pulled(rung, alone, tendon, is_length));
+                assert_eq!(own.0, all.0, "{rung:?}, tendon {tendon}");
+                assert_eq!(own.1[tendon], all.1[tendon], "{rung:?}, tendon {tendon}");
+            }
+        }
+        // The same shape on a tendon that does not stretch by more than 3 nm: the lengths differ by the stretch.
+        let stiff = two_tendons(["", ""], "stiffness_n_per_m = 1e9");
+        let stretch_m = pulled(rung, &mixed, 1, false).1[1] - pulled(rung, &stiff, 1, false).1[1];
+        assert!((stretch_m - 3.0 / 5e4).abs() < 4e-9, "{rung:?}: {stretch_m}");
+        // Of what friction leaves.
+        let (rough, smooth) = (pulled(rung, &mixed, 0, false).0, pulled(rung, &alone[1], 0, false).0);
+        assert_ne!(rough, smooth, "{rung:?}: the friction does nothing");
+    }
+    // A scene's friction is that of every tendon.
+    let mut over = scene("tendon_friction = 0.1");
+    let text = "name = \"t\"\ntube = { outer_diameter_mm = 6.0, inner_diameter_mm = 4.0, linear_density_kg_per_m = 0.1 }\n\
+                burr = { diameter_mm = 6.5, offset_mm = 4.0, mass_g = 1.0 }\ntendon = [{ toward_mm = 2.0, friction = 0.5 }]\n\
+                [[flexure]]\nat_mm = 36.0\nstiffness_nm_per_deg = 0.01\n";
+    over.manipulator.tool = Some(ToolDescription::parse(text, Path::new("t.toml")).unwrap());
+    let over = manipulator_parameters(&over).unwrap();
+    assert_eq!(over.tendon.friction_coefficient, 0.1);
+    assert_eq!(over.tendon_routes.unwrap()[0].friction_coefficient, None);
+}

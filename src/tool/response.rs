@@ -93,6 +93,19 @@ fn new(rung: Rung, parameters: &ManipulatorParameters) -> Built {
     AnyManipulator::new(rung, parameters.clone(), &BaseMotion::at_rest(Isometry3::identity()))
 }
 
+/// A model of a tool, in its rest shape.
+///
+/// # Errors
+/// Why the rung cannot represent the tool.
+pub fn built(rung: Rung, parameters: &ManipulatorParameters) -> Result<AnyManipulator, String> {
+    let tool = new(rung, parameters).map_err(|cause| cause.to_string())?;
+    let mut routes = parameters.tendon_routes.iter().flatten();
+    if rung < Rung::Spatial && routes.any(|route| route.channel_m[1] != 0.0) {
+        return Err("a tendon bends out of the plane".to_owned());
+    }
+    Ok(tool)
+}
+
 fn pulled(tendon: Option<usize>, tension_n: f64) -> StepInput<'static> {
     let mut each = [0.0; MAX_TENDONS];
     if let Some(place) = tendon.and_then(|tendon| each.get_mut(tendon)) {
@@ -138,15 +151,10 @@ fn shape(
 
 fn cost(rung: Rung, parameters: &ManipulatorParameters) -> Cost {
     let refused = |why: String| Cost { rung: rung.name(), step_us: None, refused: Some(why) };
-    let mut tool = match new(rung, parameters) {
+    let mut tool = match built(rung, parameters) {
         Ok(tool) => tool,
-        Err(why) => return refused(why.to_string()),
+        Err(why) => return refused(why),
     };
-    let across = |channel: &[f64; 2]| channel[1] != 0.0;
-    let routes = parameters.tendon_routes.iter().flatten();
-    if rung < Rung::Spatial && routes.clone().any(|route| across(&route.channel_m)) {
-        return refused("a tendon bends out of the plane".to_owned());
-    }
     let mut times_us = Vec::with_capacity(TIMED_STEPS);
     for step in 0..TIMED_STEPS {
         // A pull that comes and goes, so that the tool moves.

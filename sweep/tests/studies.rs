@@ -206,7 +206,8 @@ fn samples_with_a_failed_run_are_left_out() {
 fn salib_finds_the_same_indices_in_our_points() {
     let study = of_ranges("saltelli", 256, 7, 3);
     let results: Vec<f64> = (0..study.count()).map(|i| ishigami(&numbers(&study, i))).collect();
-    let Some(python) = test_support::python::or_skip("salib", &["SALib==1.5.2"], "SALib") else { return };
+    let packages = ["SALib==1.5.2", "numpy==2.4.6", "scipy==1.17.1"];
+    let Some(python) = test_support::python::or_skip("salib", &packages, "SALib") else { return };
     let script = format!(
         "import json, numpy as np\nfrom SALib.analyze import sobol\n\
          p = {{'num_vars': 3, 'names': ['a', 'b', 'c'], 'bounds': [[0, 1]] * 3}}\n\

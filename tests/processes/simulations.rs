@@ -8,7 +8,7 @@ use ipc_types::session::{CONTROLLER_VARIABLE, SESSION_VARIABLE};
 use test_support::python::or_skip;
 
 use crate::common::program::Place;
-use crate::languages::{built, clients, install_package, library, output_of};
+use crate::languages::{built, clients, install_package, library, output_of, output_within_limit};
 
 /// An environment with NumPy, Gymnasium and the package, made once a test run.
 fn python() -> Option<PathBuf> {
@@ -29,6 +29,21 @@ fn make_python() -> Option<PathBuf> {
     let python = or_skip("sim-1", &["numpy==2.3.5", "gymnasium==1.4.0"], "numpy, gymnasium")?;
     install_package(&python, &[("TRABECULA_CLIENT_LIBRARY", &library()), ("TRABECULA_SIM_LIBRARY", &native)]);
     Some(python)
+}
+
+/// The statistics of sensors, in the environment of the sweeps' test of SALib, which holds SciPy.
+#[test]
+fn noise_drift_delay_rate_jitter_and_drop_outs_of_sensors_are_those_declared_by_scipy() {
+    let native = native();
+    let packages = ["SALib==1.5.2", "numpy==2.4.6", "scipy==1.17.1"];
+    let Some(python) = or_skip("salib", &packages, "SALib, numpy, scipy.signal, scipy.stats") else { return };
+    install_package(&python, &[("TRABECULA_CLIENT_LIBRARY", &library()), ("TRABECULA_SIM_LIBRARY", &native)]);
+    let mut command = Command::new(python);
+    command.arg(clients().join("python/tests/sensor_statistics.py"));
+    command.env_remove(SESSION_VARIABLE).env_remove(CONTROLLER_VARIABLE);
+    let said = output_within_limit(&mut command);
+    println!("{said}");
+    assert!(said.ends_with("done\n"), "{said}");
 }
 
 /// Runs a case in an empty folder.

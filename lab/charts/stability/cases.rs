@@ -2,12 +2,19 @@
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use simulation::baselines::Wall;
-use simulation::manipulator::{BaseMotion, ManipulatorError, ManipulatorParameters, Wrench};
+use simulation::manipulator::{
+    BaseMotion, Integrator, ManipulatorError, ManipulatorParameters, Rung, Wrench,
+};
 
 use crate::charts::method::{Drive, Method, Tool};
 
 /// Half the tunnel's width: the burr's radius plus 50 µm, m.
 const TUNNEL_M: f64 = 3.3e-3;
+/// Play of the burr to each side in another tool's tunnel, m.
+const PLAY_M: f64 = 50e-6;
+/// How another tool comes to rest under its pull, for the place of its wall.
+const SETTLING_STEPS: usize = 4000;
+const SETTLING_STEP_S: f64 = 0.25e-3;
 /// Distance of the straight tool's burr centre from the flange, m.
 const REACH_M: f64 = 0.071_470_28;
 /// Euler's buckling load of the tool clamped at its base, N: the smallest axial load at the burr that the flexures
@@ -19,6 +26,104 @@ const BUCKLING: [f64; 2] = [1.5, 2.3];
 /// Transverse fraction of these loads: 0.4 degrees. No real push is better aligned, and without it the straight shape
 /// would be a solution too.
 const ACROSS: f64 = 1.0 / 150.0;
+
+/// A pull on tendon 0, N, or of a tool without tendons a force across its burr, N.
+#[derive(Debug, Clone, Copy)]
+pub struct Pull {
+    tension_n: f64,
+    across_n: f64,
+}
+
+/// What of the cases depends on the tool.
+#[derive(Debug, Clone, Copy)]
+pub struct Setup {
+    /// Euler's buckling load of the tool clamped at its base, N.
+    pub euler_n: f64,
+    /// Pull of the tension step, of the cases with walls, and while the base moves (there for the tool's own stiffness).
+    step: Pull,
+    press: Pull,
+    moved: Pull,
+    /// Surfaces of the walls, initial base frame, m: beside the axis in the bending plane, those of the tunnel, in front of the burr
+    /// (corner), beside it across the plane (corner), and in front of it (moved base).
+    side_m: f64,
+    tunnel_m: [f64; 2],
+    corner_front_m: f64,
+    corner_beside_m: f64,
+    front_m: f64,
+}
+
+impl Setup {
+    /// Of the scenes' tool.
+    pub const STANDARD: Setup = Setup {
+        euler_n: EULER_N,
+        step: Pull { tension_n: 30.0, across_n: 0.0 },
+        press: Pull { tension_n: 8.0, across_n: 0.0 },
+        moved: Pull { tension_n: 2.0, across_n: 0.0 },
+        side_m: 8e-3,
+        tunnel_m: [-TUNNEL_M, TUNNEL_M],
+        corner_front_m: REACH_M + 3.3e-3,
+        corner_beside_m: TUNNEL_M,
+        front_m: REACH_M + 5e-3,
+    };
+
+    /// The same about another tool: a wall stands half way of what the pull does in free space, a tunnel is 50 µm wider on each side than
+    /// the burr at rest. A tool without tendons is pressed by a tenth of Euler's load across its burr.
+    ///
+    /// # Errors
+    /// Invalid parameters.
+    pub fn of(p: &ManipulatorParameters) -> Result<Setup, ManipulatorError> {
+        let euler_n = euler_load_n(p);
+        let pull = |tension_n: f64| match p.tendon_count() {
+            0 => Pull { tension_n: 0.0, across_n: 0.1 * euler_n },
+            _ => Pull { tension_n, across_n: 0.0 },
+        };
+        let method = Method::Rung(Rung::Planar, Integrator::LinearlyImplicitEuler);
+        let base = BaseMotion::at_rest(Isometry3::identity());
+        let mut tool = Tool::new(method, p, &base, &[])?;
+        let rest_m = tool.tip_m();
+        let press = pull(8.0);
+        let tip = Wrench { force_n: Vector3::x() * press.across_n, ..Wrench::zero() };
+        let drive = Drive { tension_n: press.tension_n, tip, ..Drive::still(base) };
+        for _ in 0..SETTLING_STEPS {
+            tool.step(SETTLING_STEP_S, &drive);
+        }
+        let burr_m = p.burr_radius_m;
+        Ok(Setup {
+            euler_n,
+            step: pull(30.0),
+            press,
+            moved: Pull { tension_n: 0.25 * press.tension_n, across_n: 0.25 * press.across_n },
+            side_m: 0.5 * (rest_m.x + tool.tip_m().x) + burr_m,
+            tunnel_m: [rest_m.x - burr_m - PLAY_M, rest_m.x + burr_m + PLAY_M],
+            corner_front_m: rest_m.z + burr_m + PLAY_M,
+            corner_beside_m: burr_m + PLAY_M,
+            front_m: rest_m.z + burr_m + 1.75e-3,
+        })
+    }
+}
+
+/// Euler's buckling load of a tool clamped at its base, N: the axial load at the burr whose moments, `P (x_tip - x_i)`, equal those of the
+/// flexures of the straight tool. By power iteration.
+pub fn euler_load_n(p: &ManipulatorParameters) -> f64 {
+    let mut ends: Vec<f64> = p.joint_positions_m.clone();
+    ends.extend(p.joint_positions_m.last().map(|last| last + p.tip_offset_m));
+    let (mut shape, mut load_n) = (vec![1.0; p.joint_positions_m.len()], 0.0);
+    for _ in 0..200 {
+        let mut across = vec![0.0];
+        let mut angle = 0.0;
+        for (i, q) in shape.iter().enumerate() {
+            angle += q;
+            across.push(across[i] + angle * (ends[i + 1] - ends[i]));
+        }
+        let tip = across[shape.len()];
+        let next: Vec<f64> =
+            p.joint_stiffness_nm_per_rad.iter().zip(&across).map(|(k, x)| (tip - x) / k).collect();
+        let (before, after) = (shape.iter().sum::<f64>(), next.iter().sum::<f64>());
+        load_n = before / after;
+        shape = next.iter().map(|q| q * load_n).collect();
+    }
+    load_n
+}
 
 /// What happens to the tool.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -90,17 +195,26 @@ impl Case {
         }
     }
 
-    fn walls(self) -> Vec<Wall> {
+    /// Whether the case is defined for a tool: in a straight tunnel a pre-curved one would stand in the wall.
+    pub fn fits(self, p: &ManipulatorParameters) -> bool {
+        self != Case::Tunnel || p.joint_rest_rad.iter().all(|rest| *rest == 0.0)
+    }
+
+    fn walls(self, setup: &Setup) -> Vec<Wall> {
         let (x, y, z) = (Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis());
-        let side = Wall::new(-x, x.scale(8e-3));
+        let side = Wall::new(-x, x.scale(setup.side_m));
         match self {
             Case::TensionStep | Case::Buckling | Case::FarBuckling => Vec::new(),
             Case::StiffWall | Case::FarAnatomy | Case::Leaving => vec![side],
-            Case::Tunnel => vec![Wall::new(-x, x.scale(TUNNEL_M)), Wall::new(x, x.scale(-TUNNEL_M))],
-            Case::Corner => {
-                vec![side, Wall::new(-z, z.scale(REACH_M + 3.3e-3)), Wall::new(-y, y.scale(TUNNEL_M))]
+            Case::Tunnel => {
+                let [low_m, high_m] = setup.tunnel_m;
+                vec![Wall::new(-x, x.scale(high_m)), Wall::new(x, x.scale(low_m))]
             }
-            Case::MovedBase => vec![Wall::new(-z, z.scale(REACH_M + 5e-3))],
+            Case::Corner => {
+                let front = Wall::new(-z, z.scale(setup.corner_front_m));
+                vec![side, front, Wall::new(-y, y.scale(setup.corner_beside_m))]
+            }
+            Case::MovedBase => vec![Wall::new(-z, z.scale(setup.front_m))],
         }
     }
 
@@ -124,25 +238,29 @@ impl Case {
         }
     }
 
-    fn drive(self, t: f64, dt_s: f64, stiffness: f64) -> Drive {
+    fn drive(self, t: f64, dt_s: f64, stiffness: f64, setup: &Setup) -> Drive {
         let place = self.place();
         let mut drive = Drive::still(BaseMotion::at_rest(place));
+        let pull = |drive: &mut Drive, pull: Pull, share: f64| {
+            drive.tension_n = pull.tension_n * share;
+            drive.tip.force_n = place * Vector3::new(pull.across_n * share, 0.0, 0.0);
+        };
         match self {
-            Case::TensionStep => drive.tension_n = 30.0,
+            Case::TensionStep => pull(&mut drive, setup.step, 1.0),
             // Where the shape decides the case, loads scale with the stiffness.
             Case::Buckling | Case::FarBuckling => {
-                let load_n = EULER_N * BUCKLING[usize::from(self == Case::FarBuckling)] * stiffness;
+                let load_n = setup.euler_n * BUCKLING[usize::from(self == Case::FarBuckling)] * stiffness;
                 drive.tip = Wrench { force_n: Vector3::new(ACROSS, 0.0, -1.0) * load_n, ..Wrench::zero() };
             }
             Case::MovedBase => {
-                drive.tension_n = 2.0 * stiffness.min(10.0);
+                pull(&mut drive, setup.moved, stiffness.min(10.0));
                 let (speed, stop) = (0.5, 8e-3);
                 let at = (speed * t).min(stop);
                 drive.base.t_world_base.translation.vector.z = at;
                 let moving = (at - (speed * (t - dt_s)).clamp(0.0, stop)) / dt_s;
                 drive.base.linear_velocity_m_per_s.z = moving;
             }
-            _ => drive.tension_n = 8.0,
+            _ => pull(&mut drive, setup.press, 1.0),
         }
         drive
     }
@@ -155,12 +273,13 @@ impl Case {
         self,
         method: Method,
         p: &ManipulatorParameters,
+        setup: &Setup,
         stiffness: f64,
         dt_ms: f64,
     ) -> Result<Ending, ManipulatorError> {
         let dt_s = dt_ms * 1e-3;
         let place = self.place();
-        let walls: Vec<Wall> = self.walls().iter().map(|wall| wall.moved(&place)).collect();
+        let walls: Vec<Wall> = self.walls(setup).iter().map(|wall| wall.moved(&place)).collect();
         let mut tool = Tool::new(method, p, &BaseMotion::at_rest(place), &walls)?;
         let steps = (self.seconds() / dt_s).round() as usize;
         let (mut early, mut late) = (0.0f64, 0.0f64);
@@ -168,7 +287,7 @@ impl Case {
             if self == Case::Leaving && k == steps / 2 {
                 tool.remove_walls();
             }
-            tool.step(dt_s, &self.drive((k + 1) as f64 * dt_s, dt_s, stiffness));
+            tool.step(dt_s, &self.drive((k + 1) as f64 * dt_s, dt_s, stiffness, setup));
             if tool.is_lost() {
                 break;
             }
@@ -186,29 +305,33 @@ impl Case {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
 
-    /// The load at which its linearised moments, `P (x_tip - x_i)`, equal those of the flexures: power iteration.
     #[test]
     fn eulers_load_is_that_of_the_tool() {
-        let p = ManipulatorParameters::jhu_27();
-        let mut ends: Vec<f64> = p.joint_positions_m.clone();
-        ends.push(ends[ends.len() - 1] + p.tip_offset_m);
-        let (mut shape, mut load_n) = (vec![1.0; p.joint_positions_m.len()], 0.0);
-        for _ in 0..200 {
-            let mut across = vec![0.0];
-            let mut angle = 0.0;
-            for (i, q) in shape.iter().enumerate() {
-                angle += q;
-                across.push(across[i] + angle * (ends[i + 1] - ends[i]));
-            }
-            let tip = across[shape.len()];
-            let next: Vec<f64> =
-                p.joint_stiffness_nm_per_rad.iter().zip(&across).map(|(k, x)| (tip - x) / k).collect();
-            let (before, after) = (shape.iter().sum::<f64>(), next.iter().sum::<f64>());
-            load_n = before / after;
-            shape = next.iter().map(|q| q * load_n).collect();
-        }
+        let load_n = euler_load_n(&ManipulatorParameters::jhu_27());
         assert!((load_n - EULER_N).abs() < 1e-3, "{load_n} N");
+    }
+
+    /// Of a continuous beam, pi² E I / (4 L²).
+    #[test]
+    fn eulers_load_of_a_fine_chain_is_that_of_the_beam() {
+        let mut p = ManipulatorParameters::jhu_27();
+        let count = 400;
+        p.joint_positions_m = (0..count).map(|i| (f64::from(i) + 0.5) * 1e-4).collect();
+        p.joint_stiffness_nm_per_rad = vec![1.0 / 1e-4; count as usize];
+        p.tip_offset_m = 0.5e-4;
+        let law = std::f64::consts::PI.powi(2) / (4.0 * 0.04f64.powi(2));
+        assert!((euler_load_n(&p) / law - 1.0).abs() < 1e-4, "{} {law}", euler_load_n(&p));
+    }
+
+    /// The rules for any tool put the standard tool's walls near where its map has them.
+    #[test]
+    fn the_setup_of_the_standard_tool_resembles_that_of_its_map() {
+        let (own, map) = (Setup::of(&ManipulatorParameters::jhu_27()).unwrap(), Setup::STANDARD);
+        assert!((own.corner_front_m - map.corner_front_m).abs() < 1e-6, "{own:?}");
+        assert!((own.front_m - map.front_m).abs() < 1e-6 && (own.euler_n - map.euler_n).abs() < 1e-3);
+        assert!((own.tunnel_m[1] - map.tunnel_m[1]).abs() < 1e-9 && own.side_m > map.tunnel_m[1]);
     }
 }

@@ -6,6 +6,7 @@ mod cases;
 mod figure;
 mod random;
 pub mod survey;
+pub mod tools;
 mod watch;
 
 use crate::effort::Effort;
@@ -21,7 +22,7 @@ use rayon::prelude::*;
 use simulation::manipulator::{Integrator, ManipulatorError, ManipulatorParameters, Rung};
 
 use crate::charts::method::Method;
-use cases::{Case, Ending};
+use cases::{Case, Ending, Setup};
 use trabecula::failure::{EXIT_INTERRUPTED, Failure};
 use trabecula::output::{refuse_existing, within};
 
@@ -170,7 +171,7 @@ fn measure(effort: Effort, end: &EndRequest) -> Result<Vec<Cell>, ManipulatorErr
         if end.is_set() {
             return None;
         }
-        let ending = case.play(method, &tool(stiffness, mass), stiffness, dt_ms);
+        let ending = case.play(method, &tool(stiffness, mass), &Setup::STANDARD, stiffness, dt_ms);
         progress.tick();
         Some(ending)
     };
@@ -270,8 +271,9 @@ mod tests {
             (Case::Buckling, 100.0, 0.01, 10.0),
         ] {
             let p = tool(stiffness, mass);
-            let play =
-                |method, dt_ms| case.play(method, &p, stiffness, dt_ms).map(|e| (verdict(&e, 0.0), e.tip_m));
+            let play = |method, dt_ms| {
+                case.play(method, &p, &Setup::STANDARD, stiffness, dt_ms).map(|e| (verdict(&e, 0.0), e.tip_m))
+            };
             let (Ok((_, converged)), Ok((_, tip))) = (play(ours, REFERENCE_DT_MS), play(ours, dt_ms)) else {
                 panic!("{case:?}: a tool of the map is refused");
             };

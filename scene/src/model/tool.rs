@@ -188,6 +188,12 @@ pub struct ToolTendon {
     /// The last flexure that it bends: behind it the tendon ends.
     #[schemars(range(min = 1, max = MAX_JOINTS), extend("x-absent" = "the last of the tool"))]
     pub to_flexure: Option<usize>,
+    /// Axial stiffness from actuator to anchor.
+    #[schemars(range(min = 1.0, max = 1e9), extend("x-absent" = "that of `tendon_cable`"))]
+    pub stiffness_n_per_m: Option<f64>,
+    /// Friction coefficient in its channel.
+    #[schemars(range(min = 0.0, max = 1.0), extend("x-absent" = "that of `tendon_cable`"))]
+    pub friction: Option<f64>,
 }
 
 /// What the tendons are made of.

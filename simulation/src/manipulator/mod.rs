@@ -163,8 +163,7 @@ impl Manipulator {
         self.state.joint_velocity_rad_per_s = [0.0; MAX_JOINTS];
         self.update_configuration();
         for t in 0..self.tendon.channels.count {
-            self.state.tendon[t].take_up_m =
-                self.tendon.take_up(&self.parameters.tendon, &self.configuration, t);
+            self.state.tendon[t].take_up_m = self.tendon.take_up(&self.configuration, t);
         }
     }
 

@@ -19,7 +19,7 @@ pub enum Integrator {
     Hybrid,
 }
 
-/// Parameters shared by all tendons, and the antagonist pair: tendon 0 runs on the +x side of the base frame and bends toward +x
+/// Parameters of all tendons that have none of their own, and the antagonist pair: tendon 0 runs on the +x side of the base frame and bends toward +x
 /// (positive joint angles), tendon 1 runs on the -x side.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TendonParameters {
@@ -53,12 +53,16 @@ pub struct TendonRoute {
     pub channel_m: [f64; 2],
     /// The flexures that it bends. In front of them a sheath holds it, behind them it ends.
     pub reach: TendonReach,
+    /// Its own axial stiffness, N/m, in place of that of all.
+    pub stiffness_n_per_m: Option<f64>,
+    /// Its own capstan friction coefficient, in place of that of all.
+    pub friction_coefficient: Option<f64>,
 }
 
 impl From<[f64; 2]> for TendonRoute {
     /// Along the whole tool.
     fn from(channel_m: [f64; 2]) -> Self {
-        Self { channel_m, reach: TendonReach::default() }
+        Self { channel_m, ..Self::default() }
     }
 }
 

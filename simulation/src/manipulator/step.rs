@@ -266,7 +266,7 @@ impl Manipulator {
         self.pressed.clear();
         let h = GAMMA * dt;
         let d = self.stage((&q, &v), h, input, frame, Stage::Start);
-        if self.tendon.channels.bind(&self.parameters.tendon, &self.tendon.tension_n) {
+        if self.tendon.channels.bind(&self.tendon.tension_n) {
             return Err(0.0);
         }
         let kv1 = self.solve_loads(&self.elastic_forces(&q, &v, &Generalised::ZERO.plus(h, &v), &d));
@@ -330,7 +330,6 @@ impl Manipulator {
     ) -> Diagonals {
         let configuration = at.of(&self.configuration, &self.trial);
         self.tendon.evaluate(
-            &self.parameters.tendon,
             &self.layout,
             (configuration, &q.joint, &v.joint),
             &input.tendon,
@@ -393,12 +392,8 @@ impl Manipulator {
         report.flange_wrench = Wrench { force_n: rotation * force, torque_nm: rotation * moment };
         self.state.base = input.base;
         self.update_configuration();
-        (report.tendon_tension_n, report.tendon_displacement_m) = self.tendon.advance(
-            &self.parameters.tendon,
-            &self.configuration,
-            &input.tendon,
-            &mut self.state.tendon,
-        );
+        (report.tendon_tension_n, report.tendon_displacement_m) =
+            self.tendon.advance(&self.configuration, &input.tendon, &mut self.state.tendon);
         self.state.report = *report;
     }
 }

@@ -33,6 +33,8 @@ pub(super) struct Channels {
     pub offset_m: [[f64; 2]; MAX_TENDONS],
     /// The first flexure that each bends, and the one behind the last.
     pub reach: [[usize; 2]; MAX_TENDONS],
+    /// What each is made of.
+    pub cable: [TendonParameters; MAX_TENDONS],
     /// Take-up in the rest shape, m.
     pub rest_m: [f64; MAX_TENDONS],
     /// Total bend of the tool per end moment, rad/(N m).
@@ -45,6 +47,7 @@ impl Channels {
         let mut offset_m = [[0.0; 2]; MAX_TENDONS];
         let joints = parameters.joint_positions_m.len();
         let mut reach = [[0, joints]; MAX_TENDONS];
+        let mut cable = [parameters.tendon; MAX_TENDONS];
         if parameters.tendon_routes.is_none() {
             offset_m[0][0] = parameters.tendon.offset_m;
             offset_m[1][0] = -parameters.tendon.offset_m;
@@ -52,6 +55,9 @@ impl Channels {
         for (t, route) in parameters.tendon_routes.iter().flatten().enumerate().take(MAX_TENDONS) {
             offset_m[t] = route.channel_m;
             reach[t] = [route.reach.from, route.reach.to.unwrap_or(joints)];
+            let (stiffness, friction) = (route.stiffness_n_per_m, route.friction_coefficient);
+            cable[t].stiffness_n_per_m = stiffness.unwrap_or(parameters.tendon.stiffness_n_per_m);
+            cable[t].friction_coefficient = friction.unwrap_or(parameters.tendon.friction_coefficient);
         }
         let gap_m = parameters.tendon.gap_m;
         let rest = |t: usize, joint: usize| {
@@ -60,7 +66,7 @@ impl Channels {
         };
         let rest_m = core::array::from_fn(|t: usize| (reach[t][0]..reach[t][1]).map(|i| rest(t, i)).sum());
         let compliance_rad_per_nm = parameters.joint_stiffness_nm_per_rad.iter().map(|k| 1.0 / k).sum();
-        Self { count: parameters.tendon_count(), offset_m, reach, rest_m, compliance_rad_per_nm }
+        Self { count: parameters.tendon_count(), offset_m, reach, cable, rest_m, compliance_rad_per_nm }
     }
 
     /// The flexures that tendon `t` bends.
@@ -68,12 +74,13 @@ impl Channels {
         self.reach[t][0]..self.reach[t][1]
     }
 
-    /// True if friction is too strong for a Rosenbrock step. The measure is the capstan exponent mu phi, with phi the sum of the bends,
-    /// rad, that each tension alone would cause without friction and stops.
-    pub fn bind(&self, parameters: &TendonParameters, tension_n: &[f64; MAX_TENDONS]) -> bool {
+    /// True if friction is too strong for a Rosenbrock step. The measure is the capstan exponent mu phi, with mu the largest of all and phi
+    /// the sum of the bends, rad, that each tension alone would cause without friction and stops.
+    pub fn bind(&self, tension_n: &[f64; MAX_TENDONS]) -> bool {
         let moment = |t: usize| tension_n[t] * libm::hypot(self.offset_m[t][0], self.offset_m[t][1]);
         let bend_rad = self.compliance_rad_per_nm * (0..self.count).map(moment).sum::<f64>();
-        parameters.friction_coefficient * bend_rad > MAX_CAPSTAN_EXPONENT
+        let friction = self.cable[..self.count].iter().map(|cable| cable.friction_coefficient);
+        friction.fold(0.0, f64::max) * bend_rad > MAX_CAPSTAN_EXPONENT
     }
 }
 
@@ -148,7 +155,6 @@ impl TendonLoad {
     /// Evaluates all tendons. `rate`, the joint velocities, tells whether a saturated sliding state is about to reverse.
     pub fn evaluate(
         &mut self,
-        parameters: &TendonParameters,
         layout: &Layout,
         (configuration, q, rate): (&Configuration, &[f64; MAX_JOINTS], &[f64; MAX_JOINTS]),
         command: &TendonCommand,
@@ -158,8 +164,10 @@ impl TendonLoad {
         self.torque[..n].fill(0.0);
         self.stiffness[..n].fill(0.0);
         for t in 0..self.channels.count {
-            let slope_rate = self.update_slope(t, parameters, configuration, rate);
-            let take_up = self.take_up(parameters, configuration, t);
+            let cable = self.channels.cable[t];
+            let parameters = &cable;
+            let slope_rate = self.update_slope(t, configuration, rate);
+            let take_up = self.take_up(configuration, t);
             let tension = base_tension(parameters, command, t, take_up);
             self.tension_n[t] = tension;
             let sliding = memory[t].sliding_at(take_up, parameters);
@@ -197,17 +205,12 @@ impl TendonLoad {
     }
 
     /// Updates d take-up / dq of tendon `t`; returns the take-up's rate.
-    fn update_slope(
-        &mut self,
-        t: usize,
-        parameters: &TendonParameters,
-        configuration: &Configuration,
-        rate: &[f64; MAX_JOINTS],
-    ) -> f64 {
+    fn update_slope(&mut self, t: usize, configuration: &Configuration, rate: &[f64; MAX_JOINTS]) -> f64 {
+        let gap_m = self.channels.cable[t].gap_m;
         let mut slope_rate = 0.0;
         for i in self.channels.flexures(t) {
             let slope = self.channels.offset_m[t][0] * configuration.half_cos[i]
-                + 0.5 * parameters.gap_m * configuration.half_sin[i];
+                + 0.5 * gap_m * configuration.half_sin[i];
             self.slope[t][i] = slope;
             slope_rate += slope * rate[i];
         }
@@ -215,10 +218,11 @@ impl TendonLoad {
     }
 
     /// Length of tendon `t` taken up by the bent tool, from its rest shape, m.
-    pub fn take_up(&self, parameters: &TendonParameters, configuration: &Configuration, t: usize) -> f64 {
+    pub fn take_up(&self, configuration: &Configuration, t: usize) -> f64 {
+        let gap_m = self.channels.cable[t].gap_m;
         let mut sum = 0.0;
         for i in self.channels.flexures(t) {
-            sum += parameters.gap_m * (1.0 - configuration.half_cos[i])
+            sum += gap_m * (1.0 - configuration.half_cos[i])
                 + 2.0 * self.channels.offset_m[t][0] * configuration.half_sin[i];
         }
         sum - self.channels.rest_m[t]
@@ -227,15 +231,15 @@ impl TendonLoad {
     /// Advances the sliding states to a new configuration; returns tension (N) and displacement (m) of each tendon there.
     pub fn advance(
         &self,
-        parameters: &TendonParameters,
         configuration: &Configuration,
         command: &TendonCommand,
         memory: &mut [TendonMemory; MAX_TENDONS],
     ) -> ([f64; MAX_TENDONS], [f64; MAX_TENDONS]) {
         let (mut tension_n, mut displacement_m) = ([0.0; MAX_TENDONS], [0.0; MAX_TENDONS]);
         for t in 0..self.channels.count {
-            let take_up_m = self.take_up(parameters, configuration, t);
-            (tension_n[t], displacement_m[t]) = memory[t].advance(take_up_m, parameters, command, t);
+            let take_up_m = self.take_up(configuration, t);
+            let cable = &self.channels.cable[t];
+            (tension_n[t], displacement_m[t]) = memory[t].advance(take_up_m, cable, command, t);
         }
         (tension_n, displacement_m)
     }

@@ -139,8 +139,20 @@ impl ManipulatorParameters {
             return Err(ManipulatorError::Length { field: "tendon_routes", given, expected });
         }
         let joints = self.joint_positions_m.len();
-        for TendonRoute { channel_m, reach } in routes {
+        for TendonRoute { channel_m, reach, stiffness_n_per_m, friction_coefficient } in routes {
             check_all("tendon_routes.channel_m", channel_m, "-1 to 1 m", |x| x.abs() <= 1.0)?;
+            check_all(
+                "tendon_routes.stiffness_n_per_m",
+                stiffness_n_per_m.as_slice(),
+                "1 to 1e12 N/m",
+                |x| (1.0..=1e12).contains(&x),
+            )?;
+            check_all(
+                "tendon_routes.friction_coefficient",
+                friction_coefficient.as_slice(),
+                "0 to 5",
+                |x| (0.0..=5.0).contains(&x),
+            )?;
             let to = reach.to.unwrap_or(joints);
             check("tendon_routes.reach.to", to as f64, "1 to the number of flexures", |_| {
                 (1..=joints).contains(&to)

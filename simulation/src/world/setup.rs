@@ -124,6 +124,7 @@ pub fn manipulator_parameters(scene: &Scene) -> Result<ManipulatorParameters, Ma
     parameters.torsion_stiffness_ratio = overrides.torsion_stiffness_ratio;
     if let Some(friction) = overrides.tendon_friction {
         parameters.tendon.friction_coefficient = friction;
+        parameters.tendon_routes.iter_mut().flatten().for_each(|route| route.friction_coefficient = None);
     }
     if !scene.tendon.is_empty() {
         let routes = scene.tendon.iter().map(|it| [it.toward_mm * 1e-3, it.across_mm * 1e-3].into());

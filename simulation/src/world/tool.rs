@@ -67,6 +67,8 @@ fn route(tendon: &scene::ToolTendon) -> TendonRoute {
     TendonRoute {
         channel_m: [tendon.toward_mm / 1e3, tendon.across_mm / 1e3],
         reach: TendonReach { from: tendon.from_flexure - 1, to: tendon.to_flexure },
+        stiffness_n_per_m: tendon.stiffness_n_per_m,
+        friction_coefficient: tendon.friction,
     }
 }
 

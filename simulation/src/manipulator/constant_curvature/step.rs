@@ -80,10 +80,10 @@ impl ConstantCurvature {
     /// its mean, `(1 - exp(-x)) / x` with `x = mu s |bend|`. `rate`, the bend rate, tells whether a saturated sliding state is about to
     /// reverse.
     fn tendon_torque(&self, rate: f64, command: &TendonCommand) -> TendonTorque {
-        let p = &self.parameters.tendon;
         let bend = self.state.position[3];
         let mut sum = TendonTorque { torque_nm: 0.0, stiffness_nm_per_rad: 0.0, slides_on: false };
         for t in 0..self.channels.count {
+            let p = &self.channels.cable[t];
             let slope = self.channels.offset_m[t][0];
             let take_up = self.take_up_m(t);
             let tension = base_tension(p, command, t, take_up);
@@ -232,11 +232,10 @@ impl ConstantCurvature {
         report.flange_wrench = Wrench { force_n: rotation * force.xyz(), torque_nm: rotation * moment };
         self.state.base = input.base;
         self.update_configuration();
-        let p = &self.parameters.tendon;
         for t in 0..self.channels.count {
-            let take_up_m = self.take_up_m(t);
+            let (take_up_m, cable) = (self.take_up_m(t), &self.channels.cable[t]);
             (report.tendon_tension_n[t], report.tendon_displacement_m[t]) =
-                self.state.tendon[t].advance(take_up_m, p, &input.tendon, t);
+                self.state.tendon[t].advance(take_up_m, cable, &input.tendon, t);
         }
         self.state.report = *report;
     }

@@ -136,9 +136,8 @@ impl<const D: usize> SpatialChain<D> {
         self.state.position.fill(0.0);
         self.state.velocity.fill(0.0);
         self.update_configuration();
-        let (parameters, layout) = (&self.parameters.tendon, &self.layout);
         for t in 0..self.tendon.channels.count {
-            self.state.tendon[t].take_up_m = self.tendon.take_up(parameters, layout, &self.state.position, t);
+            self.state.tendon[t].take_up_m = self.tendon.take_up(&self.layout, &self.state.position, t);
         }
     }
 

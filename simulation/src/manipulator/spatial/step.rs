@@ -137,8 +137,7 @@ impl<const D: usize> SpatialChain<D> {
     ) {
         let Diagonals { stiffness, diagonal } = operator;
         let configuration = at.of(&self.configuration, &self.trial);
-        let parameters = &self.parameters.tendon;
-        self.tendon.evaluate(parameters, &self.layout, motion, &input.tendon, &self.state.tendon);
+        self.tendon.evaluate(&self.layout, motion, &input.tendon, &self.state.tendon);
         let stops = self.pressed.stiffness();
         fill(stiffness, |i| (self.stiffness[i] + self.tendon.stiffness[i]).max(0.0) + stops[i]);
         fill(diagonal, |i| h * self.damping[i] + h * h * stiffness[i]);
@@ -355,7 +354,7 @@ impl<const D: usize> SpatialChain<D> {
         } = work;
         let start = Motion { q, v: before };
         self.stage(start, h, input, frame, Stage::Start, Diagonals { stiffness, diagonal });
-        if self.tendon.channels.bind(&self.parameters.tendon, &self.tendon.tension_n) {
+        if self.tendon.channels.bind(&self.tendon.tension_n) {
             return None;
         }
         first_pull.copy_from_slice(&self.tendon.torque);
@@ -439,10 +438,9 @@ impl<const D: usize> SpatialChain<D> {
         report.flange_wrench = Wrench { force_n: rotation * force, torque_nm: rotation * moment };
         self.state.base = input.base;
         self.update_configuration();
-        let tendon = &self.parameters.tendon;
         let memory = &mut self.state.tendon;
         (report.tendon_tension_n, report.tendon_displacement_m) =
-            self.tendon.advance(tendon, &self.layout, &self.state.position, &input.tendon, memory);
+            self.tendon.advance(&self.layout, &self.state.position, &input.tendon, memory);
         self.state.report = *report;
     }
 }

@@ -91,7 +91,6 @@ impl TendonLoad {
     /// Evaluates all tendons. The velocities tell whether a saturated sliding state is about to reverse.
     pub fn evaluate<const D: usize>(
         &mut self,
-        p: &TendonParameters,
         layout: &SpatialLayout<D>,
         motion: Motion<'_>,
         command: &TendonCommand,
@@ -100,7 +99,9 @@ impl TendonLoad {
         self.torque.fill(0.0);
         self.stiffness.fill(0.0);
         for t in 0..self.channels.count {
-            let (length_m, rate) = self.update_slope(t, p, layout, motion);
+            let cable = self.channels.cable[t];
+            let p = &cable;
+            let (length_m, rate) = self.update_slope(t, layout, motion);
             let tension = base_tension(p, command, t, length_m);
             self.tension_n[t] = tension;
             let sliding = memory[t].sliding_at(length_m, p);
@@ -142,14 +143,14 @@ impl TendonLoad {
     fn update_slope<const D: usize>(
         &mut self,
         t: usize,
-        p: &TendonParameters,
         layout: &SpatialLayout<D>,
         motion: Motion<'_>,
     ) -> (f64, f64) {
+        let cable = self.channels.cable[t];
         let Motion { q, v } = motion;
         let (mut length_m, mut rate) = (0.0, 0.0);
         for i in self.channels.flexures(t) {
-            let take_up = TakeUp::of(p, layout, self.channels.offset_m[t], i, q);
+            let take_up = TakeUp::of(&cable, layout, self.channels.offset_m[t], i, q);
             let k = layout.bend(i);
             length_m += take_up.length_m;
             self.slope[t][k] = take_up.slope[0];
@@ -167,13 +168,8 @@ impl TendonLoad {
     }
 
     /// Length of tendon `t` taken up by the bent tool, from its rest shape, m.
-    pub fn take_up<const D: usize>(
-        &self,
-        p: &TendonParameters,
-        layout: &SpatialLayout<D>,
-        q: &[f64],
-        t: usize,
-    ) -> f64 {
+    pub fn take_up<const D: usize>(&self, layout: &SpatialLayout<D>, q: &[f64], t: usize) -> f64 {
+        let p = &self.channels.cable[t];
         let (channel, flexures) = (self.channels.offset_m[t], self.channels.flexures(t));
         let bent_m: f64 = flexures.map(|i| TakeUp::of(p, layout, channel, i, q).length_m).sum();
         bent_m - self.channels.rest_m[t]
@@ -182,7 +178,6 @@ impl TendonLoad {
     /// Advances the sliding states to `q`; returns tension (N) and displacement (m) of each tendon there.
     pub fn advance<const D: usize>(
         &self,
-        p: &TendonParameters,
         layout: &SpatialLayout<D>,
         q: &[f64],
         command: &TendonCommand,
@@ -190,8 +185,9 @@ impl TendonLoad {
     ) -> ([f64; MAX_TENDONS], [f64; MAX_TENDONS]) {
         let (mut tension_n, mut displacement_m) = ([0.0; MAX_TENDONS], [0.0; MAX_TENDONS]);
         for t in 0..self.channels.count {
-            let take_up_m = self.take_up(p, layout, q, t);
-            (tension_n[t], displacement_m[t]) = memory[t].advance(take_up_m, p, command, t);
+            let take_up_m = self.take_up(layout, q, t);
+            let cable = &self.channels.cable[t];
+            (tension_n[t], displacement_m[t]) = memory[t].advance(take_up_m, cable, command, t);
         }
         (tension_n, displacement_m)
     }
