@@ -252,3 +252,18 @@ fn a_scene_is_shown_on_the_page_before_its_run() {
         )
     });
 }
+
+/// The meshes of a scene before its run; then of its log, which knows only where they are.
+#[test]
+fn an_arm_is_drawn_with_its_meshes() {
+    let Some(python) = browser_python() else { return };
+    let place = Place::new();
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/examples/arm_urdf.toml");
+    twice(|| check(&python, "arm", &Viewer::start(&place, &[&scene]), &[]));
+    let output = place.path("arm");
+    let done =
+        trabecula(&[&"run", &scene, &"--output", &output, &"--quiet", &"--set", &"run.duration_s=0.1"]);
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    let log = fs::read_dir(output).unwrap().flatten().next().unwrap().path();
+    twice(|| check(&python, "arm", &Viewer::start(&place, &[&log]), &[]));
+}

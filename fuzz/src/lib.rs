@@ -13,6 +13,7 @@
 pub mod client_message;
 pub mod keyframe;
 pub mod log;
+pub mod mesh;
 pub mod openigtlink;
 pub mod plan;
 pub mod seeds;
@@ -46,5 +47,6 @@ pub const TARGETS: &[Target] = &[
     Target { name: "dicom", run: volume::dicom, seeds: seeds::dicom },
     Target { name: "plan", run: plan::plan, seeds: plan::seeds },
     Target { name: "urdf", run: urdf::urdf, seeds: urdf::seeds },
+    Target { name: "mesh", run: mesh::mesh, seeds: mesh::seeds },
     Target { name: "openigtlink", run: openigtlink::openigtlink, seeds: openigtlink::seeds },
 ];

@@ -7,6 +7,7 @@ use ipc_types::scene::Scene;
 use simulation::{Verdict, findings};
 use volume_io::Volume;
 
+use crate::arm_meshes;
 use crate::failure::Failure;
 use crate::volume_source;
 
@@ -20,6 +21,7 @@ pub fn check(
     source: &dyn std::fmt::Display,
     volume: Option<&(Volume, [u8; 32])>,
 ) -> Result<Vec<String>, Failure> {
+    arm_meshes::load(&scene.arm).map_err(|cause| Failure::bad_input(format!("{source}: {cause}")))?;
     let ct = volume.map(volume_source::ct_view);
     let found =
         findings(scene, ct, &is_program).map_err(|cause| Failure::bad_input(format!("{source}: {cause}")))?;
@@ -32,7 +34,9 @@ pub fn check(
     if let Some((volume, _)) = volume {
         refuse_outside(scene, source, volume)?;
     }
-    Ok(of(Verdict::Unlikely).map(|finding| format!("warning: {source}: {finding}")).collect())
+    let undrawn = arm_meshes::undrawn(&scene.arm);
+    let unlikely = of(Verdict::Unlikely).map(|finding| finding.to_string()).chain(undrawn);
+    Ok(unlikely.map(|finding| format!("warning: {source}: {finding}")).collect())
 }
 
 /// Refuses a target beside the volume: nothing is there to drill, and a plan was made in another CT or says the wrong frame.

@@ -1,4 +1,4 @@
-//! Reads text files that a user names: scenes, poses, calibrations. A device, a pipe or an endless file is rejected by name; reading it
+//! Reads files that a user names whole: texts (scenes, poses, calibrations) and meshes. A device, a pipe or an endless file is rejected by name; reading it
 //! would block or fill the memory.
 
 use std::fs::OpenOptions;
@@ -14,17 +14,26 @@ pub const MAX_TEXT_BYTES: u64 = 16 << 20;
 /// # Errors
 /// The system's; not a regular file; too long; not UTF-8.
 pub fn read(path: &Path) -> io::Result<String> {
+    let not_text = |_| io::Error::new(io::ErrorKind::InvalidData, "stream did not contain valid UTF-8");
+    String::from_utf8(read_bytes(path, MAX_TEXT_BYTES)?).map_err(not_text)
+}
+
+/// Reads a regular file of at most `most` bytes.
+///
+/// # Errors
+/// The system's; not a regular file; too long.
+pub fn read_bytes(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     // Non-blocking, so that opening a pipe returns and the type check can reject it.
     let file = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path)?;
     if !file.metadata()?.is_file() {
         return Err(io::Error::other("not a regular file"));
     }
-    let mut text = String::new();
-    file.take(MAX_TEXT_BYTES + 1).read_to_string(&mut text)?;
-    if text.len() as u64 > MAX_TEXT_BYTES {
-        return Err(io::Error::other(format!("longer than {MAX_TEXT_BYTES} bytes")));
+    let mut bytes = Vec::new();
+    file.take(most + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > most {
+        return Err(io::Error::other(format!("longer than {most} bytes")));
     }
-    Ok(text)
+    Ok(bytes)
 }
 
 #[cfg(test)]

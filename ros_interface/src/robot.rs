@@ -30,7 +30,7 @@ pub struct Robot {
     /// Names of the arm's joints: six, or none where there is no arm.
     arm_joints: Vec<String>,
     t_world_arm_base: Isometry3<f64>,
-    /// The parts of the chain that do not turn; for an arm of Universal Robots the identity, then `Tz(d_i) Tx(a_i) Rx(alpha_i)`.
+    /// The parts of the chain that do not turn ([`ArmGeometry::fixed_parts`]).
     fixed_parts: [Isometry3<f64>; ARM_JOINTS + 1],
     t_flange_base: Isometry3<f64>,
     /// Lower and upper ends of the joints' ranges.
@@ -46,17 +46,12 @@ impl Robot {
         let parameters = ArmParameters::of(&scene.arm, scene.dt_s());
         let (geometry, limits) = (parameters.geometry.with_tool(None), parameters.joint_limits);
         let t_world_flange = isometry(&state.t_world_flange);
-        let straight = geometry.frames(&[0.0; ARM_JOINTS]);
-        let fixed_part = |index: usize| match index {
-            0 => straight.t_base_link(0),
-            _ => straight.t_base_link(index - 1).inverse() * straight.t_base_link(index),
-        };
         Robot {
             names,
             geometry,
             arm_joints: arm_joints(scene, &geometry),
             t_world_arm_base: t_world_flange * geometry.forward(&state.arm_joint_position_rad).inverse(),
-            fixed_parts: core::array::from_fn(fixed_part),
+            fixed_parts: geometry.fixed_parts(),
             t_flange_base: t_world_flange.inverse() * isometry(&state.t_world_base),
             ranges_rad: [limits.lower_rad, limits.upper_rad],
             rates_rad_per_s: limits.velocity_rad_s,

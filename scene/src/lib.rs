@@ -35,6 +35,7 @@
 mod check;
 mod declaration;
 mod error;
+pub mod mesh;
 mod model;
 mod named_file;
 mod place;
@@ -47,6 +48,7 @@ mod tool;
 mod tool_file;
 mod truth;
 mod urdf;
+mod urdf_meshes;
 
 pub use error::SceneError;
 pub use model::*;
@@ -56,7 +58,7 @@ pub use schema::json_schema;
 pub use tool::{FlexurePlace, Holder, STANDARD_HOLDER, STANDARD_RADII, ToolRadii};
 pub use truth::planned_path_in_bone_mm;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Longest run. MCAP numbers a channel's messages with 32 bits: at the shortest time step, 0.1 ms, a day needs a fifth of
 /// them. All other counts of ticks, frames and bytes have 64 bits.
@@ -79,6 +81,11 @@ fn malformed(text: &str, path: &Path, parsed: &str, cause: &toml::de::Error) -> 
         None => cause.message().to_owned(),
     };
     SceneError::Malformed { file: path.to_owned(), line, cause }
+}
+
+/// The path from the root of the file system: a scene's text is copied into the session's folder and into the log.
+fn absolute(path: PathBuf) -> PathBuf {
+    std::path::absolute(&path).unwrap_or(path)
 }
 
 impl Scene {
@@ -128,16 +135,16 @@ impl Scene {
             if let Some(drilling) = &mut controller.curved_drilling
                 && let Some(path) = &mut drilling.calibration
             {
-                let joined = folder.join(&*path);
-                *path = std::path::absolute(&joined).unwrap_or(joined);
+                *path = absolute(folder.join(&*path));
             }
         }
         if let Some(volume) = &mut self.volume
             && let Some(path) = &mut volume.path
         {
-            // Absolute, because the text is copied into the session's folder and into the log.
-            let joined = folder.join(&*path);
-            *path = std::path::absolute(&joined).unwrap_or(joined);
+            *path = absolute(folder.join(&*path));
+        }
+        for mesh in self.arm.mesh.iter_mut().flatten() {
+            mesh.file = absolute(folder.join(&mesh.file));
         }
     }
 

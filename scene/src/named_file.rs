@@ -30,6 +30,24 @@ pub(crate) fn take_text(
     }
 }
 
+/// Takes a flag out of the table `[above]` of a scene; `None` if the key is not there.
+///
+/// # Errors
+/// The value is no flag.
+pub(crate) fn take_flag(
+    table: &mut Table,
+    [above, key]: [&str; 2],
+    checker: &Checker,
+) -> Result<Option<bool>, SceneError> {
+    match table.remove(key) {
+        None => Ok(None),
+        Some(Value::Boolean(flag)) => Ok(Some(flag)),
+        Some(other) => {
+            Err(checker.invalid(&format!("{above}.{key}"), format!("is {other}, expected true or false")))
+        }
+    }
+}
+
 /// Three numbers as a value of a scene.
 pub(crate) fn numbers(place: [f64; 3]) -> Value {
     Value::Array(place.map(Value::Float).to_vec())

@@ -35,13 +35,19 @@ pub struct Holder {
 pub const STANDARD_HOLDER: Holder = Holder { length_m: 0.06, radius_m: 0.02 };
 
 impl Holder {
+    /// How far the holder reaches along the straight line from the flange to the tool's base, which is `distance_m` long, m: to the base at
+    /// most. `None` if the base is on the flange: then there is neither holder nor bare shaft.
+    pub fn reach_m(&self, distance_m: f64) -> Option<f64> {
+        (distance_m > ON_FLANGE_M).then(|| self.length_m.min(distance_m))
+    }
+
     /// Where the holder ends and the bare shaft begins, on the line from the flange to the tool's base, world, m. `None` if the base is on
     /// the flange; the base itself if it is no farther away than the holder is long.
     pub fn front_m(&self, flange_m: [f64; 3], base_m: [f64; 3]) -> Option<[f64; 3]> {
         let way: [f64; 3] = core::array::from_fn(|axis| base_m[axis] - flange_m[axis]);
         let length_m = way.iter().map(|x| x * x).sum::<f64>().sqrt();
-        let share = (self.length_m / length_m).min(1.0);
-        (length_m > ON_FLANGE_M).then(|| core::array::from_fn(|axis| flange_m[axis] + share * way[axis]))
+        let share = self.reach_m(length_m)? / length_m;
+        Some(core::array::from_fn(|axis| flange_m[axis] + share * way[axis]))
     }
 }
 

@@ -1,7 +1,8 @@
 //! `arm.urdf`: a serial arm out of a URDF file (<https://wiki.ros.org/urdf/XML>, `joint` and `link`).
 //!
-//! The joints between base and tip are put into the scene's table as `arm.joint` before it is parsed, so a [`Scene`](crate::Scene) holds
-//! numbers only, and so does its copy in the session and in the log.
+//! The joints between base and tip are put into the scene's table as `arm.joint` before it is parsed, and the meshes of the links there as
+//! `arm.mesh`. A [`Scene`](crate::Scene) therefore holds the arm's kinematics as numbers, and so does its copy in the session and in the log;
+//! of the meshes, which are only its looks, it holds the files' paths.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -12,16 +13,17 @@ use toml::{Table, Value};
 
 use crate::check::Checker;
 use crate::error::SceneError;
-use crate::named_file::{ReadText, numbers, take_text};
+use crate::named_file::{ReadText, numbers, take_flag, take_text};
+use crate::urdf_meshes::{self, MeshPlaces};
 
 /// Elements and texts of a file, at most: files of whole robots have some thousands.
 const MOST_NODES: u32 = 200_000;
 /// Joints between base and tip, at most: as many as `arm.joint` takes.
 const MOST_JOINTS: usize = 64;
 /// Farthest that a joint may stand from the one before it.
-const FARTHEST_M: f64 = 10.0;
+pub(crate) const FARTHEST_M: f64 = 10.0;
 /// Greatest angle of a limit or an orientation: two turns.
-const GREATEST_RAD: f64 = 4.0 * core::f64::consts::PI;
+pub(crate) const GREATEST_RAD: f64 = 4.0 * core::f64::consts::PI;
 /// Range of a joint that turns without end, as of a wrist of Universal Robots.
 const CONTINUOUS_RAD: f64 = 2.0 * core::f64::consts::PI;
 /// Fastest turn that a file may give, 10 turns a second.
@@ -42,19 +44,33 @@ pub(crate) fn put_in(
     if arm.contains_key("joint") {
         return Err(checker.invalid("arm.joint", "stands beside `arm.urdf`; expected one of the two"));
     }
+    if arm.contains_key("mesh") {
+        return Err(checker.invalid("arm.mesh", "stands beside `arm.urdf`; expected one of the two"));
+    }
     let base = take_text(arm, ["arm", "base_link"], "a link's name", checker)?;
     let tip = take_text(arm, ["arm", "tip_link"], "a link's name", checker)?;
+    let has_meshes = take_flag(arm, ["arm", "meshes"], checker)?.unwrap_or(true);
     let file = folder.join(file);
-    let joints = read(&file)
+    let from_root = crate::absolute(file.clone());
+    let places = MeshPlaces { folder: from_root.parent().unwrap_or(folder), read };
+    let (joints, meshes) = read(&file)
         .map_err(|cause| format!("cannot be read ({cause})"))
-        .and_then(|text| joints_of(&text, base.as_deref(), tip.as_deref()))
+        .and_then(|text| arm_of(&text, base.as_deref(), tip.as_deref(), Some(&places).filter(|_| has_meshes)))
         .map_err(|problem| checker.invalid("arm.urdf", format!("{}: {problem}", foreign_path(&file))))?;
     arm.insert("joint".to_owned(), Value::Array(joints));
+    if !meshes.is_empty() {
+        arm.insert("mesh".to_owned(), Value::Array(meshes));
+    }
     Ok(true)
 }
 
-/// The joints from base to tip, each as a table of `arm.joint`.
-fn joints_of(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Vec<Value>, String> {
+/// The joints from base to tip, each as a table of `arm.joint`, and the meshes of the links there, each as one of `arm.mesh`.
+fn arm_of(
+    text: &str,
+    base: Option<&str>,
+    tip: Option<&str>,
+    places: Option<&MeshPlaces>,
+) -> Result<(Vec<Value>, Vec<Value>), String> {
     let options = ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() };
     let document = Document::parse_with_options(text, options)
         .map_err(|cause| format!("is no XML ({})", foreign(&cause.to_string())))?;
@@ -69,13 +85,29 @@ fn joints_of(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Vec<Va
     let base = tree.end(base, "base_link", |link| !tree.parents.contains_key(link))?;
     let above: BTreeSet<&str> = tree.parents.values().map(|joint| joint.parent).collect();
     let tip = tree.end(tip, "tip_link", |link| !above.contains(link))?;
-    tree.chain(base, tip)?.into_iter().map(UrdfJoint::table).collect()
+    let chain = tree.chain(base, tip)?;
+    let mut meshes = Vec::new();
+    if let Some(places) = places {
+        let below = chain.iter().map(|joint| (joint.child, Some(joint.name)));
+        for (link, joint) in core::iter::once((base, None)).chain(below) {
+            for node in named(robot, "link").filter(|node| node.attribute("name") == Some(link)) {
+                meshes.extend(urdf_meshes::of_link(node, joint, places)?);
+            }
+        }
+    }
+    Ok((chain.into_iter().map(UrdfJoint::table).collect::<Result<_, _>>()?, meshes))
+}
+
+/// Children of the robot of one kind.
+fn named<'a>(robot: Node<'a, 'a>, tag: &'static str) -> impl Iterator<Item = Node<'a, 'a>> {
+    robot.children().filter(move |node| node.has_tag_name(tag))
 }
 
 /// A joint of the file.
 struct UrdfJoint<'a> {
     name: &'a str,
     parent: &'a str,
+    child: &'a str,
     node: Node<'a, 'a>,
 }
 
@@ -87,10 +119,9 @@ struct Tree<'a> {
 
 impl<'a> Tree<'a> {
     fn new(robot: Node<'a, 'a>) -> Result<Self, String> {
-        let named = |tag: &'static str| robot.children().filter(move |node| node.has_tag_name(tag));
-        let links: BTreeSet<&str> = named("link").filter_map(|node| node.attribute("name")).collect();
+        let links: BTreeSet<&str> = named(robot, "link").filter_map(|node| node.attribute("name")).collect();
         let mut parents = BTreeMap::new();
-        for node in named("joint") {
+        for node in named(robot, "joint") {
             let name = node.attribute("name").ok_or("a joint has no name")?;
             let link_of = |tag: &str| {
                 let link = child(node, tag).and_then(|node| node.attribute("link"));
@@ -104,8 +135,8 @@ impl<'a> Tree<'a> {
                     )),
                 }
             };
-            let joint = UrdfJoint { name, parent: link_of("parent")?, node };
-            let below = link_of("child")?;
+            let (above, below) = (link_of("parent")?, link_of("child")?);
+            let joint = UrdfJoint { name, parent: above, child: below, node };
             if let Some(other) = parents.insert(below, joint) {
                 return Err(format!(
                     "link `{}` hangs on the joints `{}` and `{}`; expected one: a serial arm has no loops",
@@ -168,7 +199,7 @@ impl UrdfJoint<'_> {
         let origin = child(self.node, "origin");
         let place = |key: &str, most: f64| match origin.and_then(|node| node.attribute(key)) {
             None => Ok([0.0; 3]),
-            Some(text) => self.three("origin", key, text, most),
+            Some(text) => three("origin", key, text, most).map_err(|problem| self.says(&problem)),
         };
         let mut table = Table::new();
         table.insert("name".to_owned(), Value::String(self.name.to_owned()));
@@ -199,7 +230,7 @@ impl UrdfJoint<'_> {
         }
         let axis = match child(self.node, "axis").and_then(|node| node.attribute("xyz")) {
             None => [1.0, 0.0, 0.0],
-            Some(text) => self.three("axis", "xyz", text, 1e3)?,
+            Some(text) => three("axis", "xyz", text, 1e3).map_err(|problem| self.says(&problem))?,
         };
         let limit = child(self.node, "limit");
         let limit_of = |key: &str, lowest: f64, highest: f64| match limit.and_then(|node| node.attribute(key))
@@ -226,30 +257,32 @@ impl UrdfJoint<'_> {
         format!("joint `{}` {problem}", foreign(self.name))
     }
 
-    /// Three numbers of an attribute, none of them farther from zero than `most`.
-    fn three(&self, tag: &str, key: &str, text: &str, most: f64) -> Result<[f64; 3], String> {
-        let parts: Vec<&str> = text.split_ascii_whitespace().collect();
-        let [x, y, z] = parts.as_slice() else {
-            return Err(
-                self.says(&format!("has `{tag} {key}` = \"{}\", expected three numbers", foreign(text)))
-            );
-        };
-        let number = |part: &str| self.number(tag, key, part, -most, most);
-        Ok([number(x)?, number(y)?, number(z)?])
-    }
-
     fn number(&self, tag: &str, key: &str, text: &str, lowest: f64, highest: f64) -> Result<f64, String> {
-        // A NaN is in no range, so this refuses it too.
-        match text.trim().parse::<f64>() {
-            Ok(value) if (lowest..=highest).contains(&value) => Ok(value),
-            _ => Err(self.says(&format!(
-                "has `{tag} {key}` = {}, expected a number from {lowest} to {highest}",
-                foreign(text)
-            ))),
-        }
+        number(tag, key, text, lowest, highest).map_err(|problem| self.says(&problem))
     }
 }
 
-fn child<'a>(node: Node<'a, 'a>, tag: &str) -> Option<Node<'a, 'a>> {
+/// Three numbers of an attribute, none of them farther from zero than `most`; the error is about what has the attribute.
+pub(crate) fn three(tag: &str, key: &str, text: &str, most: f64) -> Result<[f64; 3], String> {
+    let parts: Vec<&str> = text.split_ascii_whitespace().collect();
+    let [x, y, z] = parts.as_slice() else {
+        return Err(format!("has `{tag} {key}` = \"{}\", expected three numbers", foreign(text)));
+    };
+    let number = |part: &str| number(tag, key, part, -most, most);
+    Ok([number(x)?, number(y)?, number(z)?])
+}
+
+fn number(tag: &str, key: &str, text: &str, lowest: f64, highest: f64) -> Result<f64, String> {
+    // A NaN is in no range, so this refuses it too.
+    match text.trim().parse::<f64>() {
+        Ok(value) if (lowest..=highest).contains(&value) => Ok(value),
+        _ => Err(format!(
+            "has `{tag} {key}` = {}, expected a number from {lowest} to {highest}",
+            foreign(text)
+        )),
+    }
+}
+
+pub(crate) fn child<'a>(node: Node<'a, 'a>, tag: &str) -> Option<Node<'a, 'a>> {
     node.children().find(|child| child.has_tag_name(tag))
 }

@@ -20,6 +20,7 @@ pub mod show;
 pub mod sweep;
 pub mod tool;
 pub mod view;
+pub mod view_arm;
 pub mod view_plan;
 mod view_run;
 pub mod volume;

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::Args;
+use inputs::arm_meshes::ArmMeshError;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
 use ipc_types::session::{SESSION_VARIABLE, Searched, only_session};
@@ -12,8 +13,9 @@ use simulation::manipulator_parameters;
 use viewer_proc::live;
 use viewer_proc::log::{self, LogOptions, LogVolume, SceneHelp};
 use viewer_proc::server::Door;
-use viewer_proc::{ServerOptions, ToolShape, ViewerError};
+use viewer_proc::{ArmLooks, ServerOptions, ToolShape, ViewerError};
 
+use super::view_arm::{arm_looks, arm_parts};
 use super::view_plan::OpenedScene;
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::volume_source::{self, VolumeFiles};
@@ -114,7 +116,7 @@ pub fn run(arguments: &ViewArguments) -> Result<(), Failure> {
     let door = arguments.server.door()?;
     let mut _redirect_file = None;
     let ready = || _redirect_file = arguments.server.ready(&door, &session);
-    let recorded = live::view(&session, &door, tool_shape, ready, &end).map_err(|error| failure(&error))?;
+    let recorded = live::view(&session, &door, shapes, ready, &end).map_err(|error| failure(&error))?;
     recorded.map_or(Ok(()), |log| view_followed(log, arguments, &door, &end))
 }
 
@@ -135,7 +137,7 @@ fn view_plan(scene: &Path, arguments: &ViewArguments, end: &EndRequest) -> Resul
     let Some(run) = opened.view(&door, ready, end)? else { return Ok(()) };
     drop(opened);
     let Some(session) = run.session() else { return Ok(()) };
-    let recorded = match live::view(session, &door, tool_shape, || (), end) {
+    let recorded = match live::view(session, &door, shapes, || (), end) {
         Ok(recorded) => recorded,
         // A short run has ended before it could be joined.
         Err(ViewerError::Session(_) | ViewerError::Message(_)) => run.log(end),
@@ -172,7 +174,7 @@ fn show_logs(
     end: &EndRequest,
 ) -> Result<(), Failure> {
     let volume = |scene: &Scene| log_volume(scene, arguments.volume_files);
-    let help = SceneHelp { tool: &tool_shape, volume: &volume };
+    let help = SceneHelp { shapes: &shapes, volume: &volume };
     log::view(options, door, &help, ready, end).map_err(|error| failure(&error))
 }
 
@@ -189,6 +191,16 @@ pub(super) fn failure(error: &ViewerError) -> Failure {
     if error.is_bad_input() { Failure::bad_input(error) } else { Failure::failed(error.to_string()) }
 }
 
+/// Tool and arm of a scene as the page draws them. A mesh that is no longer there is told, and its arm drawn as tubes: a log may be shown
+/// where its arm's files are not.
+fn shapes(scene: &Scene) -> (ToolShape, ArmLooks) {
+    let tubes = |cause: ArmMeshError| ArmLooks {
+        meshes: Vec::new(),
+        notes: vec![format!("the arm is drawn as tubes: {cause}")],
+    };
+    (tool_shape(scene), arm_looks(scene).unwrap_or_else(tubes))
+}
+
 /// The scene's tool as the page draws it; a bare burr if the scene's tool is invalid.
 pub fn tool_shape(scene: &Scene) -> ToolShape {
     match manipulator_parameters(scene) {
@@ -198,6 +210,7 @@ pub fn tool_shape(scene: &Scene) -> ToolShape {
             outer_radius_m: parameters.tube_radii_m[0],
             burr_radius_m: parameters.burr_radius_m,
             holder: scene.arm.holder(),
+            arm_parts: arm_parts(scene),
         },
         Err(_) => ToolShape {
             joint_positions_m: Vec::new(),
@@ -205,6 +218,7 @@ pub fn tool_shape(scene: &Scene) -> ToolShape {
             outer_radius_m: scene.manipulator.radii().tube_outer_m,
             burr_radius_m: scene.manipulator.radii().burr_m,
             holder: scene.arm.holder(),
+            arm_parts: arm_parts(scene),
         },
     }
 }

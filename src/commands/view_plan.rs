@@ -13,6 +13,7 @@ use viewer_proc::services::Places;
 use volume_io::Volume;
 
 use super::view::{failure, tool_shape};
+use super::view_arm::arm_looks;
 use super::view_run::StartedRun;
 use crate::failure::Failure;
 use crate::launcher::volume_source::{self, VolumeFiles};
@@ -61,6 +62,8 @@ impl OpenedScene {
             let grid = volume_source::message(volume, *sha256).grid().map_err(Failure::bad_input)?;
             Ok::<_, Failure>((grid, volume.hu.as_slice()))
         });
+        let looks = arm_looks(&self.scene)
+            .map_err(|cause| Failure::bad_input(format!("{}: {cause}", self.file.display())))?;
         let mut started = None;
         let editor = Editor {
             opened: self,
@@ -70,7 +73,7 @@ impl OpenedScene {
             saved: (self.file.clone(), self.text.clone()),
             run: &mut started,
         };
-        let session = plan::view(&self.file, (first, volume.transpose()?), editor, door, ready, end);
+        let session = plan::view(&self.file, (first, looks, volume.transpose()?), editor, door, ready, end);
         let session = session.map_err(|error: ViewerError| failure(&error))?;
         Ok(started.filter(|_| session.is_some()))
     }

@@ -1,4 +1,4 @@
-"""Runs the checks of one kind against a viewer that is already there: `main.py live|end|log|two|plan --url URL …`.
+"""Runs the checks of one kind against a viewer that is already there: `main.py live|end|log|two|plan|arm --url URL …`.
 
 Exit code 77: there is no Chromium; what was tried is printed.
 """
@@ -7,6 +7,7 @@ import argparse
 import sys
 from pathlib import Path
 
+import arm
 import chromium
 import live
 import log
@@ -18,7 +19,7 @@ SKIPPED = 77
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("kind", choices=["live", "end", "log", "two", "plan"])
+    parser.add_argument("kind", choices=["live", "end", "log", "two", "plan", "arm"])
     parser.add_argument("--url", required=True)
     parser.add_argument("--cache", type=Path, required=True, help="where a Chromium is kept")
     parser.add_argument("--pictures", type=Path, required=True, help="where screenshots go")
@@ -34,6 +35,8 @@ def main() -> int:
                 live.check_end(browser, arguments.url, arguments.pictures)
             elif arguments.kind == "plan":
                 plan.check(browser, arguments.url, arguments.scene, arguments.pictures)
+            elif arguments.kind == "arm":
+                arm.check(browser, arguments.url, arguments.pictures)
             elif arguments.kind == "log":
                 log.check(browser, arguments.url, arguments.pictures)
             else:

@@ -93,6 +93,52 @@ fn a_tool_that_cannot_stand_is_named_with_its_file() {
     assert_refused_in(&place, &["scene.toml: `manipulator.file` names ", "none.toml, which cannot be read"]);
 }
 
+/// Meshes of an arm that are missing or hostile: one error with file, link or joint, and mesh. Every rule: `scene/tests/meshes.rs`.
+#[test]
+fn a_mesh_of_an_arm_that_cannot_be_drawn_is_named() {
+    let arms = concat!(env!("CARGO_MANIFEST_DIR"), "/configs/arms/puma560");
+    let stl = |count: u32, corner: f32, floats: usize| {
+        let mut bytes = vec![0; 80];
+        bytes.extend_from_slice(&count.to_le_bytes());
+        (0..floats).for_each(|_| bytes.extend_from_slice(&corner.to_le_bytes()));
+        bytes.extend_from_slice(&[0, 0]);
+        bytes
+    };
+    for (content, words) in [
+        (
+            None,
+            [
+                "puma.urdf: link `base_link` has the mesh package://puma560/meshes/cube.stl, which is not there",
+                "folder above it",
+            ],
+        ),
+        (
+            Some(stl(1, 0.5, 11)),
+            ["`arm.mesh.file` of the arm's base is ", "meshes/cube.stl, which is no STL: its 130 bytes"],
+        ),
+        (Some(stl(u32::MAX, 0.5, 12)), ["cube.stl, which is no STL", "announces 4294967295"]),
+        (
+            Some(stl(1, f32::NAN, 12)),
+            ["cube.stl, which has a corner of triangle 1 that is infinite or no number", "finite"],
+        ),
+        (Some(stl(1, 1e9, 12)), ["cube.stl, which reaches 300000000.0 m", "expected 10 m at most"]),
+        (Some(Vec::new()), ["cube.stl, which is no STL: its 0 bytes", "solid"]),
+    ] {
+        let place = Place::new();
+        fs::copy(format!("{arms}/puma560.urdf"), place.path("puma.urdf")).unwrap();
+        fs::create_dir_all(place.path("puma560/meshes")).unwrap();
+        fs::copy(format!("{arms}/meshes/prism.obj"), place.path("puma560/meshes/prism.obj")).unwrap();
+        if let Some(content) = content {
+            fs::write(place.path("puma560/meshes/cube.stl"), content).unwrap();
+        }
+        let arm = "[arm]\nurdf = \"puma.urdf\"\ninitial_joints_deg = [5.0, 45.0, 20.0, 10.0, 50.0, 5.0]\n";
+        place.scene(&format!("{}{arm}", scenes::drill("lockstep", 1.0)));
+        assert_refused_in(&place, &words);
+        let check = trabecula(&[&"scene", &"check", &place.path("scene.toml")]);
+        assert!(check.code == Some(2) && check.err.contains(words[0]), "{}", check.err);
+    }
+}
+
 #[test]
 fn a_value_of_a_wrong_type_is_named_with_its_line() {
     assert_refused(

@@ -15,7 +15,12 @@ const PUMA: [([f64; 3], f64); 6] = [
 ];
 
 fn urdf() -> String {
-    let links: String = (0..=6).map(|link| format!("<link name=\"link_{link}\"/>")).collect();
+    let look = |link| match link {
+        2 => "<visual><geometry><mesh filename=\"upper_arm.obj\"/></geometry></visual>",
+        _ => "",
+    };
+    let links: String =
+        (0..=6).map(|link| format!("<link name=\"link_{link}\">{}</link>", look(link))).collect();
     let joints = PUMA.iter().enumerate().map(|(index, ([x, y, z], turn_deg))| {
         let (x, y, z, turn_rad) = (x / 1e3, y / 1e3, z / 1e3, turn_deg.to_radians());
         let below = index + 1;
@@ -32,8 +37,11 @@ fn urdf() -> String {
 #[test]
 fn the_log_of_a_scene_with_a_tool_file_and_a_urdf_file_replays_without_them() {
     let place = Place::new();
-    let files =
-        [("arm.urdf", urdf()), ("drill.toml", include_str!("../../configs/tools/rigid_drill.toml").into())];
+    let files = [
+        ("arm.urdf", urdf()),
+        ("drill.toml", include_str!("../../configs/tools/rigid_drill.toml").into()),
+        ("upper_arm.obj", "v 0 0 0\nv 0.4 0 0\nv 0 0.1 0\nf 1 2 3\n".into()),
+    ];
     for (name, text) in &files {
         std::fs::write(place.path(name), text).unwrap();
     }

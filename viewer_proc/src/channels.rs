@@ -12,6 +12,8 @@ use crate::protocol::Advertisement;
 pub const INFO: &str = "/view/info";
 /// The bone's surface, one message per block ([`crate::surface::mesh`]).
 pub const SURFACE: &str = "/view/surface";
+/// The arm's links that have a mesh, one message per link, in the frame that it moves with ([`crate::surface::mesh`]).
+pub const ARM: &str = "/view/arm";
 /// The connected parts and their rates (JSON).
 pub const PARTS: &str = "/view/parts";
 /// Position on the time line (JSON; logs only).
@@ -95,6 +97,8 @@ impl Channels {
         channels.add(ASKED_FRAME, "trabecula.frame", schema, Policy::Newest);
         let schema = Schema { name: "trabecula.view.Surface", text: String::new(), encoding: "" };
         channels.add(SURFACE, "trabecula.mesh", schema, Policy::Newest);
+        let schema = Schema { name: "trabecula.view.Surface", text: String::new(), encoding: "" };
+        channels.add(ARM, "trabecula.mesh", schema, Policy::Newest);
         channels
     }
 

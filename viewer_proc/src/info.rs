@@ -1,10 +1,14 @@
 //! Content of `/view/info`: the scene as the page needs it.
 
+use ipc_types::messages::{ARM_JOINTS, Pose};
 use ipc_types::scene::{Holder, Scene, planned_path_in_bone_mm};
 use serde_json::{Value, json};
 use voxel_grid::slice::ANATOMICAL;
 
+use crate::board::Board;
+use crate::channels::ARM;
 use crate::slice::{DRILLED, MOST_PIXELS, OUTSIDE};
+use crate::surface::BlockMesh;
 
 /// The viewer's controller name in a scene.
 pub const CONTROLLER: &str = "viewer";
@@ -22,6 +26,28 @@ pub struct ToolShape {
     pub burr_radius_m: f64,
     /// What joins the tool to the arm.
     pub holder: Holder,
+    /// Parts of the arm between its joints: frame i + 1 in frame i while joint i + 1 is at zero; it turns about z of frame i, and frame 6 is
+    /// the flange. `None`: there is no arm.
+    pub arm_parts: Option<[Pose; ARM_JOINTS]>,
+}
+
+/// The arm's links that have a mesh; the others are drawn as tubes.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ArmLooks {
+    /// A mesh a link, its block the frame that it moves with: 0, the arm's base, to 6, the flange.
+    pub meshes: Vec<BlockMesh>,
+    /// What the user should know: why some are missing.
+    pub notes: Vec<String>,
+}
+
+impl ArmLooks {
+    /// Hands the meshes to all clients, now and later.
+    pub(crate) fn publish(&self, board: &Board) {
+        for mesh in &self.meshes {
+            board.publish(ARM, board.time_ns(), mesh.block, mesh.bytes());
+        }
+        self.notes.iter().for_each(|note| board.notice("warning", note));
+    }
 }
 
 /// A volume's bounding box in the patient frame, and its voxel spacing.
@@ -56,7 +82,10 @@ pub fn info(scene: &Scene, origin: &Origin, tool: &ToolShape, volume: Option<&Vo
     let mut value = json!({
         "kind": kind,
         "scene": scene_part(scene),
-        "tool": tool_part(tool),
+        "tool": tool_part(scene, tool),
+        "arm": tool.arm_parts.map(|parts| json!({"parts": parts.map(|part| {
+            json!({"position_m": part.position_m, "orientation_xyzw": part.orientation_xyzw})
+        })})),
         "volume": volume.map(|v| json!({"min_m": v.min_m, "max_m": v.max_m, "spacing_m": v.spacing_m})),
         "slices": scene.volume.as_ref().map(|_| slice_planes(scene)),
         "controllers": scene.controller_names(),
@@ -119,7 +148,8 @@ pub(crate) fn unit(vector: [f64; 3]) -> [f64; 3] {
     if length > 0.0 { vector.map(|x| x / length) } else { vector }
 }
 
-fn tool_part(tool: &ToolShape) -> Value {
+fn tool_part(scene: &Scene, tool: &ToolShape) -> Value {
+    let from_flange_m = scene.arm.tool_position_mm.iter().map(|x| metres(*x).powi(2)).sum::<f64>().sqrt();
     let ends = tool
         .joint_positions_m
         .iter()
@@ -136,6 +166,8 @@ fn tool_part(tool: &ToolShape) -> Value {
         "links": links,
         "burr_radius_m": tool.burr_radius_m,
         "shaft": {"length_m": tool.joint_positions_m.first(), "radius_m": tool.outer_radius_m},
-        "holder": {"length_m": tool.holder.length_m, "radius_m": tool.holder.radius_m},
+        "holder": tool.holder.reach_m(from_flange_m).map(|length_m| {
+            json!({"length_m": length_m, "radius_m": tool.holder.radius_m})
+        }),
     })
 }

@@ -24,7 +24,7 @@
 //! | [`live`] | a running session: messages, run control, driving |
 //! | [`log`] | logs on a time line |
 //! | [`plan`] | a scene before its run: shown, changed, saved, started |
-//! | [`surface`] | the bone's surface, block by block |
+//! | [`surface`] | the bone's surface, block by block; links of the arm |
 //! | [`mod@slice`] | planes through the CT, on request |
 //! | [`server`], [`protocol`], [`services`] | HTTP, WebSocket, the requests of clients |
 //! | [`board`], [`channels`] | what clients subscribe to; [`hub::viewer`] decides what each of them gets |
@@ -47,5 +47,5 @@ pub mod slice;
 pub mod surface;
 
 pub use error::ViewerError;
-pub use info::ToolShape;
+pub use info::{ArmLooks, ToolShape};
 pub use server::ServerOptions;

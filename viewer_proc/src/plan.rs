@@ -22,7 +22,7 @@ use zerocopy::IntoBytes;
 use crate::board::Board;
 use crate::channels::{Channels, INFO};
 use crate::error::ViewerError;
-use crate::info::{Origin, ToolShape, info};
+use crate::info::{ArmLooks, Origin, ToolShape, info};
 use crate::live::CALL_QUEUE;
 use crate::server::{Door, Server};
 use crate::services::{Call, Calls, Places, PlanRequest, Reply, Request};
@@ -106,7 +106,7 @@ enum News {
 /// The server cannot be started.
 pub fn view(
     path: &Path,
-    (first, volume): (Planned, Option<(VoxelGrid, &[i16])>),
+    (first, looks, volume): (Planned, ArmLooks, Option<(VoxelGrid, &[i16])>),
     mut planner: impl Planner,
     door: &Door,
     ready: impl FnOnce(),
@@ -123,6 +123,7 @@ pub fn view(
     let mut shown = Shown { board, origin: Origin::Plan(name), bone, predrilled: HashSet::new() };
     first.findings.iter().for_each(|text| shown.board.notice("warning", text));
     shown.take(&first);
+    looks.publish(&shown.board);
     ready();
     let (asked, asking) = mpsc::sync_channel(PLAN_QUEUE);
     let (tell, told) = mpsc::channel();

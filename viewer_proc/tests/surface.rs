@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use viewer_proc::surface::{BlockMesh, Blocks, Field, Voxel};
+use viewer_proc::surface::{BlockMesh, Blocks, Field, Voxel, link_mesh};
 use voxel_grid::VoxelGrid;
 
 const THRESHOLD_HU: i16 = 150;
@@ -196,4 +196,20 @@ fn a_mesh_is_written_as_the_contract_says() {
         }
     }
     assert_eq!(word(normals + 4 * n), mesh.indices[0]);
+}
+
+#[test]
+fn corners_are_where_they_were_to_a_step_and_facets_look_outward() {
+    // Two facets of a cuboid that share an edge, and a triangle without area.
+    let [a, b, c, d] = [[-0.1, 0.0, 0.2], [0.5, 0.0, 0.2], [0.5, 0.3, 0.2], [0.5, 0.3, -0.4]];
+    let mesh = link_mesh(4, &[[a, b, c], [b, d, c], [a, a, b]]);
+    assert_eq!((mesh.block, mesh.indices.len(), mesh.positions.len()), (4, 6, 6));
+    let step_m = 0.6 / 65_534.0;
+    for (index, corner) in mesh.indices.iter().zip([a, b, c, b, d, c]) {
+        let place = mesh.vertex_m(*index);
+        let off = (0..3).map(|axis| (place[axis] - corner[axis]).abs()).fold(0.0, f64::max);
+        assert!(off <= 0.5 * step_m + 1e-12, "{off} m");
+    }
+    assert_eq!((mesh.normals[0], mesh.normals[3]), ([0, 0, 127], [127, 0, 0]));
+    assert!(link_mesh(0, &[]).indices.is_empty());
 }

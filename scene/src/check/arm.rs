@@ -8,12 +8,20 @@ use crate::model::{Arm, ArmJoint, ArmModel};
 /// Joints that turn. The messages have room for so many, and a tool is placed and turned freely by no fewer.
 pub(crate) const TURNING: usize = 6;
 
+/// Least factor of a mesh, m for a unit of its file: micrometres.
+const LEAST_SCALE: f64 = 1e-6;
+
 pub(super) fn check(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
     for (key, given) in [("arm.base_link", &arm.base_link), ("arm.tip_link", &arm.tip_link)] {
         if given.is_some() {
             return Err(checker.invalid(key, "names a link of a URDF file; expected `arm.urdf` beside it"));
         }
     }
+    if arm.meshes.is_some() {
+        let problem = "is about the meshes of a URDF file; expected `arm.urdf` beside it";
+        return Err(checker.invalid("arm.meshes", problem));
+    }
+    check_meshes(arm, checker)?;
     if arm.model == Some(ArmModel::Fixed) {
         check_fixed(arm, checker)?;
     }
@@ -55,6 +63,30 @@ fn check_fixed(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
         Some((key, _)) => Err(checker.invalid(key, "is for an arm that moves; `arm.model` is \"fixed\"")),
         None => Ok(()),
     }
+}
+
+/// Each mesh moves with a joint that is there, and has an extent.
+fn check_meshes(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
+    let Some(meshes) = &arm.mesh else { return Ok(()) };
+    let Some(joints) = &arm.joint else {
+        let problem = "stands without `arm.joint`; expected the joints with which the meshes move";
+        return Err(checker.invalid("arm.mesh", problem));
+    };
+    for mesh in meshes {
+        if let Some(name) = &mesh.joint
+            && !joints.iter().any(|joint| joint.name == *name)
+        {
+            let name = foreign_text::foreign(name);
+            let problem = format!("is `{name}`, expected the name of an `arm.joint`, or none for the base");
+            return Err(checker.invalid("arm.mesh.joint", problem));
+        }
+        if mesh.scale.iter().any(|factor| factor.abs() < LEAST_SCALE) {
+            let problem =
+                format!("is {:?}, expected numbers of {LEAST_SCALE} or more, or below 0", mesh.scale);
+            return Err(checker.invalid("arm.mesh.scale", problem));
+        }
+    }
+    Ok(())
 }
 
 /// The ends of the ranges of an arm that the scene describes.

@@ -22,6 +22,10 @@ pub struct Arm {
     /// Link of the URDF file that is the flange, +z along the tool. Absent: the one link on which no other hangs.
     #[schemars(extend("x-absent" = "none"))]
     pub tip_link: Option<String>,
+    /// Whether the arm is drawn with the meshes of the URDF file; absent: yes. `false`: tubes between its joints, and no mesh has to be
+    /// there.
+    #[schemars(extend("x-absent" = "true"))]
+    pub meshes: Option<bool>,
     /// Fastest motion of the tool's base on a path.
     #[schemars(range(min = 0.01, max = 1000.0))]
     pub max_speed_mm_per_s: f64,
@@ -81,7 +85,13 @@ pub struct Arm {
     /// The joints of another serial arm, from base to flange, as `urdf` makes them; in place of `model`. Six of them turn.
     #[schemars(length(max = 64), extend("x-absent" = "none"))]
     pub joint: Option<Vec<ArmJoint>>,
+    /// Meshes that the arm is drawn with, as `urdf` finds them; links without one are drawn as tubes. Only the looks of the arm.
+    #[schemars(length(max = MOST_MESHES), extend("x-absent" = "none"))]
+    pub mesh: Option<Vec<ArmMesh>>,
 }
+
+/// Mesh files of an arm, at most.
+pub const MOST_MESHES: usize = 256;
 
 impl Default for Arm {
     fn default() -> Self {
@@ -90,6 +100,7 @@ impl Default for Arm {
             urdf: None,
             base_link: None,
             tip_link: None,
+            meshes: None,
             max_speed_mm_per_s: 50.0,
             max_acceleration_mm_per_s2: 200.0,
             max_jerk_mm_per_s3: 2000.0,
@@ -109,6 +120,7 @@ impl Default for Arm {
             max_force_n: None,
             compliance: None,
             joint: None,
+            mesh: None,
         }
     }
 }
@@ -162,6 +174,36 @@ pub struct ArmJoint {
     /// Fastest turn of a joint that turns.
     #[schemars(range(min = 0.01, max = 3600.0))]
     pub max_speed_deg_per_s: Option<f64>,
+}
+
+/// A mesh that a link of the arm is drawn with.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ArmMesh {
+    /// Joint of `[[arm.joint]]` with which it moves; absent: it stands with the arm's base.
+    #[schemars(extend("x-absent" = "none"))]
+    pub joint: Option<String>,
+    /// Mesh file, from the scene file's folder: STL or OBJ. Another kind, such as COLLADA, is not drawn, and a warning says so.
+    #[schemars(extend("x-kind" = "path"))]
+    pub file: PathBuf,
+    /// Place of the mesh's frame in that of the joint, or in the arm's base.
+    #[serde(default)]
+    #[schemars(inner(range(min = -10000.0, max = 10000.0)))]
+    pub position_mm: [f64; 3],
+    /// Orientation of the mesh's frame there: turns about the fixed axes x, y and z, in this order (URDF's roll, pitch, yaw).
+    #[serde(default)]
+    #[schemars(inner(range(min = -720.0, max = 720.0)))]
+    pub roll_pitch_yaw_deg: [f64; 3],
+    /// Metres for a unit of the file, along each axis of the mesh's frame: 0.001 for a file in millimetres; below 0 it is mirrored.
+    #[serde(default = "ArmMesh::default_scale")]
+    #[schemars(inner(range(min = -1000.0, max = 1000.0)))]
+    pub scale: [f64; 3],
+}
+
+impl ArmMesh {
+    fn default_scale() -> [f64; 3] {
+        [1.0; 3]
+    }
 }
 
 /// A spring and a damper in each joint of the arm.

@@ -66,6 +66,16 @@ impl ArmGeometry {
         }
     }
 
+    /// The parts of the chain that do not turn: frame i is frame i - 1 turned about its z by joint i, then moved by part i; part 0 places
+    /// frame 0 in the arm's base. For an arm of Universal Robots the identity, then `Tz(d_i) Tx(a_i) Rx(alpha_i)`.
+    pub fn fixed_parts(&self) -> [Isometry3<f64>; 7] {
+        let straight = self.frames(&[0.0; 6]);
+        std::array::from_fn(|index| match index {
+            0 => straight.t_base_link(0),
+            _ => straight.t_base_link(index - 1).inverse() * straight.t_base_link(index),
+        })
+    }
+
     /// `T_base_tool`: pose of the tool's base in the arm's base frame; without a tool transform, of the flange.
     pub fn forward(&self, q_rad: &Joints) -> Isometry3<f64> {
         self.frames(q_rad).t_base_link(6)

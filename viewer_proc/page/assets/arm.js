@@ -1,37 +1,23 @@
-// Where the arm's joints are: the UR5's Denavit-Hartenberg frames, walked back from its flange.
+// Where the arm's joints are: its frames, walked back from its flange.
 
-import { add, rotate } from "/assets/vector.js";
+import { product, rotate, subtract } from "/assets/vector.js";
 
 /** @typedef {import("/assets/vector.js").Pose} Pose */
-/** @typedef {import("/assets/vector.js").Quaternion} Quaternion */
-
-/** Length a and offset d in metres, twist alpha in radians, joint by joint (Universal Robots, "DH parameters", UR5). */
-const JOINTS = [
-  { a: 0, d: 0.089159, alpha: Math.PI / 2 }, { a: -0.425, d: 0, alpha: 0 }, { a: -0.39225, d: 0, alpha: 0 },
-  { a: 0, d: 0.10915, alpha: Math.PI / 2 }, { a: 0, d: 0.09465, alpha: -Math.PI / 2 }, { a: 0, d: 0.0823, alpha: 0 },
-];
-
-/** @param {Quaternion} a @param {Quaternion} b @returns {Quaternion} */
-function product([ax, ay, az, aw], [bx, by, bz, bw]) {
-  return [
-    aw * bx + ax * bw + ay * bz - az * by, aw * by - ax * bz + ay * bw + az * bx,
-    aw * bz + ax * by - ay * bx + az * bw, aw * bw - ax * bx - ay * by - az * bz,
-  ];
-}
+/** @typedef {{position_m: import("/assets/vector.js").Vector, orientation_xyzw: import("/assets/vector.js").Quaternion}} Part */
 
 /**
- * Poses of the arm's base and of the frames behind its joints but the last, whose frame is the flange.
- * @param {Pose} flange @param {number[]} angles joint angles in radians @returns {Pose[]}
+ * Frames of the arm's links, from that of its base to the one before the flange; none where there is no arm. Frame i + 1 is frame i
+ * turned about its z by joint i + 1, then moved by part i.
+ * @param {Pose} flange @param {number[]} angles joint angles in radians @param {Part[]} parts of `/view/info` @returns {Pose[]}
  */
-export function armFrames(flange, angles) {
+export function armFrames(flange, angles, parts) {
   const frames = [];
   let pose = flange;
-  for (let i = JOINTS.length - 1; i >= 0; i--) {
-    const { a, d, alpha } = JOINTS[i];
-    // Backwards through Rz(theta) Tz(d) Tx(a) Rx(alpha).
-    const untwisted = product(pose.rotation, [Math.sin(-alpha / 2), 0, 0, Math.cos(alpha / 2)]);
-    const moved = add(pose.position, rotate(untwisted, [-a, 0, -d]));
-    pose = { position: moved, rotation: product(untwisted, [0, 0, Math.sin(-angles[i] / 2), Math.cos(angles[i] / 2)]) };
+  for (let i = parts.length - 1; i >= 0; i--) {
+    const [x, y, z, w] = parts[i].orientation_xyzw;
+    const turned = product(pose.rotation, [-x, -y, -z, w]);
+    const position = subtract(pose.position, rotate(turned, parts[i].position_m));
+    pose = { position, rotation: product(turned, [0, 0, Math.sin(-angles[i] / 2), Math.cos(angles[i] / 2)]) };
     frames.unshift(pose);
   }
   return frames;

@@ -251,6 +251,7 @@ connection.on("/event", (...message) => {
 });
 connection.on("/view/info", takeInfo);
 connection.on("/view/surface", (data) => (page.view?.surface.update(data), changed("scene")));
+connection.on("/view/arm", (data) => (page.view?.arm.update(data), changed("scene")));
 connection.on("/view/parts", (data) => showParts(json(data)));
 connection.on("/view/playback", takePlayback);
 connection.on("/view/notice", (data) => takeNotice(json(data)));
@@ -262,6 +263,7 @@ connection.addEventListener("open", () => {
   model.hasEnded = false;
   page.plots.clear();
   page.view?.surface.clear();
+  page.view?.arm.clear();
   page.asked = 0;
   page.xRay.hold(undefined);
   said = undefined;

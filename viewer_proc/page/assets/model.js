@@ -40,11 +40,14 @@ function stateReaders(layout) {
   };
 }
 
-/** Where arm and tool are in a state. @returns {import("/assets/tool_model.js").Poses} */
-function posesOf(read, state) {
+/**
+ * Where arm and tool are in a state.
+ * @param {any} info of `/view/info` @returns {import("/assets/tool_model.js").Poses}
+ */
+function posesOf(read, state, info) {
   const flange = readPose(read.flange, state);
   const links = read.links.slice(0, read.linkCount(state)).map((at) => readPose(at, state));
-  const arm = armFrames(flange, read.armAngles.map((f) => f(state)));
+  const arm = armFrames(flange, read.armAngles.map((f) => f(state)), info?.arm?.parts ?? []);
   return { arm, flange, base: readPose(read.base, state), links, burr: readPose(read.burrPose, state) };
 }
 
@@ -90,7 +93,7 @@ export class Model {
   }
 
   get poses() {
-    return this.state && posesOf(this.stateRead, this.state);
+    return this.state && posesOf(this.stateRead, this.state, this.info);
   }
 
   /** Centre of the burr. @returns {import("/assets/vector.js").Vector | undefined} */
@@ -101,12 +104,12 @@ export class Model {
   /** Where the tool was at a tick, or at one that is no more than so many away. @param {number} tick @param {number} most */
   posesAt(tick, most) {
     const state = this.frameStates.near(tick, most);
-    return state && posesOf(this.stateRead, state);
+    return state && posesOf(this.stateRead, state, this.info);
   }
 
   /** The second log's. */
   get second() {
-    return this.secondState && posesOf(this.stateRead, this.secondState);
+    return this.secondState && posesOf(this.stateRead, this.secondState, this.info);
   }
 
   get bodies() {

@@ -9,6 +9,7 @@ import { PART_FRAGMENT, PART_VERTEX, SURFACE_FRAGMENT, SURFACE_VERTEX } from "/a
 import { cone, cube, cylinder, sphere } from "/assets/shapes.js";
 import { Surface } from "/assets/surface.js";
 import { COLOURS, addArm, addBodies, addContacts, addTool, bendingPlane } from "/assets/tool_model.js";
+import { transform } from "/assets/vector.js";
 
 /** How the bone is shown. */
 export const BONE_MODES = ["section", "glass", "solid", "hidden"];
@@ -41,6 +42,8 @@ export class SceneView {
     this.camera = new Camera(changed);
     this.camera.listen(canvas);
     this.surface = new Surface(gl);
+    /** Links of the arm that have a mesh, by the frame that they move with. */
+    this.arm = new Surface(gl);
     this.parts = program(gl, PART_VERTEX, PART_FRAGMENT);
     this.bone = program(gl, SURFACE_VERTEX, SURFACE_FRAGMENT);
     const shapes = { cylinder: cylinder(), cone: cone(), sphere: sphere(), cube: cube() };
@@ -131,17 +134,34 @@ export class SceneView {
   #drawTranslucent({ info, poses, second }, clipFromWorld) {
     const { gl } = this;
     const list = new PartsList();
-    if (poses) addArm(list, poses);
+    if (poses) addArm(list, poses, this.arm.blocks);
     addPlannedTool(list, info);
     if (second && info?.tool) addTool(list, second, info.tool, COLOURS.second);
     gl.colorMask(false, false, false, false);
     this.#drawParts(list, clipFromWorld);
+    this.#drawLinks(poses);
     gl.colorMask(true, true, true, true);
     gl.depthFunc(gl.LEQUAL);
     gl.enable(gl.BLEND);
     this.#drawParts(list, clipFromWorld, poses);
+    this.#drawLinks(poses);
     gl.disable(gl.BLEND);
     gl.depthFunc(gl.LESS);
+  }
+
+  /** The arm's meshes, by the program of the parts that is in use: what differs from instance to instance is the same for a whole link. */
+  #drawLinks(poses) {
+    if (!poses || poses.arm.length === 0) return;
+    const { gl } = this;
+    const frames = [...poses.arm, poses.flange];
+    for (const [link, { vertexArray, indexCount, origin, scale }] of this.arm.blocks) {
+      gl.bindVertexArray(vertexArray);
+      gl.vertexAttrib3fv(2, transform(frames[link], origin));
+      gl.vertexAttrib4fv(3, frames[link].rotation);
+      gl.vertexAttrib3f(4, scale, scale, scale);
+      gl.vertexAttrib4fv(5, COLOURS.arm);
+      gl.drawElements(gl.TRIANGLES, indexCount, gl.UNSIGNED_INT, 0);
+    }
   }
 
   /** The place of bone or burr under a place of the picture, else the one nearest to the cross-hair. @param {number} x @param {number} y pixels of the page */

@@ -216,11 +216,12 @@ export class SliceTile {
     context.drawImage(this.picture, x - w / 2, y - h / 2, w, h);
   }
 
-  /** Outlines of what the plane cuts of shaft and links together, and of the burr. */
+  /** Outlines of what the plane cuts of the holder, of shaft and links together, and of the burr. */
   #drawTool({ context, plane, ratio, scaleBy, width, height }, poses, tool) {
     const cylinders = [{ from: poses.base.position, to: transform(poses.base, [0, 0, tool.shaft?.length_m ?? 0]), radius: tool.shaft?.radius_m ?? 0.003 }];
     const front = holderFront(poses, tool);
     if (front) cylinders.push({ from: front, to: poses.base.position, radius: tool.shaft?.radius_m ?? 0.003 });
+    const holder = front ? cutCylinder(plane, poses.flange.position, front, tool.holder.radius_m) : [];
     poses.links.forEach((pose, i) => {
       const link = tool.links?.[i];
       if (link) cylinders.push({ from: pose.position, to: transform(pose, [0, 0, link.length_m]), radius: link.outer_radius_m });
@@ -236,6 +237,7 @@ export class SliceTile {
       // A ball at the joint closes the gap that a bend opens.
       return [...(corners.length > 0 ? [polygon(corners.map(pixels))] : []), ...ball(from, radius)];
     });
+    if (holder.length > 0) this.#outline(context, [polygon(holder.map(pixels))], css(COLOURS.shaft), ratio);
     this.#outline(context, body, css(COLOURS.linkOdd), ratio);
     this.#outline(context, ball(poses.burr.position, tool.burr_radius_m ?? 0.003), css(COLOURS.burr), ratio);
   }

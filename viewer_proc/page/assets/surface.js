@@ -1,4 +1,4 @@
-// The bone's surface: one mesh for each block of the volume, replaced when its bone was drilled.
+// Surfaces in pieces: the bone's, one mesh for each block of the volume, replaced when its bone was drilled; the arm's, one for each link.
 
 const MAGIC = 0x48534d54;
 const VERSION = 1;

@@ -55,7 +55,7 @@ export function addTool(list, poses, tool, one) {
   list.cylinder(poses.base.position, end, shaft.radius_m, one ?? COLOURS.shaft);
   const front = holderFront(poses, tool);
   if (front) {
-    list.cylinder(poses.flange.position, front, tool.holder?.radius_m ?? 0.02, one ?? COLOURS.holder);
+    list.cylinder(poses.flange.position, front, tool.holder.radius_m, one ?? COLOURS.holder);
     list.cylinder(front, poses.base.position, shaft.radius_m, one ?? COLOURS.shaft);
     list.sphere(poses.base.position, shaft.radius_m, one ?? COLOURS.shaft);
   }
@@ -69,19 +69,23 @@ export function addTool(list, poses, tool, one) {
   list.sphere(poses.burr.position, burrRadius, one ?? COLOURS.burr);
 }
 
-/** The arm as tubes between its frames. @param {PartsList} list @param {Poses} poses */
-export function addArm(list, poses) {
+/**
+ * The arm as tubes between its frames, but for links that have a mesh: link i ends at frame i.
+ * @param {PartsList} list @param {Poses} poses @param {{has: (link: number) => boolean}} meshed
+ */
+export function addArm(list, poses, meshed) {
   const points = [...poses.arm.map((pose) => pose.position), poses.flange.position];
   for (let i = 1; i < points.length; i++) {
+    if (meshed.has(i)) continue;
     list.capsule(points[i - 1], points[i], ARM_RADII_M[Math.min(i - 1, ARM_RADII_M.length - 1)], COLOURS.arm);
   }
 }
 
-/** Where the holder on the flange ends and the bare shaft begins; undefined if the tool's base is on the flange. As `Holder::front_m`. @param {Poses} poses @param {object} tool */
+/** Where the holder on the flange ends and the bare shaft begins; undefined if the tool's base is on the flange. @param {Poses} poses @param {any} tool of `/view/info` */
 export function holderFront(poses, tool) {
+  if (!tool.holder) return undefined;
   const way = subtract(poses.base.position, poses.flange.position);
-  const share = Math.min(1, (tool.holder?.length_m ?? 0) / length(way));
-  return length(way) > 0.005 ? add(poses.flange.position, scale(way, share)) : undefined;
+  return add(poses.flange.position, scale(way, tool.holder.length_m / length(way)));
 }
 
 /** @param {PartsList} list @param {{point: import("/assets/vector.js").Vector, force: import("/assets/vector.js").Vector}[]} contacts force on the tool in newtons */

@@ -26,6 +26,14 @@ export function rotate(q, v) {
   return add(add(v, scale(t, w)), cross([x, y, z], t));
 }
 
+/** First b, then a. @param {Quaternion} a @param {Quaternion} b @returns {Quaternion} */
+export function product([ax, ay, az, aw], [bx, by, bz, bw]) {
+  return [
+    aw * bx + ax * bw + ay * bz - az * by, aw * by - ax * bz + ay * bw + az * bx,
+    aw * bz + ax * by - ay * bx + az * bw, aw * bw - ax * bx - ay * by - az * bz,
+  ];
+}
+
 /** Where a point of the child frame lies in the parent frame. @param {Pose} pose @param {Vector} point */
 export const transform = (pose, point) => add(pose.position, rotate(pose.rotation, point));
 

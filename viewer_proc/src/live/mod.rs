@@ -22,7 +22,7 @@ use run_log::EndReason;
 use crate::board::Board;
 use crate::channels::{Channels, INFO};
 use crate::error::ViewerError;
-use crate::info::{Origin, ToolShape, info};
+use crate::info::{ArmLooks, Origin, ToolShape, info};
 use crate::server::{Door, Server};
 use crate::services::{Call, Calls, Request};
 use crate::slice::NO_VOLUME;
@@ -42,15 +42,15 @@ const ALIVE_LOOK: Duration = Duration::from_millis(200);
 const LOG_LIMIT: Duration = Duration::from_secs(130);
 const HUB_DIED: &str = "the hub has died: its launcher is gone, and the run with it";
 
-/// Watches the session in a folder until it ends or the process is asked to end. Calls `tool` for the tool's shape, and `ready` when pages can
-/// be opened. Returns the log of the run, whole, if the run came to its end, was recorded, and somebody is still watching.
+/// Watches the session in a folder until it ends or the process is asked to end. Calls `shapes` for those of tool and arm, and `ready` when
+/// pages can be opened. Returns the log of the run, whole, if the run came to its end, was recorded, and somebody is still watching.
 ///
 /// # Errors
 /// The session cannot be joined.
 pub fn view(
     folder: &Path,
     door: &Door,
-    tool: impl FnOnce(&Scene) -> ToolShape,
+    shapes: impl FnOnce(&Scene) -> (ToolShape, ArmLooks),
     ready: impl FnOnce(),
     end: &EndRequest,
 ) -> Result<Option<PathBuf>, ViewerError> {
@@ -63,9 +63,10 @@ pub fn view(
     let over = Arc::new(AtomicBool::new(false));
     let name = folder.display().to_string();
     let server = Server::behind(door, &name, Arc::clone(&board), calls, Arc::clone(&over))?;
-    let tool = tool(&scene);
+    let (tool, looks) = shapes(&scene);
     let origin = Origin::Live(name);
     board.publish_json(INFO, &info(&scene, &origin, &tool, None));
+    looks.publish(&board);
     let subscriptions = Subscriptions::open(&session, &scene, &tool)?;
     let slices = if let Some(volume) = &scene.volume {
         let (slices, asked) = mpsc::sync_channel(CALL_QUEUE);

@@ -26,7 +26,7 @@ use run_log::{LogHeader, MessageStream, ReadOptions};
 use crate::board::Board;
 use crate::channels::{Channels, INFO};
 use crate::error::ViewerError;
-use crate::info::{Origin, ToolShape, info};
+use crate::info::{ArmLooks, Origin, ToolShape, info};
 use crate::live::CALL_QUEUE;
 use crate::scene_update::Drawer;
 use crate::server::{Door, Server};
@@ -54,8 +54,8 @@ pub type VolumeSource<'a> = dyn Fn(&Scene) -> Result<Option<LogVolume>, String> 
 
 /// What only the command line program knows about a scene.
 pub struct SceneHelp<'a> {
-    /// The tool's shape.
-    pub tool: &'a dyn Fn(&Scene) -> ToolShape,
+    /// The shapes of tool and arm.
+    pub shapes: &'a dyn Fn(&Scene) -> (ToolShape, ArmLooks),
     /// The volume, or why there is none to show.
     pub volume: &'a VolumeSource<'a>,
 }
@@ -121,9 +121,10 @@ pub fn view(
     let readers: Vec<Reader> = core::iter::once(first.reader(&over, Some(found.clone())))
         .chain(second.as_ref().map(|second| second.reader(&over, None)))
         .collect();
-    let tool = (help.tool)(&scene);
+    let (tool, looks) = (help.shapes)(&scene);
     let origin = Origin::Log(name);
     board.publish_json(INFO, &info(&scene, &origin, &tool, None));
+    looks.publish(&board);
     let both = second.as_ref().map(|second| (first.path.clone(), second.path.clone()));
     let header = first.header.clone();
     let logs: Logs = Arc::new((first.shown, second.map(|second| second.shown)));

@@ -7,9 +7,11 @@
 
 pub mod bone;
 pub mod field;
+pub mod link;
 pub mod mesh;
 pub mod nets;
 
 pub use field::{Field, Voxel};
+pub use link::link_mesh;
 pub use mesh::BlockMesh;
 pub use nets::{BLOCK, Blocks};

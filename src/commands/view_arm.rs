@@ -1,0 +1,79 @@
+//! The arm as the page draws it.
+
+use inputs::arm_meshes::{self, ArmMeshError, LoadedMesh};
+use ipc_types::messages::{ARM_JOINTS, Pose};
+use ipc_types::scene::{Arm, ArmMesh, Scene};
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use simulation::arm::{ArmGeometry, ArmParameters};
+use viewer_proc::ArmLooks;
+use viewer_proc::surface::link_mesh;
+
+/// The arm of a scene without its tool: frame 6 is the flange.
+fn geometry(scene: &Scene) -> ArmGeometry {
+    ArmParameters::of(&scene.arm, scene.dt_s()).geometry.with_tool(None)
+}
+
+/// The parts of the arm between its joints, as `ToolShape::arm_parts` has them.
+pub fn arm_parts(scene: &Scene) -> Option<[Pose; ARM_JOINTS]> {
+    let geometry = geometry(scene);
+    let parts = geometry.fixed_parts();
+    geometry.moves().then(|| std::array::from_fn(|index| pose(&parts[index + 1])))
+}
+
+/// The links of a scene's arm that have meshes.
+///
+/// # Errors
+/// A mesh file is not there, or is broken.
+pub fn arm_looks(scene: &Scene) -> Result<ArmLooks, ArmMeshError> {
+    let loaded = arm_meshes::load(&scene.arm)?;
+    let geometry = geometry(scene);
+    let mut links = vec![Vec::new(); ARM_JOINTS + 1];
+    for LoadedMesh { mesh, triangles } in &loaded {
+        let (frame, t_frame_mesh) = placed(&scene.arm, mesh, &geometry);
+        let place = |corner: &[f32; 3]| -> [f64; 3] {
+            let at: [f64; 3] = std::array::from_fn(|axis| f64::from(corner[axis]) * mesh.scale[axis]);
+            (t_frame_mesh * Point3::from(at)).into()
+        };
+        // A mirrored triangle is seen from its other side.
+        let is_mirrored = mesh.scale.iter().product::<f64>() < 0.0;
+        links[frame].extend(triangles.iter().map(|[a, b, c]| match is_mirrored {
+            true => [a, c, b].map(place),
+            false => [a, b, c].map(place),
+        }));
+    }
+    let meshed = links.iter().zip(0..).filter(|(triangles, _)| !triangles.is_empty());
+    Ok(ArmLooks {
+        meshes: meshed.map(|(triangles, frame)| link_mesh(frame, triangles)).collect(),
+        notes: arm_meshes::undrawn(&scene.arm),
+    })
+}
+
+/// The frame that a mesh moves with, 0 to 6, and the mesh's frame in it. A link behind k joints that turn moves with frame k, whatever
+/// joints that stand still are between.
+fn placed(arm: &Arm, mesh: &ArmMesh, geometry: &ArmGeometry) -> (usize, Isometry3<f64>) {
+    let joints = arm.joint.as_deref().unwrap_or_default();
+    let named = mesh.joint.as_ref().and_then(|name| joints.iter().position(|joint| joint.name == *name));
+    let before = &joints[..named.map_or(0, |index| index + 1)];
+    let t_base_link = before.iter().fold(Isometry3::identity(), |t_base_link, joint| {
+        t_base_link * isometry(joint.position_mm, joint.roll_pitch_yaw_deg)
+    });
+    let frame = before.iter().filter(|joint| joint.axis.is_some()).count().min(ARM_JOINTS);
+    let t_base_frame = geometry.frames(&[0.0; ARM_JOINTS]).t_base_link(frame);
+    let t_link_mesh = isometry(mesh.position_mm, mesh.roll_pitch_yaw_deg);
+    (frame, t_base_frame.inverse() * t_base_link * t_link_mesh)
+}
+
+/// Turns about the fixed axes x, y and z, in this order, as URDF has them.
+fn isometry(position_mm: [f64; 3], roll_pitch_yaw_deg: [f64; 3]) -> Isometry3<f64> {
+    let [roll, pitch, yaw] = roll_pitch_yaw_deg.map(f64::to_radians);
+    let translation = Translation3::from(Vector3::from(position_mm) * 1e-3);
+    Isometry3::from_parts(translation, UnitQuaternion::from_euler_angles(roll, pitch, yaw))
+}
+
+fn pose(isometry: &Isometry3<f64>) -> Pose {
+    let rotation = isometry.rotation;
+    Pose {
+        position_m: isometry.translation.vector.into(),
+        orientation_xyzw: [rotation.i, rotation.j, rotation.k, rotation.w],
+    }
+}
