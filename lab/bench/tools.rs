@@ -8,8 +8,8 @@ use std::time::Instant;
 use nalgebra::{Isometry3, Vector3};
 use serde_json::{Value, json};
 use simulation::manipulator::{
-    AnyManipulator, BaseMotion, MAX_TENDONS, ManipulatorModel, ManipulatorParameters, Rung, StepInput,
-    TendonCommand, Wrench,
+    AnyManipulator, BaseMotion, MAX_TENDONS, ManipulatorError, ManipulatorModel, ManipulatorParameters, Rung,
+    StepInput, StepReport, TendonCommand, Wrench,
 };
 use trabecula::failure::Failure;
 use trabecula::tool::response::built;
@@ -107,7 +107,7 @@ fn counted_step(
     tool: &mut AnyManipulator,
     dt_s: f64,
     input: &StepInput<'_>,
-) -> Result<(), simulation::manipulator::ManipulatorError> {
+) -> Result<StepReport, ManipulatorError> {
     tool.step(dt_s, input)
 }
 
