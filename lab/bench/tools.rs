@@ -63,7 +63,7 @@ impl Cell {
         let across_n = ACROSS * across_of_a_radian_n(&self.parameters);
         let mut took_ns = Vec::with_capacity(STEPS);
         for step in 0..WARM_UP + STEPS {
-            let is_loaded = (step as f64 * dt_s / PERIOD_S) as usize % 2 == 0;
+            let is_loaded = ((step as f64 * dt_s / PERIOD_S) as usize).is_multiple_of(2);
             let input = input(if is_loaded { 1.0 } else { 0.0 }, across_n);
             let began = Instant::now();
             let done =
