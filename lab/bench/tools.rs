@@ -8,8 +8,8 @@ use std::time::Instant;
 use nalgebra::{Isometry3, Vector3};
 use serde_json::{Value, json};
 use simulation::manipulator::{
-    AnyManipulator, BaseMotion, MAX_TENDONS, ManipulatorModel, ManipulatorParameters, Rung, StepInput,
-    TendonCommand, Wrench,
+    AnyManipulator, BaseMotion, MAX_TENDONS, ManipulatorError, ManipulatorModel, ManipulatorParameters, Rung,
+    StepInput, StepReport, TendonCommand, Wrench,
 };
 use trabecula::failure::Failure;
 use trabecula::tool::response::built;
@@ -56,25 +56,25 @@ impl Cell {
         }
     }
 
-    /// Steps the tool from rest; the mean time of a measured step, ns.
+    /// Steps the tool from rest; the median time of a measured step, ns.
     fn play(&self) -> Result<f64, String> {
         let mut tool = built(self.rung, &self.parameters)?;
         let dt_s = self.dt_ms * 1e-3;
         let across_n = ACROSS * across_of_a_radian_n(&self.parameters);
-        let mut took_ns = 0.0;
+        let mut took_ns = Vec::with_capacity(STEPS);
         for step in 0..WARM_UP + STEPS {
-            let is_loaded = (step as f64 * dt_s / PERIOD_S) as usize % 2 == 0;
+            let is_loaded = ((step as f64 * dt_s / PERIOD_S) as usize).is_multiple_of(2);
             let input = input(if is_loaded { 1.0 } else { 0.0 }, across_n);
             let began = Instant::now();
             let done =
                 if step < WARM_UP { tool.step(dt_s, &input) } else { counted_step(&mut tool, dt_s, &input) };
             if step >= WARM_UP {
-                took_ns += began.elapsed().as_nanos() as f64;
+                took_ns.push(began.elapsed().as_nanos() as f64);
             }
             done.map_err(|cause| cause.to_string())?;
         }
         end_of_cell(self.dt_ms);
-        Ok(took_ns / STEPS as f64)
+        Ok(median(&took_ns))
     }
 
     fn figures(&self) -> Value {
@@ -107,7 +107,7 @@ fn counted_step(
     tool: &mut AnyManipulator,
     dt_s: f64,
     input: &StepInput<'_>,
-) -> Result<(), simulation::manipulator::ManipulatorError> {
+) -> Result<StepReport, ManipulatorError> {
     tool.step(dt_s, input)
 }
 
@@ -147,7 +147,9 @@ pub fn run(files: &[PathBuf], rounds: usize, instructions: bool, sheet: &mut She
             cells.extend(DT_MS.map(|dt_ms| Cell::new(&tool.name, rung, dt_ms, &tool.parameters)));
         }
     }
-    let reference = Cell::new("reference", Rung::Planar, 1.0, &ManipulatorParameters::jhu_27());
+    let standard =
+        tools(&[])?.into_iter().next().ok_or_else(|| Failure::failed("no shipped tool".to_owned()))?;
+    let reference = Cell::new("reference", Rung::Planar, 1.0, &standard.parameters);
     for _ in 0..rounds {
         let reference_ns = reference.play().map_err(Failure::failed)?;
         for cell in cells.iter_mut().filter(|cell| cell.refused.is_none()) {
