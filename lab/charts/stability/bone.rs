@@ -178,3 +178,20 @@ fn ask(drive: &Drive, command: &mut Command) {
     command.arm_axis = [0.0, 0.0, 1.0];
     (command.arm_depth_m, command.arm_speed_m_per_s) = (drive.depth_m, drive.feed_m_per_s);
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+    use super::*;
+
+    #[test]
+    fn a_case_is_right_at_a_millisecond_and_a_run_that_is_not_says_what() {
+        let case = CASES.iter().find(|case| case.name == "shell of one voxel").unwrap();
+        let mut seen = play(case, "planar", 1.0).unwrap();
+        assert_eq!(seen.faults(Some(seen.burr_m)), Vec::<String>::new());
+        assert_eq!(seen.faults(Some(seen.burr_m + Vector3::x() * 0.3e-3)), ["ends 0.30 mm off"]);
+        (seen.most_share, seen.past_stop_rad, seen.converged) = (1.2, 0.01, 0);
+        let said = ["1.20 of the strength", "0.57 deg past a stop", "0.0 % converged"];
+        assert_eq!(seen.faults(None), said);
+    }
+}
