@@ -1,10 +1,10 @@
 //! Counts the instructions of a physics step with valgrind: a figure that other load on the machine does not change.
 
-use std::process::Command;
+use std::ffi::OsString;
 
 use serde_json::json;
 
-use super::failed;
+use super::{callgrind, failed};
 use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::scenes::SceneSource;
@@ -17,25 +17,16 @@ const COUNTED: &str = "*one_step*";
 /// # Errors
 /// valgrind is not on the path, or fails.
 pub fn run(scene: &SceneSource, ticks: Option<u64>, sheet: &mut Sheet) -> Result<(), Failure> {
-    let program = std::env::current_exe().map_err(failed)?;
     let folder = tempfile::tempdir().map_err(failed)?;
-    let mut valgrind = Command::new("valgrind");
-    valgrind
-        .args(["--tool=callgrind", &format!("--toggle-collect={COUNTED}")])
-        .arg(format!("--callgrind-out-file={}", folder.path().join("callgrind.out").display()))
-        .arg(program)
-        .args(["bench", "step"])
-        .args(scene.argument())
-        .arg("--in-process");
+    let mut arguments: Vec<OsString> = ["bench", "step"].map(OsString::from).into();
+    arguments.extend(scene.argument().into_iter().map(OsString::from));
+    arguments.push("--in-process".into());
     if let Some(ticks) = ticks {
-        valgrind.args(["--ticks", &ticks.to_string()]);
+        arguments.extend(["--ticks".to_owned(), ticks.to_string()].map(OsString::from));
     }
-    let output = valgrind.output().map_err(|cause| {
-        Failure::failed(format!("valgrind: {cause}; --instructions needs it (Debian package `valgrind`)"))
-    })?;
-    let (table, report) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-    let counted = number_after(&report, "Collected :");
-    let steps = number_after(&table, " us   (").filter(|_| output.status.success());
+    let ran = callgrind::run(folder.path(), &[&format!("--toggle-collect={COUNTED}")], arguments)?;
+    let counted = number_after(&ran.report, "Collected :");
+    let steps = number_after(&ran.out, " us   (").filter(|_| ran.status.success());
     match (counted, steps) {
         (Some(counted), Some(steps)) if steps > 0 => {
             let mean = counted / steps;
@@ -48,7 +39,7 @@ pub fn run(scene: &SceneSource, ticks: Option<u64>, sheet: &mut Sheet) -> Result
             );
             Ok(())
         }
-        _ => Err(Failure::failed(format!("valgrind ended with {}: {}", output.status, report.trim()))),
+        _ => Err(ran.failure()),
     }
 }
 

@@ -1,6 +1,7 @@
 //! What the hub costs: measurements, printed as tables or figures. Times depend on the machine, so nothing here asserts one.
 
 pub mod bridge;
+mod callgrind;
 pub mod drr;
 mod drr_layers;
 pub mod drr_poses;

@@ -1,8 +1,8 @@
 //! What a step of each tool costs on each rung, at three step sizes: times in turn beside one reference, and instructions by valgrind.
 
+use std::ffi::OsStr;
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::time::Instant;
 
 use nalgebra::{Isometry3, Vector3};
@@ -14,7 +14,8 @@ use simulation::manipulator::{
 use trabecula::failure::Failure;
 use trabecula::tool::response::built;
 
-use super::failed;
+use super::samples::median;
+use super::{callgrind, failed};
 use crate::sheet::Sheet;
 use crate::tools::tools;
 
@@ -178,26 +179,18 @@ pub fn run(files: &[PathBuf], rounds: usize, instructions: bool, sheet: &mut She
 
 /// Instructions of all measured steps of each cell that is not refused, in order.
 fn count(files: &[PathBuf]) -> Result<Vec<u64>, Failure> {
-    let program = std::env::current_exe().map_err(failed)?;
     let folder = tempfile::tempdir().map_err(failed)?;
-    let out = folder.path().join("counted");
-    let mut valgrind = Command::new("valgrind");
-    valgrind
-        .args(["--tool=callgrind", "--toggle-collect=*counted_step*", "--dump-after=*end_of_cell*"])
-        .arg(format!("--callgrind-out-file={}", out.display()))
-        .arg(program)
-        .args(["bench", "tools", "--rounds", "1", "--json"])
-        .args(files);
-    let output = valgrind.output().map_err(|cause| {
-        Failure::failed(format!("valgrind: {cause}; --instructions needs it (Debian package `valgrind`)"))
-    })?;
-    if !output.status.success() {
-        let said = String::from_utf8_lossy(&output.stderr);
-        return Err(Failure::failed(format!("valgrind ended with {}: {}", output.status, said.trim())));
+    let options = ["--toggle-collect=*counted_step*", "--dump-after=*end_of_cell*"];
+    let arguments = ["bench", "tools", "--rounds", "1", "--json"].map(OsStr::new).into_iter();
+    let ran =
+        callgrind::run(folder.path(), &options, arguments.chain(files.iter().map(|file| file.as_os_str())))?;
+    if !ran.status.success() {
+        return Err(ran.failure());
     }
     // The first is the reference.
-    let counts: Vec<u64> = (2..).map_while(|part| summary(&out.with_extension(part.to_string()))).collect();
-    let found: Value = serde_json::from_slice(&output.stdout).map_err(failed)?;
+    let counts: Vec<u64> =
+        (2..).map_while(|part| summary(&folder.path().join(format!("callgrind.out.{part}")))).collect();
+    let found: Value = serde_json::from_str(&ran.out).map_err(failed)?;
     let cells = found["cells"]
         .as_array()
         .map_or(0, |cells| cells.iter().filter(|cell| cell.get("refused").is_none()).count());
@@ -213,12 +206,6 @@ fn summary(file: &Path) -> Option<u64> {
     let line =
         text.lines().find_map(|line| line.strip_prefix("summary:").or(line.strip_prefix("totals:")))?;
     line.trim().parse().ok()
-}
-
-fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
 #[cfg(test)]
