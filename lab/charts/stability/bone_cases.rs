@@ -35,7 +35,7 @@ pub struct BoneCase {
     /// What happens in it.
     pub what: &'static str,
     /// Tables of the scene beside the volume's: pilot holes, contact, arm.
-    keys: &'static str,
+    keys: &'static [&'static str],
     voxel_mm: f64,
     density_kg_per_m3: fn(&Vector3<f64>) -> f64,
     /// What is asked for at a time, s.
@@ -61,7 +61,7 @@ impl BoneCase {
              [manipulator]\nmodel = \"{model}\"\ntendon_friction = 0.1\n{}\
              [tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
              [[controller]]\nname = \"driver\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nexternal = true\n",
-            self.keys
+            self.keys.concat()
         );
         Scene::parse(&text, Path::new("bone.toml"))
             .map_err(|cause| Failure::failed(format!("{}: {cause}", self.name)))
@@ -70,7 +70,7 @@ impl BoneCase {
 
 /// A pilot hole that ends at the burr's start, half a millimetre wider than the burr.
 const PILOT: &str = "[[predrill]]\nfrom_mm = [0.0, 0.0, -60.0]\nto_mm = [0.0, 0.0, 0.0]\ndiameter_mm = 7.0\n";
-/// The same, and a bore of 9 mm through the whole block.
+/// A bore of 9 mm through the whole block.
 const BORE: &str = "[[predrill]]\nfrom_mm = [0.0, 0.0, -60.0]\nto_mm = [0.0, 0.0, 40.0]\ndiameter_mm = 9.0\n";
 
 fn foam(_: &Vector3<f64>) -> f64 {
@@ -95,7 +95,7 @@ pub const CASES: [BoneCase; 15] = [
     BoneCase {
         name: "edge of the pilot hole",
         what: "the burr leaves its pilot hole sideways: 10 N, fed at 2 mm/s over the cut edge",
-        keys: PILOT,
+        keys: &[PILOT],
         voxel_mm: 0.5,
         density_kg_per_m3: foam,
         drive: |s| feed(s, 10.0, 2e-3, 3e-3),
@@ -104,7 +104,7 @@ pub const CASES: [BoneCase; 15] = [
     BoneCase {
         name: "jam past the stops",
         what: "25 N bend the tool into a wall while it is fed at 5 mm/s",
-        keys: PILOT,
+        keys: &[PILOT],
         voxel_mm: 0.5,
         density_kg_per_m3: foam,
         drive: |s| feed(s, 25.0, 5e-3, 8e-3),
@@ -113,7 +113,7 @@ pub const CASES: [BoneCase; 15] = [
     BoneCase {
         name: "voxels of 1 mm",
         what: "a tunnel: 10 N, 5 mm/s, 8 mm deep",
-        keys: PILOT,
+        keys: &[PILOT],
         voxel_mm: 1.0,
         density_kg_per_m3: foam,
         drive: |s| feed(s, 10.0, 5e-3, 8e-3),
@@ -122,7 +122,7 @@ pub const CASES: [BoneCase; 15] = [
     BoneCase {
         name: "voxels of 2 mm",
         what: "the same",
-        keys: PILOT,
+        keys: &[PILOT],
         voxel_mm: 2.0,
         density_kg_per_m3: foam,
         drive: |s| feed(s, 10.0, 5e-3, 8e-3),
@@ -131,7 +131,7 @@ pub const CASES: [BoneCase; 15] = [
     BoneCase {
         name: "shell of one voxel",
         what: "6 N bend the tool onto a wall of one voxel; the burr stands",
-        keys: "",
+        keys: &[],
         voxel_mm: 0.5,
         density_kg_per_m3: |p| if (6e-3..6.5e-3).contains(&p.x) { CANCELLOUS } else { 0.0 },
         drive: |s| Drive { burr_rad_per_s: 0.0, ..feed(s, 6.0, 1e-3, 0.0) },
@@ -140,7 +140,7 @@ pub const CASES: [BoneCase; 15] = [
     BoneCase {
         name: "breakthrough",
         what: "drills straight through a plate of 3 mm at 4 mm/s",
-        keys: "",
+        keys: &[],
         voxel_mm: 0.5,
         density_kg_per_m3: |p| if (4e-3..7e-3).contains(&p.z) { CANCELLOUS } else { 0.0 },
         drive: |s| feed(s, 0.0, 4e-3, 10e-3),
@@ -149,7 +149,7 @@ pub const CASES: [BoneCase; 15] = [
     BoneCase {
         name: "slivers",
         what: "6 N, fed at 4 mm/s through sheets of one voxel, one voxel apart",
-        keys: "",
+        keys: &[],
         voxel_mm: 0.5,
         density_kg_per_m3: |p| if p.z > 4e-3 && (p.z * 1e3).rem_euclid(1.0) < 0.5 { CANCELLOUS } else { 0.0 },
         drive: |s| feed(s, 6.0, 4e-3, 10e-3),
@@ -158,8 +158,8 @@ pub const CASES: [BoneCase; 15] = [
     BoneCase {
         name: "pinched burr",
         what: "a burr that stands is pushed from a wide bore into one of 6 mm, narrower than itself",
-        keys: "[[predrill]]\nfrom_mm = [0.0, 0.0, -60.0]\nto_mm = [0.0, 0.0, 2.0]\ndiameter_mm = 9.0\n\
-               [[predrill]]\nfrom_mm = [0.0, 0.0, 0.0]\nto_mm = [0.0, 0.0, 40.0]\ndiameter_mm = 6.0\n",
+        keys: &["[[predrill]]\nfrom_mm = [0.0, 0.0, -60.0]\nto_mm = [0.0, 0.0, 2.0]\ndiameter_mm = 9.0\n\
+               [[predrill]]\nfrom_mm = [0.0, 0.0, 0.0]\nto_mm = [0.0, 0.0, 40.0]\ndiameter_mm = 6.0\n"],
         voxel_mm: 0.5,
         density_kg_per_m3: foam,
         drive: |s| Drive { burr_rad_per_s: 0.0, ..feed(s, 0.0, 4e-3, 5e-3) },
@@ -168,7 +168,7 @@ pub const CASES: [BoneCase; 15] = [
     BoneCase {
         name: "stick and slip",
         what: "friction 1.5: 10 N hold a standing burr against a bore while the arm goes to and fro at 8 mm/s",
-        keys: "[[predrill]]\nfrom_mm = [0.0, 0.0, -60.0]\nto_mm = [0.0, 0.0, 40.0]\ndiameter_mm = 9.0\n[contact]\nfriction = 1.5\n",
+        keys: &[BORE, "[contact]\nfriction = 1.5\n"],
         voxel_mm: 0.5,
         density_kg_per_m3: |_| CORTEX,
         drive: |s| {
@@ -181,7 +181,7 @@ pub const CASES: [BoneCase; 15] = [
     BoneCase {
         name: "slack tendons",
         what: "antagonists take turns at 10 N, five times a second, in a bore",
-        keys: BORE,
+        keys: &[BORE],
         voxel_mm: 0.5,
         density_kg_per_m3: |_| CORTEX,
         drive: |s| {
@@ -194,7 +194,7 @@ pub const CASES: [BoneCase; 15] = [
     BoneCase {
         name: "noise at 1 kHz",
         what: "a tunnel whose 10 N carry noise of 2 N, new each millisecond",
-        keys: PILOT,
+        keys: &[PILOT],
         voxel_mm: 0.5,
         density_kg_per_m3: foam,
         drive: |s| {
@@ -206,8 +206,8 @@ pub const CASES: [BoneCase; 15] = [
     BoneCase {
         name: "elastic arm",
         what: "an arm with elastic joints drills a plate of cortex at 2 mm/s",
-        keys: "[arm.compliance]\njoint_stiffness_nm_per_rad = [4e4, 3e4, 2e4, 8e3, 6e3, 5e3]\n\
-               joint_damping_nms_per_rad = [80.0, 60.0, 40.0, 16.0, 12.0, 10.0]\n",
+        keys: &["[arm.compliance]\njoint_stiffness_nm_per_rad = [4e4, 3e4, 2e4, 8e3, 6e3, 5e3]\n\
+               joint_damping_nms_per_rad = [80.0, 60.0, 40.0, 16.0, 12.0, 10.0]\n"],
         voxel_mm: 0.5,
         density_kg_per_m3: |p| if p.z > 4e-3 { CORTEX } else { 0.0 },
         drive: |s| feed(s, 0.0, 2e-3, 4e-3),
@@ -216,7 +216,7 @@ pub const CASES: [BoneCase; 15] = [
     BoneCase {
         name: "burr stops in bone",
         what: "a tunnel at 10 N whose burr stops after a second while the feed goes on for 1 mm",
-        keys: PILOT,
+        keys: &[PILOT],
         voxel_mm: 0.5,
         density_kg_per_m3: foam,
         drive: |s| {
@@ -228,7 +228,7 @@ pub const CASES: [BoneCase; 15] = [
     BoneCase {
         name: "fast arm",
         what: "comes at 50 mm/s, its limit, with 1 N on a tendon, and stops 2 mm deep in foam",
-        keys: "",
+        keys: &[],
         voxel_mm: 0.5,
         density_kg_per_m3: |p| if p.z > 12e-3 { FOAM } else { 0.0 },
         drive: |s| feed(s, 1.0, 0.05, 11e-3),
@@ -237,7 +237,7 @@ pub const CASES: [BoneCase; 15] = [
     BoneCase {
         name: "foam beside cortex",
         what: "drills straight at 2 mm/s along the border of foam and cortex",
-        keys: PILOT,
+        keys: &[PILOT],
         voxel_mm: 0.5,
         density_kg_per_m3: |p| if p.x < 0.0 { FOAM } else { CORTEX },
         drive: |s| feed(s, 0.0, 2e-3, 3e-3),

@@ -165,7 +165,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shipped_tools_without_tendons_end_where_they_should_and_a_rung_that_cannot_represent_one_says_so() {
+    fn shipped_tools_end_where_they_should_and_a_rung_that_cannot_represent_one_says_so() {
         for tool in tools(&[]).unwrap() {
             let planar = Method::Rung(Rung::Planar, Integrator::LinearlyImplicitEuler);
             let p = quiet(&tool.parameters);
