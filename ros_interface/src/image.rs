@@ -2,10 +2,11 @@
 
 use messages::{Frame, Pose};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use simulation::pose;
 
 use crate::msg::{CameraInfo, Header, Image, RegionOfInterest, TfMessage, Time};
 use crate::outgoing::{Outgoing, push, transform};
-use crate::robot::{Placed, WORLD, pose};
+use crate::robot::{Placed, WORLD};
 use crate::topics::Output;
 
 /// The C-arm's optical frame: +z from the source to the detector.

@@ -4,6 +4,7 @@ use messages::{ARM_JOINTS, Pose, State};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use scene::Scene;
 use simulation::arm::{ArmGeometry, ArmParameters};
+use simulation::pose;
 
 use crate::topics::{ARM_JOINT_NAMES, Names};
 
@@ -196,12 +197,4 @@ pub(crate) fn isometry(pose: &Pose) -> Isometry3<f64> {
     let [x, y, z, w] = pose.orientation_xyzw;
     let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
     Isometry3::from_parts(Translation3::from(Vector3::from(pose.position_m)), rotation)
-}
-
-pub(crate) fn pose(isometry: &Isometry3<f64>) -> Pose {
-    let rotation = isometry.rotation;
-    Pose {
-        position_m: isometry.translation.vector.into(),
-        orientation_xyzw: [rotation.i, rotation.j, rotation.k, rotation.w],
-    }
 }

@@ -67,5 +67,5 @@ mod world;
 
 pub use world::{
     CtView, Finding, KeyframeError, LostTool, SharedCt, Simulation, SimulationError, SimulationSnapshot,
-    Verdict, contact_kind, findings, manipulator_parameters, rung,
+    Verdict, contact_kind, findings, manipulator_parameters, pose, rung,
 };

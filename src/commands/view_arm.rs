@@ -5,6 +5,7 @@ use ipc_types::messages::{ARM_JOINTS, Pose};
 use ipc_types::scene::{Arm, ArmMesh, Scene};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use simulation::arm::{ArmGeometry, ArmParameters};
+use simulation::pose;
 use viewer_proc::ArmLooks;
 use viewer_proc::surface::link_mesh;
 
@@ -68,12 +69,4 @@ fn isometry(position_mm: [f64; 3], roll_pitch_yaw_deg: [f64; 3]) -> Isometry3<f6
     let [roll, pitch, yaw] = roll_pitch_yaw_deg.map(f64::to_radians);
     let translation = Translation3::from(Vector3::from(position_mm) * 1e-3);
     Isometry3::from_parts(translation, UnitQuaternion::from_euler_angles(roll, pitch, yaw))
-}
-
-fn pose(isometry: &Isometry3<f64>) -> Pose {
-    let rotation = isometry.rotation;
-    Pose {
-        position_m: isometry.translation.vector.into(),
-        orientation_xyzw: [rotation.i, rotation.j, rotation.k, rotation.w],
-    }
 }

@@ -155,7 +155,8 @@ fn part(kind: SphereKind) -> ContactPart {
     }
 }
 
-fn pose(transform: &Isometry3<f64>) -> Pose {
+/// A pose as messages have it.
+pub fn pose(transform: &Isometry3<f64>) -> Pose {
     let rotation = transform.rotation.coords;
     let position: &Vector3<f64> = &transform.translation.vector;
     Pose { position_m: numbers(position), orientation_xyzw: [rotation.x, rotation.y, rotation.z, rotation.w] }

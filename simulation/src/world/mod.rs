@@ -53,6 +53,7 @@ use tendon_drive::{TendonDrive, TendonDriveState};
 pub use feasibility::{Finding, Verdict, findings};
 pub use keyframe::KeyframeError;
 pub use lost::LostTool;
+pub use message::pose;
 pub use setup::{contact_kind, manipulator_parameters, rung};
 
 /// The simulation's view of the CT: geometry and Hounsfield units, x fastest, borrowed.
