@@ -1,5 +1,5 @@
-//! Reads files that a user names whole: texts (scenes, poses, calibrations) and meshes. A device, a pipe or an endless file is rejected by name; reading it
-//! would block or fill the memory.
+//! Reads files that a user names, whole: texts (scenes, poses, calibrations) and meshes. A device, a pipe or an endless file is rejected by
+//! name; reading it would block or fill the memory.
 
 use std::fs::OpenOptions;
 use std::io::{self, Read};

@@ -19,8 +19,8 @@ pub enum Integrator {
     Hybrid,
 }
 
-/// Parameters of all tendons that have none of their own, and the antagonist pair: tendon 0 runs on the +x side of the base frame and bends toward +x
-/// (positive joint angles), tendon 1 runs on the -x side.
+/// Parameters of all tendons that have none of their own, and the antagonist pair: tendon 0 runs on the +x side of the base frame and bends
+/// toward +x (positive joint angles), tendon 1 runs on the -x side.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TendonParameters {
     /// Distance of the pair's channels from the tool axis, m.
