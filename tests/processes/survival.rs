@@ -114,7 +114,9 @@ fn a_recorder_that_is_killed_before_the_first_tick_leaves_a_log_that_says_of_wha
     // Its controller never joins.
     let run = place.start(&scenes::piloted("lockstep", 4.0, ""));
     let is_begun = |log: PathBuf| std::fs::metadata(log).is_ok_and(|file| file.len() > 0);
-    wait_for("the header of the log", || run.log().is_some_and(is_begun).then_some(()));
+    // The run waits for both headers before its first tick; each is written by a thread of its own.
+    let are_begun = |run: PathBuf| is_begun(run.with_file_name("timing.mcap")) && is_begun(run);
+    wait_for("the headers of both logs", || run.log().is_some_and(are_begun).then_some(()));
     signal(run.part("recorder"), Signal::KILL);
     let ended = run.end();
     assert_eq!(ended.code, Some(1), "{}", ended.err);
