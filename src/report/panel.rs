@@ -60,19 +60,48 @@ impl Rect {
     }
 }
 
-/// Symbol of a legend entry.
+/// Half the size of a disc, a ring, a cross or a bar, and half the length of a legend's line.
+const MARK: f64 = 5.0;
+const HALF_LINE: f64 = 13.0;
+
+/// Symbol of a legend entry, or of a data point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Key {
     /// A line segment.
     Line(Stroke),
     /// A disc.
     Disc(RGBColor),
+    /// A disc with a white middle.
+    Ring(RGBColor),
     /// A cross.
     Cross(Stroke),
     /// A vertical bar.
     Bar(Stroke),
     /// Nothing.
     None,
+}
+
+impl Key {
+    /// Draws it about a place.
+    pub fn draw(self, figure: &mut Figure, (x, y): Point) {
+        let mut disc = |radius: f64, fill: RGBColor| figure.add(Shape::Disc { centre: (x, y), radius, fill });
+        let lines: &[[Point; 2]] = match self {
+            Key::None => &[],
+            Key::Disc(fill) => return disc(MARK, fill),
+            Key::Ring(fill) => {
+                disc(MARK, fill);
+                return disc(0.5 * MARK, RGBColor(255, 255, 255));
+            }
+            Key::Line(_) => &[[(-HALF_LINE, 0.0), (HALF_LINE, 0.0)]],
+            Key::Cross(_) => &[[(-MARK, -MARK), (MARK, MARK)], [(-MARK, MARK), (MARK, -MARK)]],
+            Key::Bar(_) => &[[(0.0, -MARK), (0.0, MARK)]],
+        };
+        let (Key::Line(stroke) | Key::Cross(stroke) | Key::Bar(stroke)) = self else { return };
+        for line in lines {
+            let points = line.map(|(right, down)| (x + right, y + down)).to_vec();
+            figure.add(Shape::Line { points, stroke });
+        }
+    }
 }
 
 /// A frame with two axes. Curves are clipped at the frame.
@@ -209,13 +238,12 @@ impl<'a> Panel<'a> {
         }
     }
 
-    /// A cross at a data point.
-    pub fn cross(&mut self, value: Point, arm: f64, stroke: Stroke) {
-        let (x, y) = self.place(value);
-        if self.area.contains((x, y)) {
-            self.seen.push((x, y));
-            self.straight([(x - arm, y - arm), (x + arm, y + arm)], stroke);
-            self.straight([(x - arm, y + arm), (x + arm, y - arm)], stroke);
+    /// A symbol at a data point.
+    pub fn mark(&mut self, value: Point, key: Key) {
+        let at = self.place(value);
+        if self.area.contains(at) {
+            self.seen.push(at);
+            key.draw(self.figure, at);
         }
     }
 
@@ -301,7 +329,7 @@ impl<'a> Panel<'a> {
 
     /// Draws a legend entry, given its left end.
     fn entry(&mut self, key: Key, label: &str, (x, y): Point) {
-        self.draw_key(key, (x + 0.5 * KEY_WIDTH - 4.0, y));
+        key.draw(self.figure, (x + 0.5 * KEY_WIDTH - 4.0, y));
         self.figure.text((x + KEY_WIDTH + 2.0, y), label, TextSize::Label, INK, Anchor::Left);
     }
 
@@ -315,19 +343,6 @@ impl<'a> Panel<'a> {
             self.seen.iter().filter(|&&point| cover.contains(point)).count()
         };
         corners.into_iter().min_by_key(covered).unwrap_or(corners[0])
-    }
-
-    fn draw_key(&mut self, key: Key, (x, y): Point) {
-        match key {
-            Key::Line(stroke) => self.straight([(x - 13.0, y), (x + 13.0, y)], stroke),
-            Key::Disc(fill) => self.figure.add(Shape::Disc { centre: (x, y), radius: 5.0, fill }),
-            Key::Cross(stroke) => {
-                self.straight([(x - 5.0, y - 5.0), (x + 5.0, y + 5.0)], stroke);
-                self.straight([(x - 5.0, y + 5.0), (x + 5.0, y - 5.0)], stroke);
-            }
-            Key::Bar(stroke) => self.straight([(x, y - 5.0), (x, y + 5.0)], stroke),
-            Key::None => (),
-        }
     }
 }
 

@@ -125,7 +125,7 @@ fn draw_path(figure: &mut Figure, outer: Rect, run: &RunLane) {
     );
     if let Some(target) = path_panel.target {
         let stroke = Stroke::full(COLOURS[1], 2.2);
-        panel.cross(target, 6.0, stroke);
+        panel.mark(target, Key::Cross(stroke));
         panel.key(Key::Cross(stroke), "target of the burr centre");
     }
     panel.finish();

@@ -5,8 +5,8 @@ use plotters::style::RGBColor;
 use super::Point;
 use trabecula::report::ReportError;
 use trabecula::report::axis::{Axis, duration_label};
-use trabecula::report::panel::{COLOURS, INK, Panel, Rect};
-use trabecula::report::shapes::{Anchor, Figure, HEAD, Shape, Stroke, TextSize, WIDTH};
+use trabecula::report::panel::{COLOURS, INK, Key, Panel, Rect};
+use trabecula::report::shapes::{Anchor, Figure, HEAD, Stroke, TextSize, WIDTH};
 
 /// Height of the plot with its axes, and of a line of the legend below it.
 const PLOT: f64 = 480.0;
@@ -15,36 +15,24 @@ const LINE: f64 = 21.0;
 const COLUMNS: usize = 3;
 const SKY: RGBColor = RGBColor(86, 180, 233);
 const GREY: RGBColor = RGBColor(130, 130, 130);
-const WHITE: RGBColor = RGBColor(255, 255, 255);
 
-/// How a method's points are drawn.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Mark {
-    /// Ours.
-    Disc(RGBColor),
-    /// Ours, beside a filled one of the same colour.
-    Ring(RGBColor),
-    /// A peer's.
-    Cross(RGBColor),
-}
-
-/// The mark of a method; peers are told apart by the colour of their place among the peers.
-fn mark(method: &str, peers: &[&str]) -> Mark {
+/// The mark of a method: ours are discs and rings; peers are crosses, told apart by the colour of their place.
+fn mark(method: &str, peers: &[&str]) -> Key {
     let [blue, vermilion, green, purple] = COLOURS;
     match method {
-        "siddon" => Mark::Disc(INK),
-        "joseph" => Mark::Ring(INK),
-        "slice_ordered 1" => Mark::Disc(blue),
-        "slice_ordered 1, unsharpened" => Mark::Ring(blue),
-        "slice_ordered 0.9" => Mark::Disc(SKY),
-        "slice_ordered 0.8" => Mark::Ring(SKY),
-        "slice_ordered 1.5" => Mark::Disc(green),
-        "slice_ordered 2" => Mark::Ring(green),
-        "preview 2" => Mark::Disc(purple),
-        "preview 4" => Mark::Ring(purple),
+        "siddon" => Key::Disc(INK),
+        "joseph" => Key::Ring(INK),
+        "slice_ordered 1" => Key::Disc(blue),
+        "slice_ordered 1, unsharpened" => Key::Ring(blue),
+        "slice_ordered 0.9" => Key::Disc(SKY),
+        "slice_ordered 0.8" => Key::Ring(SKY),
+        "slice_ordered 1.5" => Key::Disc(green),
+        "slice_ordered 2" => Key::Ring(green),
+        "preview 2" => Key::Disc(purple),
+        "preview 4" => Key::Ring(purple),
         peer => {
             let place = peers.iter().position(|own| *own == peer).unwrap_or(0);
-            Mark::Cross([vermilion, INK, green, purple, GREY, SKY][place % 6])
+            Key::Cross(Stroke::full([vermilion, INK, green, purple, GREY, SKY][place % 6], 2.0))
         }
     }
 }
@@ -73,14 +61,7 @@ pub fn draw(points: &[Point], stream_ms: f64) -> Result<Figure, ReportError> {
     panel.upright(1e3 * stream_ms, Stroke::full(GREY, 1.4));
     panel.tag(1e3 * stream_ms, "reading the volume once");
     for point in &shown {
-        match mark(&point.method, &peers) {
-            Mark::Disc(colour) => panel.disc(place(point), 4.5, colour),
-            Mark::Ring(colour) => {
-                panel.disc(place(point), 4.5, colour);
-                panel.disc(place(point), 2.4, WHITE);
-            }
-            Mark::Cross(colour) => panel.cross(place(point), 4.5, Stroke::full(colour, 2.0)),
-        }
+        panel.mark(place(point), mark(&point.method, &peers));
     }
     panel.finish();
     for (index, method) in methods.iter().enumerate() {
@@ -89,31 +70,13 @@ pub fn draw(points: &[Point], stream_ms: f64) -> Result<Figure, ReportError> {
             40.0 + column as f64 * (WIDTH - 40.0) / COLUMNS as f64,
             HEAD + PLOT + LINE * (line as f64 + 0.6),
         );
-        key(&mut figure, at, mark(method, &peers));
+        mark(method, &peers).draw(&mut figure, at);
         let name = method.strip_prefix("peer:").unwrap_or(method);
         figure.text((at.0 + 14.0, at.1), name, TextSize::Label, INK, Anchor::Left);
     }
     let foot = HEAD + PLOT + LINE * (lines as f64 - 0.4);
     figure.text((27.0, foot), "Crosses: other programs.", TextSize::Label, INK, Anchor::Left);
     Ok(figure)
-}
-
-/// A mark in the legend.
-fn key(figure: &mut Figure, (x, y): (f64, f64), mark: Mark) {
-    let mut disc = |radius, fill| figure.add(Shape::Disc { centre: (x, y), radius, fill });
-    match mark {
-        Mark::Disc(colour) => disc(4.5, colour),
-        Mark::Ring(colour) => {
-            disc(4.5, colour);
-            disc(2.4, WHITE);
-        }
-        Mark::Cross(colour) => {
-            for slope in [4.5, -4.5] {
-                let points = vec![(x - 4.5, y - slope), (x + 4.5, y + slope)];
-                figure.add(Shape::Line { points, stroke: Stroke::full(colour, 2.0) });
-            }
-        }
-    }
 }
 
 #[cfg(test)]
@@ -138,7 +101,7 @@ mod tests {
                 siddon: Errors { rms: 0.0, max: 0.0 },
             })
             .collect();
-        let marks: Vec<Mark> = points.iter().map(|point| mark(&point.method, &peers)).collect();
+        let marks: Vec<Key> = points.iter().map(|point| mark(&point.method, &peers)).collect();
         for (index, own) in marks.iter().enumerate() {
             assert!(!marks[..index].contains(own), "{own:?} stands for two methods");
         }

@@ -26,7 +26,7 @@ use trabecula::failure::Failure;
 use trabecula::output::{refuse_existing, within};
 use trabecula::plan::Row;
 use trabecula::report::axis::{Axis, bounds, duration_label};
-use trabecula::report::panel::{INK, Panel, Rect};
+use trabecula::report::panel::{INK, Key, Panel, Rect};
 use trabecula::report::shapes::{Anchor, Figure, Stroke, TextSize, WIDTH};
 
 const HEIGHT: f64 = 1330.0;
@@ -230,13 +230,13 @@ fn draw_panel(figure: &mut Figure, cell: Rect, problem: Problem, points: &[Point
             points.iter().filter(|p| p.method == method && p.error.is_finite()).map(shown).collect();
         panel.line(&line, stroke(method, colour), "");
         for value in line {
-            panel.disc(value, 4.0, colour);
+            panel.mark(value, Key::Disc(colour));
         }
     }
     for (name, colour) in peers::NAMES.into_iter().zip(PEER_COLOURS) {
         let of_name = peers.iter().filter(|peer| peer.name == name && peer.error.is_finite());
         for value in of_name.map(peer) {
-            panel.cross(value, 4.0, Stroke::full(colour, 2.0));
+            panel.mark(value, Key::Cross(Stroke::full(colour, 2.0)));
         }
     }
     panel.finish();
@@ -253,10 +253,7 @@ fn draw_peer_legend(figure: &mut Figure, left: f64, top: f64, peers: &[Peer]) {
     let shown = peers::NAMES.into_iter().zip(PEER_COLOURS).filter(|(name, _)| measured(name));
     for (i, (name, colour)) in shown.enumerate() {
         let y = top + 22.0 * i as f64;
-        for slope in [4.0, -4.0] {
-            let points = vec![(left + 11.0, y - slope), (left + 19.0, y + slope)];
-            figure.add(trabecula::report::shapes::Shape::Line { points, stroke: Stroke::full(colour, 2.0) });
-        }
+        Key::Cross(Stroke::full(colour, 2.0)).draw(figure, (left + 15.0, y));
         figure.text((left + 40.0, y), name, TextSize::Label, INK, Anchor::Left);
     }
 }
@@ -264,10 +261,9 @@ fn draw_peer_legend(figure: &mut Figure, left: f64, top: f64, peers: &[Peer]) {
 fn draw_legend(figure: &mut Figure, left: f64, top: f64) {
     for (i, (method, colour)) in Method::ALL.into_iter().zip(COLOURS).enumerate() {
         let y = top + 22.0 * i as f64;
-        let points = vec![(left, y), (left + 30.0, y)];
-        figure.add(trabecula::report::shapes::Shape::Line { points, stroke: stroke(method, colour) });
-        let centre = (left + 15.0, y);
-        figure.add(trabecula::report::shapes::Shape::Disc { centre, radius: 4.0, fill: colour });
+        for key in [Key::Line(stroke(method, colour)), Key::Disc(colour)] {
+            key.draw(figure, (left + 15.0, y));
+        }
         figure.text((left + 40.0, y), &method.name(), TextSize::Label, INK, Anchor::Left);
     }
     let note = "Errors below 0.0001 are shown there; a method that lost the tool has no point.";

@@ -9,7 +9,9 @@
  * @typedef {{from: number, to: number, cursor?: number, now?: number}} Times  seconds; `now`: where a log stands
  */
 
-const MARGIN = { left: 46, right: 8, top: 6, bottom: 17 };
+/** Room about a plot and the tick strip for the text of their axes, pixels at text size 1. */
+export const MARGIN = { left: 46, right: 8, top: 6, bottom: 17 };
+/** Text of the axes, at text size 1. */
 const TEXT_PX = 11;
 /** The text size that these are for; a large screen has a larger one (`layout.css`). */
 const BODY_PX = 13;
@@ -45,6 +47,26 @@ export function prepare(canvas) {
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.clearRect(0, 0, width, height);
   return { context, width, height };
+}
+
+/** The font of an axis, for a text size. @param {number} size */
+export const axisFont = (size) => `${TEXT_PX * size}px system-ui, sans-serif`;
+
+/**
+ * The time axis below a box: a line and a number with its unit at each step. Adds the lines to the current path.
+ * @param {any} context @param {{x: number, y: number, width: number, height: number, size: number}} box
+ * @param {{from: number, to: number, toX: (time: number) => number}} times
+ */
+export function addTimes(context, box, { from, to, toX }) {
+  const step = niceStep(to - from, Math.max(2, box.width / (76 * box.size)));
+  context.textAlign = "center";
+  context.textBaseline = "top";
+  for (let k = Math.ceil(from / step - 1e-9); k * step <= to; k++) {
+    const x = Math.round(toX(k * step)) + 0.5;
+    context.moveTo(x, box.y);
+    context.lineTo(x, box.y + box.height);
+    if (x > box.x + 8 && x <= box.x + box.width - 10) context.fillText(`${tickText(k * step, step)} s`, x, box.y + box.height + 3);
+  }
 }
 
 export class Plot {
@@ -105,7 +127,7 @@ export class Plot {
   }
 
   #axes(context, box, { from, to, low, high, toX, toY }, colours) {
-    context.font = `${TEXT_PX * box.size}px system-ui, sans-serif`;
+    context.font = axisFont(box.size);
     context.lineWidth = 1;
     context.strokeStyle = colours["--grid"];
     context.fillStyle = colours["--muted"];
@@ -121,14 +143,7 @@ export class Plot {
     }
     context.textBaseline = "top";
     context.fillText(this.unit, box.x - 5, box.y + box.height + 3);
-    const stepX = niceStep(to - from, Math.max(2, box.width / (76 * box.size)));
-    context.textAlign = "center";
-    for (let k = Math.ceil(from / stepX - 1e-9); k * stepX <= to; k++) {
-      const x = Math.round(toX(k * stepX)) + 0.5;
-      context.moveTo(x, box.y);
-      context.lineTo(x, box.y + box.height);
-      if (x > box.x + 8 && x <= box.x + box.width - 10) context.fillText(`${tickText(k * stepX, stepX)} s`, x, box.y + box.height + 3);
-    }
+    addTimes(context, box, { from, to, toX });
     context.stroke();
   }
 

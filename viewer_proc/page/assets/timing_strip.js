@@ -1,6 +1,6 @@
 // Ticks on a strip: how long the step took of its period, and the misses with their cause as colour and letter.
 
-import { prepare, textScale } from "/assets/plot.js";
+import { MARGIN, addTimes, axisFont, prepare, textScale } from "/assets/plot.js";
 
 /**
  * Causes of a miss by the letter that the server gives (`recorder_proc::misses`).
@@ -36,22 +36,22 @@ const SMALL_LETTER_PX = 13;
  */
 export function drawTimingStrip(canvas, steps, misses, { from, to, now }, periodNs, colours) {
   const { context, width, height } = prepare(canvas);
-  const letterPx = SMALL_LETTER_PX * textScale();
-  const top = letterPx + 2;
-  const tall = height - top;
-  const columns = Math.max(1, Math.floor(width));
-  const toX = (time) => ((time - from) / (to - from)) * width;
+  const size = textScale();
+  const letterPx = SMALL_LETTER_PX * size;
+  const box = { x: MARGIN.left * size, y: letterPx + 2, width: width - (MARGIN.left + MARGIN.right) * size, height: 0, size };
+  box.height = height - box.y - MARGIN.bottom * size;
+  if (box.width < 20 || box.height < 4 || !(to > from)) return;
+  const [right, bottom] = [box.x + box.width, box.y + box.height];
+  const toX = (time) => box.x + ((time - from) / (to - from)) * box.width;
+  drawAxes(context, box, { from, to, toX }, periodNs, colours);
   context.fillStyle = colours["--series-1"];
   // A bar is as wide as the ticks that it stands for, so that no gap is seen where there is none.
-  const wide = Math.max(1, Math.ceil((steps.spacing / (to - from)) * width));
-  steps.each(from, to, columns, (time, _low, high) => {
-    const bar = Math.max(1, Math.min(1, high / periodNs) * tall);
-    context.fillRect(Math.floor(toX(time)), height - bar, wide, bar);
+  const wide = Math.max(1, Math.ceil((steps.spacing / (to - from)) * box.width));
+  steps.each(from, to, Math.max(1, Math.floor(box.width)), (time, _low, high) => {
+    const bar = Math.max(1, Math.min(1, high / periodNs) * box.height);
+    const x = Math.floor(toX(time));
+    context.fillRect(x, bottom - bar, Math.min(wide, Math.max(1, right - x)), bar);
   });
-  context.strokeStyle = colours["--muted"];
-  context.setLineDash([3, 3]);
-  context.strokeRect(-1, top + 0.5, width + 2, height);
-  context.setLineDash([]);
   context.font = `bold ${letterPx - 1}px system-ui, sans-serif`;
   context.textAlign = "center";
   context.textBaseline = "top";
@@ -60,15 +60,35 @@ export function drawTimingStrip(canvas, steps, misses, { from, to, now }, period
     if (time < from || time > to) continue;
     const x = toX(time);
     context.fillStyle = colours[causeOf(letter).colour];
-    context.fillRect(x - 1, top, 3, tall);
+    context.fillRect(x - 1, box.y, 3, box.height);
     if (x - lastLetter < letterPx) continue;
-    context.fillText(letter, Math.max(6, Math.min(width - 6, x)), 0);
+    context.fillText(letter, x, 0);
     lastLetter = x;
   }
   if (now !== undefined && now >= from && now <= to) {
     context.fillStyle = colours["--accent"];
-    context.fillRect(toX(now) - 0.5, 0, 1, height);
+    context.fillRect(toX(now) - 0.5, 0, 1, bottom);
   }
+}
+
+/** Time below; step time at the left, from 0 to the period, which is a dashed line. */
+function drawAxes(context, box, times, periodNs, colours) {
+  context.font = axisFont(box.size);
+  context.fillStyle = colours["--muted"];
+  context.strokeStyle = colours["--grid"];
+  context.lineWidth = 1;
+  context.beginPath();
+  addTimes(context, box, times);
+  context.stroke();
+  context.textAlign = "right";
+  context.textBaseline = "middle";
+  context.fillText(`${periodNs / 1e6} ms`, box.x - 5, box.y);
+  context.textBaseline = "bottom";
+  context.fillText("0", box.x - 5, box.y + box.height + 2);
+  context.strokeStyle = colours["--muted"];
+  context.setLineDash([3, 3]);
+  context.strokeRect(box.x - 1, box.y + 0.5, box.width + 2, box.height);
+  context.setLineDash([]);
 }
 
 /** Misses of each cause in a window, by letter. @param {Miss[]} misses @returns {Map<string, number>} */
