@@ -12,6 +12,7 @@ use scene::Scene;
 use scene_text::{Case, SENSIBLE, driven_by};
 use simulation::bone::GridGeometry;
 use simulation::{CtView, Verdict, findings};
+use test_support::scenes::TOOL;
 
 /// A block of bone, 34 x 34 x 54 mm: its lower face is at z = -27 mm, and it is centred at y = 0 and the case's x. Voxels of 1 mm, some
 /// air around it.
@@ -64,4 +65,28 @@ fn without_a_volume_the_rules_that_need_none_hold() {
         found(&text, None),
         ["unlikely: `drr.rate_hz` is 7; a frame every 143 ticks of 1 ms is 6.993 Hz"]
     );
+}
+
+/// The stability map of the tools: only the hybrid integrator, with a pre-curved tool, above 2 ms.
+#[test]
+fn a_long_step_is_told_of_a_pre_curved_tool_alone_and_not_of_the_other_integrator() {
+    let said = |file: &str, keys: &str, dt_ms: f64| {
+        let text = format!(
+            "name = \"a\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\ndt_ms = {dt_ms:?}\n[manipulator]\nfile = \"{file}.toml\"\n{keys}\n{TOOL}"
+        );
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/tools/scene.toml");
+        let scene = Scene::parse_with(&text, &path, &|file| std::fs::read_to_string(file)).unwrap();
+        findings(&scene, None, &|_| true).unwrap()
+    };
+    let found = said("steerable_drill", "", 5.0);
+    assert_eq!(found.len(), 1, "{found:?}");
+    assert_eq!((found[0].verdict, found[0].key), (Verdict::Unlikely, "manipulator.integrator"));
+    assert!(found[0].problem.contains("`run.dt_ms` = 5, expected at most 2 ms"), "{}", found[0]);
+    for (file, keys, dt_ms) in [
+        ("steerable_drill", "", 2.0),
+        ("steerable_drill", "integrator = \"linearly_implicit_euler\"", 5.0),
+        ("two_segments", "", 5.0),
+    ] {
+        assert_eq!(said(file, keys, dt_ms), [], "{file}, {keys}, {dt_ms} ms");
+    }
 }

@@ -128,6 +128,10 @@ fn targets() -> Vec<Case> {
 
 fn times() -> Vec<Case> {
     let rate = |hz: &str| changed("rate_hz = 5.0", &format!("rate_hz = {hz}"));
+    let step = |dt_ms: &str| {
+        changed("duration_s = 4.0", &format!("duration_s = 4.0\ndt_ms = {dt_ms}"))
+            .replace("rate_hz = 5.0", "rate_hz = 4.0")
+    };
     let skiving = |duration: &str| {
         let skiving = "skiving = { feed_mm_per_s = 8.0, depth_mm = 20.0, burr_speed_rpm = 8000.0 }";
         changed_in(&driven_by(skiving), "duration_s = 4.0", duration)
@@ -181,7 +185,18 @@ fn times() -> Vec<Case> {
         case(
             "a frame rate above what the ticks allow",
             changed_in(&rate("60.0"), "duration_s = 4.0", "duration_s = 4.0\ndt_ms = 10.0"),
-            &["unlikely: `drr.rate_hz` is 60; a frame every 2 ticks of 10 ms is 50.000 Hz"],
+            &[
+                "unlikely: `run.dt_ms` is 10; expected at most 2 in bone: longer steps drill elsewhere, and forces jump",
+                "unlikely: `drr.rate_hz` is 60; a frame every 2 ticks of 10 ms is 50.000 Hz",
+            ],
+        ),
+        case("the longest step in bone", step("2.0"), &[]),
+        case(
+            "a step in bone that is longer",
+            step("2.5"),
+            &[
+                "unlikely: `run.dt_ms` is 2.5; expected at most 2 in bone: longer steps drill elsewhere, and forces jump",
+            ],
         ),
     ]
 }

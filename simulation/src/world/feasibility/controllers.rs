@@ -5,7 +5,7 @@ use scene::Drives;
 
 use super::{Feed, Start};
 use crate::arm::LEAST_MANIPULABILITY_M3;
-use crate::manipulator::ManipulatorModel;
+use crate::manipulator::{Integrator, ManipulatorModel};
 
 /// A target may lie so far beyond the end of the feed, mm: the drilled tip is not at the tool's, and nobody measures a tenth of a burr.
 const BEYOND_MM: f64 = 0.5;
@@ -15,6 +15,10 @@ const BEHIND_MM: f64 = 0.05;
 const ARC_SLACK: f64 = 1.02;
 /// Rates closer than this share are the same: 33.33 Hz is how one writes 30 ticks of 1 ms.
 const SAME_RATE: f64 = 2e-4;
+
+/// The longest step, ms, at which most hard cases in bone end where they end at 0.2 ms, and at which every shipped tool is right on every
+/// model (docs/accuracy-physics.md, docs/tools.md; `trabecula-lab chart stability --bone` and `--tools`).
+const LONGEST_STEP_MS: f64 = 2.0;
 
 impl Start<'_> {
     fn flexible_mm(&self) -> f64 {
@@ -136,6 +140,25 @@ pub(super) fn run_shorter_than_plan(start: &Start) -> Option<String> {
         .chain(sweeps.map(|sweep| ("controller.tension_sweep", sweep.duration_s())));
     let (table, plan_s) = plans.find(|(_, plan_s)| *plan_s > run_s)?;
     Some(format!("is {run_s}; `{table}` needs {plan_s:.1} s"))
+}
+
+pub(super) fn long_step_in_bone(start: &Start) -> Option<String> {
+    let dt_ms = start.scene.run.dt_ms;
+    (start.scene.volume.is_some() && dt_ms > LONGEST_STEP_MS).then(|| {
+        format!("is {dt_ms}; expected at most {LONGEST_STEP_MS} in bone: longer steps drill elsewhere, and forces jump")
+    })
+}
+
+/// A pre-curved tool under a load near Euler's is up to 0.75 mm off, and not by Euler's integrator.
+pub(super) fn long_step_of_pre_curved_tool(start: &Start) -> Option<String> {
+    let (tool, dt_ms) = (start.simulation.manipulator.parameters(), start.scene.run.dt_ms);
+    let is_pre_curved = tool.joint_rest_rad.iter().any(|rest_rad| *rest_rad != 0.0);
+    (is_pre_curved && tool.integrator == Integrator::Hybrid && dt_ms > LONGEST_STEP_MS).then(|| {
+        format!(
+            "is hybrid with a pre-curved tool at `run.dt_ms` = {dt_ms}, expected at most {LONGEST_STEP_MS} ms or \
+             linearly_implicit_euler: near its buckling load the tool ends elsewhere"
+        )
+    })
 }
 
 pub(super) fn frame_rate_is_rounded(start: &Start) -> Option<String> {
