@@ -6,12 +6,10 @@ From the repository's root, after `cargo build --release` and `cargo test --rele
 """
 
 import io
-import os
 import re
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import page
@@ -26,12 +24,12 @@ SHOWN_AT_S = 17.0
 LIMIT_BYTES = 400_000
 
 
-def address(viewer: subprocess.Popen) -> str:
-    """The address that the viewer prints."""
-    for line in viewer.stdout:
-        if found := re.search(r"http://\S+#token=\S+", line):
-            return found[0]
-    raise SystemExit("the viewer ended without an address")
+def said(program: subprocess.Popen, what: str, pattern: str) -> str:
+    """The first group of the first line that a program prints and that matches; the program ends sooner or later."""
+    for line in program.stdout:
+        if found := re.search(pattern, line):
+            return found[1]
+    raise SystemExit(f"a program ended without its {what}")
 
 
 def picture(url: str) -> Image.Image:
@@ -52,20 +50,18 @@ def picture(url: str) -> Image.Image:
 def main() -> None:
     out = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "docs/pictures/viewer.png"
     with tempfile.TemporaryDirectory() as folder:
-        # Sessions lie in this folder, so that the viewer finds this run and no other.
-        environment = {**os.environ, "XDG_RUNTIME_DIR": folder}
         started = []
 
         def start(*arguments: str | Path) -> subprocess.Popen:
-            started.append(subprocess.Popen([PROGRAM, *arguments], env=environment, stdout=subprocess.PIPE, text=True))
+            started.append(subprocess.Popen([PROGRAM, *arguments], stdout=subprocess.PIPE, text=True))
             return started[-1]
 
         try:
-            start("run", SCENE, "--output", folder, "--images", "none", "--quiet")
-            session = Path(folder) / "trabecula"
-            while not list(session.glob("*/session.json")):
-                time.sleep(0.1)
-            shown = picture(address(start("view", "--port", "0", "--no-open", "--page-folder", ROOT / "viewer_proc/page")))
+            # The browser draws without a graphics card, on the cores that the run needs.
+            run = start("run", SCENE, "--set", 'run.policy="fifo"', "--output", folder, "--images", "none", "--quiet")
+            session = said(run, "session", r"^session\s+(\S+)")
+            view = start("view", "--session", session, "--port", "0", "--no-open", "--page-folder", ROOT / "viewer_proc/page")
+            shown = picture(said(view, "address", r"(http://\S+#token=\S+)"))
         finally:
             for process in reversed(started):
                 process.terminate()
