@@ -15,6 +15,22 @@ pub struct ContactPlane {
     pub gap_m: f64,
     /// Most normal force that the obstacle bears before it yields, N; infinite if it does not yield.
     pub strength_n: f64,
+    /// How it recedes within the step under a tool that cuts it.
+    pub give: Give,
+}
+
+/// How an obstacle recedes within a step under a tool that cuts it: at all its planes by `m_per_n` for each newton above `from_n` of the sum
+/// of the forces on them, up to `most_m`. Without it the tool meets in each step the obstacle of the step before, presses as hard as the
+/// contact is stiff, cuts too much, and finds nothing to press on in the next. All planes that recede in a step are of one link and have
+/// one law.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Give {
+    /// Force up to which nothing is cut, N.
+    pub from_n: f64,
+    /// 0: it does not recede.
+    pub m_per_n: f64,
+    /// m.
+    pub most_m: f64,
 }
 
 impl ContactPlane {

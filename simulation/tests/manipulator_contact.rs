@@ -30,7 +30,14 @@ fn half_space(m: &Manipulator, normal: Vector3<f64>, offset_m: f64, out: &mut Ve
         let gap_m = distance - s.radius_m;
         if gap_m < 2e-3 {
             let point_m = s.centre_m - normal.into_inner() * distance;
-            out.push(ContactPlane { sphere_index, point_m, normal, gap_m, strength_n: f64::INFINITY });
+            out.push(ContactPlane {
+                sphere_index,
+                point_m,
+                normal,
+                gap_m,
+                strength_n: f64::INFINITY,
+                give: Default::default(),
+            });
         }
     }
 }
@@ -157,6 +164,7 @@ fn tight_tunnel_with_opposing_walls_stays_finite() {
                         normal,
                         gap_m,
                         strength_n: f64::INFINITY,
+                        give: Default::default(),
                     });
                 }
             }
@@ -392,6 +400,7 @@ fn winding_tunnel_rests_in_equilibrium() {
                         normal,
                         gap_m,
                         strength_n: f64::INFINITY,
+                        give: Default::default(),
                     });
                 }
             }

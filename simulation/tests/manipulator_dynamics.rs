@@ -190,6 +190,7 @@ fn busy(m: &mut Manipulator, from: usize, to: usize) -> Vec<u64> {
                     normal,
                     gap_m,
                     strength_n: f64::INFINITY,
+                    give: Default::default(),
                 });
             }
         }
@@ -364,6 +365,7 @@ fn bad_input_is_refused_by_name_and_changes_nothing() {
         normal,
         gap_m,
         strength_n: f64::INFINITY,
+        give: Default::default(),
     };
     let planes = [plane(1000, 0.0), plane(3, f64::NAN), plane(3, 1e-3)];
     let input = StepInput { contacts: &planes, ..free(TendonCommand::Force([0.0; 2])) };

@@ -252,6 +252,7 @@ fn wall<M: ManipulatorModel>(m: &M) -> Vec<ContactPlane> {
             normal,
             gap_m,
             strength_n: f64::INFINITY,
+            give: Default::default(),
         })
     };
     m.proxy_spheres().iter().enumerate().filter_map(near).collect()

@@ -58,7 +58,7 @@ const GOLDEN: [Golden; 3] = [
         in_bone: true,
         command: feed,
         ticks: 1000,
-        hash: "205b800f3118d92fe880b4a637ae4eda",
+        hash: "4ca2d42d448a4ee86e8db0f0711eae50",
     },
     Golden {
         scene: BODIES,

@@ -120,6 +120,7 @@ fn touched_at_the_shaft(height_m: f64) -> (Vec<(f64, f64)>, f64) {
             normal,
             gap_m,
             strength_n: f64::INFINITY,
+            give: Default::default(),
         }];
         m.step(DT_S, &StepInput { base, ..pull([0.0; 2], &plane) }).unwrap();
     }

@@ -199,6 +199,7 @@ fn a_fixed_box_is_the_same_wall_as_a_half_space() {
                 normal: Unit::new_unchecked(-Vector3::x()),
                 gap_m,
                 strength_n: f64::INFINITY,
+                give: Default::default(),
             });
         }
         let tendon = TendonCommand::Force([8.0, 0.0]);

@@ -266,6 +266,7 @@ fn wall_at(m: &AnyManipulator, x_m: f64) -> Vec<ContactPlane> {
             normal,
             gap_m,
             strength_n: f64::INFINITY,
+            give: Default::default(),
         })
     };
     m.proxy_spheres().iter().enumerate().filter_map(near).collect()

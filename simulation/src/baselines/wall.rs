@@ -38,6 +38,7 @@ impl Wall {
                     normal: self.normal,
                     gap_m,
                     strength_n: f64::INFINITY,
+                    give: Default::default(),
                 });
             }
         }

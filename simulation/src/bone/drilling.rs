@@ -20,6 +20,9 @@
 //! in voxels of 0.06 mm, where it walks 0.2 mm with one energy. The price: where a tool is pressed sideways, part of that energy cuts the
 //! bone ahead, until it has receded out of reach.
 //!
+//! **Within a step.** The energy is that of the forces at the end of the step, and the voxels recede by it after the step. The contacts of
+//! the burr give way within the step by as much ([`crate::contact_plane::Give`]): otherwise each step meets the bone of the one before.
+//!
 //! **Capacity.** A voxel's total energy is `u(HU) x volume`. In one tick it loses at most the part that lies within the grown burr, and
 //! recedes by at most `feed_per_revolution_max_m` per revolution. What a voxel cannot absorb goes to the others; what no voxel can absorb
 //! is reported as unused (in reality it heats the bone).
@@ -37,6 +40,7 @@ use pulp::Arch;
 use super::BoneError;
 use super::cutting::{BurrContact, Work, check_time_step};
 use super::grid::VoxelIndex;
+use super::query::VoxelEnd;
 use super::reach::{Press, ReachedVoxels};
 use super::removal::Removal;
 use super::strength::Place;
@@ -63,6 +67,8 @@ pub struct GrindReport {
     pub refused_count: usize,
     /// Force in N below which the burr's edges plough and do not cut; 0 while it does not press.
     pub edge_force_n: f64,
+    /// Depth by which the bone recedes at the burr's deepest place for each newton above that force, m/N; 0 while it does not press.
+    pub recession_m_per_n: f64,
     /// Cutting energy of the tick in J.
     pub energy_offered_j: f64,
     /// The part of it that bone absorbed.
@@ -230,12 +236,13 @@ impl DrillCache {
         if energy_j > 0.0 {
             tick.collect();
             match parameters.removal {
-                Removal::Energy if parameters.material.edge_pressure_ref_pa > 0.0 => {
+                Removal::Energy => {
                     let edge_n = tick.edge_force_n(hu, &press.centre, contacts);
                     tick.report.edge_force_n = edge_n;
+                    tick.report.recession_m_per_n =
+                        tick.recession_m_per_j(&press.centre) * (energy_j / burr.normal_force_n);
                     tick.spend(arch, energy_j * (1.0 - edge_n / burr.normal_force_n).max(0.0));
                 }
-                Removal::Energy => tick.spend(arch, energy_j),
                 rule => tick.remove_by_rule(rule, hu, burr.speed_rad_s.abs()),
             }
         }
@@ -266,6 +273,20 @@ impl DrillTick<'_> {
             }
         }
         self.scratch.keep(&self.reached.depth, &self.reached.room_j);
+    }
+
+    /// Depth by which the bone recedes at the burr's deepest place for each joule, m/J: the voxels share the energy by depth.
+    fn recession_m_per_j(&self, centre: &Vector3<f64>) -> f64 {
+        let spacing_m = self.edit.geometry().spacing_m;
+        let ReachedVoxels { depth, full_j, spent, .. } = &*self.reached;
+        let (mut sum, mut most_m_per_j) = (0.0, 0.0f64);
+        for voxel in (0..depth.len()).filter(|voxel| depth[*voxel] > 0.0) {
+            let from = self.reached.offset(voxel, centre);
+            let width_m = VoxelEnd::seen(from.into(), spacing_m, spent[voxel]).width;
+            sum += depth[voxel];
+            most_m_per_j = most_m_per_j.max(depth[voxel] * width_m / full_j[voxel]);
+        }
+        if sum > 0.0 { most_m_per_j / sum } else { 0.0 }
     }
 
     /// Sum of edge pressure times projected area over the touched voxels, N: see the module. Without contacts the burr's own direction is

@@ -12,8 +12,8 @@
 //! **Which planes.** A voxel can be nearest only if no whole neighbour lies between it and the centre, which bitwise operations find. On a
 //! flat wall one candidate remains, in a tunnel a few dozen. The candidate with the least distance *plus* widening gives the first plane:
 //! the least of continuous functions is continuous, so the gap changes no faster than the sphere moves (`tests/gap.rs`). The nearest one
-//! more than 60 degrees away from it the second, and so on, up to four, so that no side is missed; then the nearest ones that are more
-//! than 10 degrees away from all others, up to twelve in all.
+//! more than 60 degrees away from it the second, and so on, up to four, and up to eight where the gap is small, so that no side is missed;
+//! then the nearest ones that are more than 10 degrees away from all others, up to fourteen in all.
 //!
 //! All of this describes [`ContactKind::Planes`]; [`ContactKind::VoxelBalls`] exists for comparison.
 
@@ -39,12 +39,15 @@ pub enum ContactKind {
     VoxelBalls,
 }
 
-/// Planes of a sphere on different sides of it.
+/// Planes of a sphere on different sides of it, whatever their gap.
 const FAR_PLANES: usize = 4;
+/// The same and those of a small gap: as many sides as a hole may have around the burr. With four, a burr in a hole of its own size saw
+/// one wall at a time and was thrown to and fro.
+const MOST_FAR_PLANES: usize = 8;
 /// Their least angle from one another (cosine; 60 degrees).
 const FAR_APART_COSINE: f64 = 0.5;
 /// Maximum planes per sphere. In a groove or at the end of a hole the bone touches a sphere all around.
-pub const MAX_PLANES: usize = FAR_PLANES + 8;
+pub const MAX_PLANES: usize = MOST_FAR_PLANES + 6;
 /// Least angle of all planes from one another (cosine; 10 degrees). With 60 degrees only one of a groove's two sides was seen, in turn, and
 /// the burr was thrown to and fro; with 5 degrees the planes of a small patch are all there is.
 const NEAR_APART_COSINE: f64 = 0.985;
@@ -162,7 +165,7 @@ impl VoxelEnd {
 }
 
 impl Voxels {
-    /// Adds up to four planes that the sphere (world centre, radius) touches or that are closer than `margin_m`. A sphere whose centre is
+    /// Adds the planes that the sphere (world centre, radius) touches or that are closer than `margin_m`. A sphere whose centre is
     /// inside bone gets the single plane that leads out. Adds nothing for non-finite values or a radius that is not positive.
     pub fn contact_planes(
         &self,
@@ -239,6 +242,7 @@ impl Voxels {
             normal: Unit::new_unchecked(self.geometry().direction_world_grid * normal),
             gap_m,
             strength_n: f64::INFINITY,
+            give: Default::default(),
         }
     }
 
@@ -255,7 +259,7 @@ impl Voxels {
         let mut found = [Surface::NONE; MAX_PLANES];
         let mut count = 0;
         out.candidates.save();
-        for (most, apart_cosine) in [(FAR_PLANES, FAR_APART_COSINE), (MAX_PLANES, NEAR_APART_COSINE)] {
+        for (most, apart_cosine) in [(MOST_FAR_PLANES, FAR_APART_COSINE), (MAX_PLANES, NEAR_APART_COSINE)] {
             if count > 0 {
                 out.candidates.bring_back();
                 for Surface { direction, normal, .. } in &found[..count] {
@@ -268,7 +272,7 @@ impl Voxels {
                 }
                 let Some(surface) = out.candidates.nearest_surface(&mut look) else { break };
                 let Surface { direction, normal, distance_m } = surface;
-                if most == MAX_PLANES && distance_m > radius_m + NEAR_GAP_M {
+                if (most == MAX_PLANES || count >= FAR_PLANES) && distance_m > radius_m + NEAR_GAP_M {
                     break;
                 }
                 out.candidates.drop_near([&direction, &normal], apart_cosine);

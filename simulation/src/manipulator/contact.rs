@@ -2,13 +2,15 @@
 //!
 //! A normal row requires `v_n + P / (k_c dt^2) >= -gap / dt`: the sphere may close its gap within the step (speculative contact), and at
 //! rest the overlap equals force / k_c. Any overlap beyond what the last contact force explains is pushed out at a bounded speed. An
-//! obstacle that yields carries no more than its strength: the sphere then goes in deeper, and the obstacle gives way after the step. Coulomb
+//! obstacle that yields carries no more than its strength: the sphere then goes in deeper, and the obstacle gives way after the step. One
+//! that is cut recedes within the step by what the force cuts ([`crate::contact_plane::Give`]): the sphere goes in so much deeper at the same force. Coulomb
 //! friction holds per contact: the impulse either stops the sliding or lies on the circle mu P_n and opposes the remaining sliding. The
 //! rows are solved together by Newton's method (`newton`) on the chain's own recursion (`chain`).
 
 mod chain;
 mod laws;
 mod newton;
+mod patch;
 #[cfg(test)]
 mod tests;
 
@@ -21,6 +23,7 @@ use super::state::ContactResult;
 use crate::contact_plane::ContactPlane;
 use laws::{ContactRow, StopRow};
 use newton::Problem;
+use patch::Patch;
 
 pub(super) use chain::{Chain, Square};
 pub(super) use newton::Outcome;
@@ -96,6 +99,7 @@ pub(super) struct ContactSolver<const N: usize> {
     pub contact: Vec<Contact>,
     row: Vec<ContactRow<N>>,
     stop: Vec<StopRow>,
+    patch: Patch,
     order: Vec<(usize, usize)>,
     used: Vec<bool>,
     /// Motions of the links without contact.
@@ -117,6 +121,7 @@ impl<const N: usize> ContactSolver<N> {
             contact: Vec::with_capacity(contacts),
             row: Vec::with_capacity(contacts),
             stop: Vec::with_capacity(freedoms),
+            patch: Patch::default(),
             order: Vec::with_capacity(contacts),
             used: vec![false; contacts],
             free_motion: vec![[0.0; N]; links],
@@ -141,6 +146,7 @@ impl<const N: usize> ContactSolver<N> {
         self.stop.clear();
         self.order.clear();
         self.max_overlap_m = 0.0;
+        self.patch = Patch::default();
         let considered = &step.planes[..step.planes.len().min(self.used.len())];
         let usable = |c: &ContactPlane| c.sphere_index < spheres.len() && c.is_usable();
         for (index, plane) in considered.iter().enumerate().filter(|(_, c)| usable(c)) {
@@ -163,6 +169,10 @@ impl<const N: usize> ContactSolver<N> {
             row.compliance = step.compliance();
             (row.target, row.impulse) = last.start(step, plane, &[t0, t1]);
             row.strength = plane.strength_n * step.dt;
+            row.recedes = plane.give.m_per_n > 0.0;
+            if row.recedes {
+                self.patch = Patch::new(&plane.give, step.dt);
+            }
             row.impulse[0] = row.impulse[0].min(row.strength);
             self.max_overlap_m = self.max_overlap_m.max(-plane.gap_m);
             self.row.push(row);
@@ -194,7 +204,16 @@ impl<const N: usize> ContactSolver<N> {
         let chain = &mut self.chain;
         chain.motions_of(free, &mut self.free_motion);
         let (row, stop) = (&mut self.row[..], &mut self.stop[..]);
-        self.arch.dispatch(Problem { chain, row, stop, free_motion: &self.free_motion, free, parameters })
+        let patch = self.patch;
+        self.arch.dispatch(Problem {
+            chain,
+            row,
+            stop,
+            patch,
+            free_motion: &self.free_motion,
+            free,
+            parameters,
+        })
     }
 
     /// Adds the impulses of the solution to each link and each freedom.

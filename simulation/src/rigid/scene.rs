@@ -141,6 +141,7 @@ impl RigidScene {
                         normal: nearest.normal,
                         gap_m,
                         strength_n: f64::INFINITY,
+                        give: Default::default(),
                     });
                     self.plane_body.push(index);
                 }

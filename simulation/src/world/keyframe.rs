@@ -12,6 +12,7 @@ use serde::{Serialize, Serializer};
 use thiserror::Error;
 use zerocopy::{FromBytes, IntoBytes};
 
+use super::receding::Receding;
 use super::{BurrDriveState, Simulation, SimulationError, SimulationSnapshot, TendonDriveState};
 use crate::arm::{ArmSnapshot, Compliance, ComplianceState};
 use crate::bone::BoneSnapshot;
@@ -65,7 +66,7 @@ impl Simulation<'_> {
             self.bone.as_ref().map(|bone| bone.field.voxels().serialised()),
             self.rigid.as_ref().map(RigidScene::serialised),
             self.tendon.snapshot(),
-            (self.burr_speed_rad_per_s, self.cutting_energy_j, self.crushing_energy_j),
+            (self.burr_speed_rad_per_s, self.cutting_energy_j, self.crushing_energy_j, self.receding),
         );
         let too_long = |_| KeyframeError::TooLong { given };
         let length = postcard::to_slice(&whole, buffer).map_err(too_long)?.len();
@@ -94,7 +95,7 @@ impl Simulation<'_> {
             Option<BoneSnapshot>,
             Option<RigidSnapshot>,
             TendonDriveState,
-            (f64, f64, f64),
+            (f64, f64, f64, Receding),
         );
         let unreadable = |cause: String| KeyframeError::Unreadable { cause };
         let (whole, rest): (Whole<'_>, _) =
@@ -106,7 +107,7 @@ impl Simulation<'_> {
             bone,
             rigid,
             tendon,
-            (burr_speed_rad_per_s, cutting_energy_j, crushing_energy_j),
+            (burr_speed_rad_per_s, cutting_energy_j, crushing_energy_j, receding),
         ) = whole;
         let state = State::read_from_bytes(state).map_err(|_| unreadable("its state".to_owned()))?;
         let command_rad_per_s = burr_speed_rad_per_s;
@@ -153,6 +154,7 @@ impl Simulation<'_> {
             burr_speed_rad_per_s,
             cutting_energy_j,
             crushing_energy_j,
+            receding,
             sensors,
             state,
         })

@@ -20,6 +20,7 @@ mod lost;
 mod message;
 mod move_tool;
 mod plant;
+mod receding;
 mod setup;
 mod tendon_drive;
 mod tool;
@@ -48,6 +49,7 @@ use crate::rigid::{RigidError, RigidScene, RigidSnapshot, ToolDrive};
 use arm_in_bone::ArmWatch;
 use burr_drive::{BurrDrive, BurrDriveState};
 use move_tool::Reach;
+use receding::Receding;
 use tendon_drive::{TendonDrive, TendonDriveState};
 
 pub use feasibility::{Finding, Verdict, findings};
@@ -146,6 +148,7 @@ pub struct SimulationSnapshot {
     burr_speed_rad_per_s: f64,
     cutting_energy_j: f64,
     crushing_energy_j: f64,
+    receding: Receding,
     sensors: SensorArrayState,
     state: State,
 }
@@ -181,6 +184,8 @@ pub struct Simulation<'v> {
     burr_speed_rad_per_s: f64,
     cutting_energy_j: f64,
     crushing_energy_j: f64,
+    /// How the bone under the burr receded in the last tick.
+    receding: Receding,
     /// Voxels that the last tick could not cut for want of memory.
     uncut_voxels: usize,
     /// Contacts that the last tick had no room for.
@@ -403,6 +408,7 @@ impl<'v> Simulation<'v> {
         };
         let work = Work { burr: &burr, contacts: &self.burr_contacts, indentations: &self.indentations };
         let report = bone.field.wear(&bone.hu, work, self.dt_s)?;
+        self.receding = Receding::after(&report, burr.speed_rad_s.abs() * self.dt_s);
         self.cutting_energy_j += report.energy_used_j;
         self.crushing_energy_j += report.crushed.energy_j;
         self.uncut_voxels = report.refused_count + report.crushed.refused_count;
@@ -433,6 +439,7 @@ impl<'v> Simulation<'v> {
             burr_speed_rad_per_s: self.burr_speed_rad_per_s,
             cutting_energy_j: self.cutting_energy_j,
             crushing_energy_j: self.crushing_energy_j,
+            receding: self.receding,
             sensors: self.sensors.state(),
             state: self.state,
         }
@@ -459,6 +466,7 @@ impl<'v> Simulation<'v> {
         self.burr_speed_rad_per_s = snapshot.burr_speed_rad_per_s;
         self.cutting_energy_j = snapshot.cutting_energy_j;
         self.crushing_energy_j = snapshot.crushing_energy_j;
+        self.receding = snapshot.receding;
         self.sensors.restore(&snapshot.sensors);
         self.state = snapshot.state;
         self.note_arm();

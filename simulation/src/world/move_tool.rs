@@ -248,6 +248,15 @@ impl Simulation<'_> {
                     });
                 }
             }
+            let turned_rad = self.burr_speed_rad_per_s.abs() * self.dt_s;
+            let feed_m = bone.field.voxels().parameters().cutting.feed_per_revolution_max_m;
+            let give = self.receding.give(turned_rad, feed_m);
+            let spheres = self.manipulator.proxy_spheres();
+            for plane in bone.contacts.planes_mut() {
+                if spheres[plane.sphere_index].kind == SphereKind::Burr {
+                    plane.give = give;
+                }
+            }
             self.planes.extend_from_slice(bone.contacts.planes());
             for planes in self.planes.chunk_by_mut(|a, b| a.sphere_index == b.sphere_index) {
                 let Some(index) = planes.first().map(|plane| plane.sphere_index) else { continue };

@@ -73,6 +73,7 @@ pub(super) fn build<'v>(
         burr_speed_rad_per_s: 0.0,
         cutting_energy_j: 0.0,
         crushing_energy_j: 0.0,
+        receding: super::Receding::default(),
         indentations: Vec::with_capacity(PLANES_PER_SPHERE * sphere_count),
         burr_contacts: Vec::with_capacity(PLANES_PER_SPHERE),
         uncut_voxels: 0,

@@ -19,6 +19,8 @@ pub(in crate::manipulator) struct ContactRow<const N: usize> {
     pub target: f64,
     /// Normal impulse at which the obstacle yields, N s.
     pub strength: f64,
+    /// Whether the obstacle recedes within the step: see [`super::patch`].
+    pub recedes: bool,
     /// Speed of the contact point on the link without contact impulses, m/s; to begin with, due to the base motion alone.
     pub drive: [f64; 3],
     /// Normal and tangential impulse, N s.
@@ -43,7 +45,7 @@ pub(super) struct Tangent {
     pub normal: f64,
     /// 00 01 11.
     pub friction: [f64; 3],
-    offset: [f64; 3],
+    pub offset: [f64; 3],
 }
 
 impl Tangent {
@@ -110,6 +112,7 @@ impl<const N: usize> ContactRow<N> {
             compliance: 0.0,
             target: 0.0,
             strength: f64::INFINITY,
+            recedes: false,
             drive: [0.0; 3],
             impulse: [0.0; 3],
             speed: [0.0; 3],
@@ -123,10 +126,22 @@ impl<const N: usize> ContactRow<N> {
         }
     }
 
+    /// Normal impulse at the normal speed `u`, m/s, where the obstacle recedes at the speed `back`, m/s.
+    #[inline(always)]
+    pub(super) fn normal_law(&self, u: f64, back: f64) -> f64 {
+        ((self.target - u - self.back(back)) / self.compliance).max(0.0).min(self.strength)
+    }
+
+    /// Speed at which this obstacle recedes if those that recede do so at the speed `back`.
+    #[inline(always)]
+    fn back(&self, back: f64) -> f64 {
+        if self.recedes { back } else { 0.0 }
+    }
+
     /// Impulses at speeds `u`, the cone being held.
     #[inline(always)]
-    pub(super) fn law(&self, u: &[f64; 3]) -> [f64; 3] {
-        let normal = ((self.target - u[0]) / self.compliance).max(0.0).min(self.strength);
+    pub(super) fn law(&self, u: &[f64; 3], back: f64) -> [f64; 3] {
+        let normal = self.normal_law(u[0], back);
         if self.radius == 0.0 {
             return [normal, 0.0, 0.0];
         }
@@ -136,12 +151,12 @@ impl<const N: usize> ContactRow<N> {
     }
 
     /// Takes the law's tangent at the present speeds. `first`: the present impulses, which are the last tick's, tell which side of a
-    /// kink the solution is on better than the speeds do.
+    /// kink the solution is on better than the speeds do. The normal's tangent is at the speed of the obstacle plus that of the sphere.
     #[inline(always)]
-    pub(super) fn linearise(&mut self, first: bool) {
+    pub(super) fn linearise(&mut self, first: bool, back: f64) {
         self.tangent = NO_TANGENT;
         let [p, ..] = self.impulse;
-        let missing = self.target - self.speed[0];
+        let missing = self.target - self.speed[0] - self.back(back);
         let ahead = p + (missing - self.compliance * p) / self.mobility[0];
         let side = if first { ahead } else { missing / self.compliance };
         if side >= self.strength {
@@ -173,23 +188,28 @@ impl<const N: usize> ContactRow<N> {
 
     /// Impulses by the tangent law.
     #[inline(always)]
-    pub(super) fn tangent_law(&self, u: &[f64; 3]) -> [f64; 3] {
+    pub(super) fn tangent_law(&self, u: &[f64; 3], back: f64) -> [f64; 3] {
         let Tangent { normal, friction: [a, b, c], offset } = self.tangent;
-        [offset[0] - normal * u[0], offset[1] - a * u[1] - b * u[2], offset[2] - b * u[1] - c * u[2]]
+        [
+            offset[0] - normal * (u[0] + self.back(back)),
+            offset[1] - a * u[1] - b * u[2],
+            offset[2] - b * u[1] - c * u[2],
+        ]
     }
 
-    /// Speed by which the impulses miss the laws while the cone is held, and by which they miss Coulomb's law.
+    /// Speed by which the impulses miss the laws while the cone is held, and by which they miss Coulomb's law. `back`: the speed at which the
+    /// impulses make obstacles recede.
     #[inline(always)]
-    pub(super) fn misses(&self) -> [f64; 2] {
+    pub(super) fn misses(&self, back: f64) -> [f64; 2] {
         let [n, p, q] = self.impulse;
         let u = &self.speed;
-        let missing = self.target - u[0] - self.compliance * n;
+        let missing = self.target - u[0] - self.back(back) - self.compliance * n;
         let normal = bound_miss(n, missing, self.mobility[0], self.strength);
         if self.friction == 0.0 {
             return [normal, normal];
         }
         let of = |disc: [f64; 2]| norm([disc[0] - p, disc[1] - q]) * self.mobility[1];
-        let [_, a, b] = self.law(u);
+        let [_, a, b] = self.law(u, back);
         let ahead = [p - u[1] / self.mobility[1], q - u[2] / self.mobility[1]];
         let coulomb = of(onto_disc(ahead, self.friction * n.max(0.0)));
         [normal.max(of([a, b])), normal.max(coulomb)]

@@ -5,7 +5,8 @@
 //! `1/2 |v - v*|_A^2 + sum max(0, target - v_n)^2 / (2 c) + friction(v_t)`
 //!
 //! with v* the free velocities and c the compliance (the primal form of Castro, Permenter and Han 2022, "An Unconstrained Convex
-//! Formulation of Compliant Contact", IEEE Trans. Robotics 39(2), arXiv 2110.10107). Each iteration replaces every row's law by its
+//! Formulation of Compliant Contact", IEEE Trans. Robotics 39(2), arXiv 2110.10107). A contact that yields has another integral in place of the square; obstacles
+//! that recede add a term of their common speed ([`super::patch`]); the function stays convex. Each iteration replaces every row's law by its
 //! tangent, solves the chain with the rows that press (see `chain`), and goes along the step to the minimum.
 //!
 //! **Friction.** The radius of each cone, mu times the normal impulse, is held while the function is minimised and then renewed
@@ -18,6 +19,7 @@
 
 use super::chain::{Chain, add_outer, add_scaled, dot, times};
 use super::laws::{ContactRow, StopRow, Tangent, bound_miss, onto_disc};
+use super::patch::Patch;
 use crate::manipulator::parameters::ContactParameters;
 use crate::manipulator::row::Stop;
 
@@ -45,6 +47,8 @@ pub(super) struct Problem<'s, const N: usize> {
     /// Ordered by link.
     pub row: &'s mut [ContactRow<N>],
     pub stop: &'s mut [StopRow],
+    /// How the rows that recede do so.
+    pub patch: Patch,
     /// Free motion of each link, and free velocity of each freedom.
     pub free_motion: &'s [[f64; N]],
     pub free: &'s [f64],
@@ -142,11 +146,12 @@ impl<const N: usize> Problem<'_, N> {
     fn newton_step(&mut self, first: bool) {
         let pressing = &mut self.chain.pressing;
         pressing.clear();
+        let back = if first { self.patch.carried(self.row) } else { self.patch.root(self.row, 0.0) };
         for row in self.row.iter_mut() {
-            row.linearise(first);
+            row.linearise(first, back);
             let Tangent { normal, friction: [a, b, c], .. } = row.tangent;
             let [n, s, t] = &row.force;
-            let impulse = row.tangent_law(&row.drive);
+            let impulse = row.tangent_law(&row.drive, 0.0);
             let (link, sum) = (&mut pressing.link[row.link], &mut pressing.link_impulse[row.link]);
             if normal > 0.0 {
                 add_outer(link, normal, n);
@@ -165,6 +170,8 @@ impl<const N: usize> Problem<'_, N> {
                 add_scaled(sum, impulse[2], t);
             }
         }
+        let of_links = (&mut pressing.link[..], &mut pressing.link_impulse[..]);
+        let back_law = self.patch.eliminate(self.row, back, of_links);
         for row in self.stop.iter_mut() {
             let Stop { sign, compliance, target, impulse, .. } = row.stop;
             let missing = target - row.rate;
@@ -175,10 +182,11 @@ impl<const N: usize> Problem<'_, N> {
         }
         self.chain.factor();
         self.chain.solve();
+        let back = back_law.at(&self.chain.motion);
         for row in self.row.iter_mut() {
             let motion = &self.chain.motion[row.link];
             row.next_speed = core::array::from_fn(|j| row.drive[j] + dot(&row.force[j], motion));
-            row.next = row.tangent_law(&row.next_speed);
+            row.next = row.tangent_law(&row.next_speed, back);
         }
         for row in self.stop.iter_mut() {
             row.next_rate = row.free + row.stop.sign * self.chain.velocity[row.freedom];
@@ -190,9 +198,10 @@ impl<const N: usize> Problem<'_, N> {
     #[inline(always)]
     fn slope(&self, t: f64) -> f64 {
         let mut sum = 0.0;
+        let back = self.patch.root(self.row, t);
         for row in self.row.iter() {
             let step: [f64; 3] = core::array::from_fn(|j| row.next_speed[j] - row.speed[j]);
-            let law = row.law(&core::array::from_fn(|j| row.speed[j] + t * step[j]));
+            let law = row.law(&core::array::from_fn(|j| row.speed[j] + t * step[j]), back);
             for j in 0..3 {
                 let carried = row.impulse[j] + t * (row.next[j] - row.impulse[j]);
                 sum += (carried - law[j]) * step[j];
@@ -252,8 +261,9 @@ impl<const N: usize> Problem<'_, N> {
     #[inline(always)]
     fn misses(&self) -> [f64; 2] {
         let mut most = [0.0f64; 2];
+        let back = self.patch.carried(self.row);
         for row in self.row.iter() {
-            let own = row.misses();
+            let own = row.misses(back);
             most = [most[0].max(own[0]), most[1].max(own[1])];
         }
         for row in self.stop.iter() {
