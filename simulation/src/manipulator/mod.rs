@@ -42,6 +42,7 @@ mod tendon;
 mod validation;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use scene::MAX_CUTTER_BALLS;
 
 use articulated::Articulated;
 use contact::ContactSolver;
@@ -73,12 +74,13 @@ pub const MAX_LINKS: usize = 64;
 pub const MAX_TENDONS: usize = 4;
 /// Maximum number of proxy spheres on the shaft.
 pub const MAX_SHAFT_SPHERES: usize = 8;
-/// Shaft, one per segment, burr.
-pub(crate) const MAX_SPHERES: usize = MAX_SHAFT_SPHERES + MAX_JOINTS + 1;
+/// Shaft, one per segment, the burr's.
+pub(crate) const MAX_SPHERES: usize = MAX_SHAFT_SPHERES + MAX_JOINTS + MAX_CUTTER_BALLS;
 /// Contacts for each sphere that there is room for. Most spheres have none to four; in a hole as narrow as itself one may have more.
 pub const CONTACTS_PER_SPHERE: usize = 10;
-/// Maximum contacts per step; excess contacts are refused and counted.
-pub const MAX_CONTACTS: usize = CONTACTS_PER_SPHERE * MAX_SPHERES;
+/// Maximum contacts per step; excess contacts are refused and counted. The balls of a burr share those of one sphere with the whole tool:
+/// they touch the same bone.
+pub const MAX_CONTACTS: usize = CONTACTS_PER_SPHERE * (MAX_SHAFT_SPHERES + MAX_JOINTS + 1);
 
 /// A continuum manipulator.
 #[derive(Debug, Clone)]

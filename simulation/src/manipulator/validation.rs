@@ -116,7 +116,12 @@ impl ManipulatorParameters {
         check_all("shaft_sphere_span_m", &self.shaft_sphere_span_m, "-10 to 10 m", |x| x.abs() <= 10.0)?;
         check("shaft_sphere_radius_m", self.shaft_sphere_radius_m, "1e-6 to 1 m", length)?;
         check("segment_sphere_radius_m", self.segment_sphere_radius_m, "1e-6 to 1 m", length)?;
-        check("burr_radius_m", self.burr_radius_m, "1e-6 to 1 m", length)
+        let last_m = self.tip_offset_m;
+        for ball in self.cutter.balls() {
+            check("cutter, radius", ball.radius_m, "1e-6 to 1 m", length)?;
+            check("cutter, behind_m", ball.behind_m, "0 to tip_offset_m", |x| (0.0..=last_m).contains(&x))?;
+        }
+        Ok(())
     }
 
     fn validate_tendon(&self) -> Result<(), ManipulatorError> {

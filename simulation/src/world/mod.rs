@@ -36,12 +36,12 @@ use zerocopy::IntoBytes;
 
 use crate::arm::{Arm, ArmError, ArmSnapshot, Compliance, ComplianceState};
 use crate::bone::{
-    BoneError, BoneField, BoneSnapshot, BurrContact, BurrState, ContactBuffer, GridGeometry, Indentation,
-    VoxelIndex, Work,
+    Ball, BoneError, BoneField, BoneSnapshot, BurrContact, BurrState, ContactBuffer, GridGeometry,
+    Indentation, VoxelIndex, Work,
 };
 use crate::contact_plane::ContactPlane;
 use crate::manipulator::{
-    AnyManipulator, AnyManipulatorState, BaseMotion, ManipulatorError, ManipulatorModel, SphereKind,
+    AnyManipulator, AnyManipulatorState, BaseMotion, ManipulatorError, ManipulatorModel, ProxySphere,
     StepReport,
 };
 use crate::rigid::{RigidError, RigidScene, RigidSnapshot, ToolDrive};
@@ -171,6 +171,8 @@ pub struct Simulation<'v> {
     indentations: Vec<Indentation>,
     /// The burr's contacts with bone that carried force in the last step.
     burr_contacts: Vec<BurrContact>,
+    /// Workspace: the balls of a longer cutter behind its front one.
+    balls_behind: Vec<Ball>,
     /// One per proxy sphere.
     reach: Vec<Reach>,
     /// Workspace: the tool before the tick.
@@ -372,19 +374,29 @@ impl<'v> Simulation<'v> {
         })
     }
 
-    /// Lists the burr's contacts with bone that carry force.
+    /// Lists the burr's balls, and their contacts with bone that carry force.
     fn find_burr_contacts(&mut self) {
         self.burr_contacts.clear();
+        self.balls_behind.clear();
         let spheres = self.manipulator.proxy_spheres();
+        // The burr's spheres are the last ones, from its back to its front.
+        let balls = self.manipulator.parameters().cutter.balls();
+        let behind = spheres.iter().rev().take(balls.len()).skip(1);
+        let ball = |sphere: &ProxySphere| Ball { centre_m: sphere.centre_m, radius_m: sphere.radius_m };
+        self.balls_behind.extend(behind.map(ball));
         let axis = self.manipulator.t_world_tip().rotation * Vector3::z();
         for result in self.manipulator.contact_results().iter().filter(|result| result.normal_force_n > 0.0) {
-            let burr = spheres.get(result.sphere_index).is_some_and(|sphere| sphere.kind == SphereKind::Burr);
+            let from_front = spheres.len().checked_sub(result.sphere_index + 1);
+            let ball = from_front.and_then(|number| balls.get(number));
             let body = self.rigid.as_ref().and_then(|rigid| rigid.body_of_plane(result.contact_index));
-            if burr && body.is_none() {
+            if let Some(ball) = ball
+                && body.is_none()
+            {
                 self.burr_contacts.push(BurrContact {
                     normal: result.normal,
                     normal_force_n: result.normal_force_n,
                     axis_cosine: result.normal.dot(&axis),
+                    behind_m: ball.behind_m,
                 });
             }
         }
@@ -393,16 +405,20 @@ impl<'v> Simulation<'v> {
     fn wear(&mut self) -> Result<usize, SimulationError> {
         self.find_indentations();
         self.find_burr_contacts();
-        self.load_burr();
-        let Some(bone) = &mut self.bone else { return Ok(0) };
+        let Some(bone) = &mut self.bone else {
+            self.load_burr(0.0);
+            return Ok(0);
+        };
         let burr = BurrState {
             centre_m: self.manipulator.t_world_tip().translation.vector,
-            radius_m: self.manipulator.parameters().burr_radius_m,
+            radius_m: self.manipulator.parameters().cutter.front_radius_m(),
             speed_rad_s: self.burr_speed_rad_per_s,
             normal_force_n: self.burr_contacts.iter().map(|contact| contact.normal_force_n).sum(),
         };
-        let work = Work { burr: &burr, contacts: &self.burr_contacts, indentations: &self.indentations };
+        let (behind, contacts) = (&self.balls_behind, &self.burr_contacts);
+        let work = Work { burr: &burr, behind, contacts, indentations: &self.indentations };
         let report = bone.field.wear(&bone.hu, work, self.dt_s)?;
+        self.load_burr(report.lever_m);
         self.cutting_energy_j += report.energy_used_j;
         self.crushing_energy_j += report.crushed.energy_j;
         self.uncut_voxels = report.refused_count + report.crushed.refused_count;

@@ -49,7 +49,7 @@ pub(super) fn described(tool: &ToolDescription) -> ManipulatorParameters {
         shaft_sphere_span_m: spheres.span_m,
         shaft_sphere_radius_m: radii.tube_outer_m,
         segment_sphere_radius_m: radii.tube_outer_m,
-        burr_radius_m: radii.burr_m,
+        cutter: radii.cutter,
         tendon: TendonParameters {
             offset_m: 0.0,
             gap_m: tool.tendon_cable.gap_mm / 1e3,

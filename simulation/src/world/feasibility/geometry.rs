@@ -28,8 +28,16 @@ impl Start<'_> {
     }
 
     pub(super) fn burr_gap_m(&self) -> Option<f64> {
-        let radius_m = self.simulation.manipulator.parameters().burr_radius_m;
-        Some(self.voxels()?.distance_m(&self.burr_m(), Matter::Bone)? - radius_m)
+        let voxels = self.voxels()?;
+        let gap_m =
+            |ball: &ProxySphere| Some(voxels.distance_m(&ball.centre_m, Matter::Bone)? - ball.radius_m);
+        self.burr().filter_map(gap_m).min_by(f64::total_cmp)
+    }
+
+    /// The burr's spheres.
+    fn burr(&self) -> impl Iterator<Item = &ProxySphere> {
+        let spheres = self.simulation.manipulator.proxy_spheres().iter();
+        spheres.filter(|sphere| sphere.kind == SphereKind::Burr)
     }
 
     /// The tube's spheres: shaft and segments.
@@ -105,8 +113,9 @@ pub(super) fn start_far_from_bone(start: &Start) -> Option<String> {
 }
 
 pub(super) fn burr_in_bone(start: &Start) -> Option<String> {
-    let depth_m =
-        start.voxels()?.distance_m(&start.burr_m(), Matter::Open).filter(|depth_m| *depth_m > SHALLOW_M)?;
+    let voxels = start.voxels()?;
+    let depths_m = start.burr().filter_map(|ball| voxels.distance_m(&ball.centre_m, Matter::Open));
+    let depth_m = depths_m.max_by(f64::total_cmp).filter(|depth_m| *depth_m > SHALLOW_M)?;
     let depth_mm = depth_m * 1e3;
     Some(format!(
         "puts the burr {depth_mm:.1} mm inside bone; expected in front of it, or in a `[[predrill]]` hole"
@@ -165,7 +174,7 @@ pub(super) fn hole_thinner_than_tool(start: &Start) -> Option<String> {
 }
 
 pub(super) fn hole_thinner_than_burr(start: &Start) -> Option<String> {
-    let burr_mm = 2e3 * start.simulation.manipulator.parameters().burr_radius_m;
+    let burr_mm = 2e3 * start.simulation.manipulator.parameters().cutter.widest_radius_m();
     let tube_mm = start.tube_diameter_mm();
     start.voxels()?;
     let is_burrs = |hole: &&Predrill| {
@@ -185,7 +194,7 @@ pub(super) fn burr_thinner_than_tool(start: &Start) -> Option<String> {
     if tool.burr_diameter_mm.is_none() && tool.tool.is_none() {
         return None;
     }
-    let (burr_mm, tube_mm) = (2e3 * tool.radii().burr_m, start.tube_diameter_mm());
+    let (burr_mm, tube_mm) = (2e3 * tool.radii().cutter.widest_radius_m(), start.tube_diameter_mm());
     (burr_mm < tube_mm)
         .then(|| format!("is {burr_mm}: the shaft, {tube_mm:.1} mm thick, does not follow so thin a burr"))
 }
