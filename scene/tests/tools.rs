@@ -108,6 +108,11 @@ fn a_tool_that_cannot_stand_is_refused_with_file_key_value_and_range() {
             "`tendon[0].to_flexure` is 4, allowed is 5 to 7",
         ),
         (
+            "toward_mm = 2.5",
+            "toward_mm = 2.5\ntwist_deg_per_mm = -30.0",
+            "`tendon[0].twist_deg_per_mm` is -30, allowed is -22.5 to 22.5",
+        ),
+        (
             "offset_mm = 4.0",
             "offset_mm = 0.9",
             "`burr.offset_mm` is 0.9, allowed is 1 to 500: the cutter would lie inside the tube",
@@ -281,6 +286,13 @@ fn a_rung_whose_assumptions_a_tool_breaks_is_refused() {
     assert!(
         scene(&arc, &TOOL.replace("stiffness_nm_per_deg", "rest_deg = 2.0\nstiffness_nm_per_deg")).is_ok()
     );
+    let wound = TOOL.replace("toward_mm = 2.5", "toward_mm = 2.5\ntwist_deg_per_mm = 3.0");
+    for model in ["planar", "constant_curvature"] {
+        let refused = scene(&format!("{SCENE}model = \"{model}\"\n"), &wound).unwrap_err().to_string();
+        let said = "`manipulator.tool.tendon.twist_deg_per_mm` bends out of the plane; expected `manipulator.model` to be spatial or full";
+        assert!(refused.contains(said), "{refused}");
+    }
+    assert!(scene(&format!("{SCENE}model = \"spatial\"\n"), &wound).is_ok());
     let across = TOOL.replace("toward_mm = 2.5", "toward_mm = 2.5\nacross_mm = 1.0");
     for flat in ["", "model = \"planar\"\n", "model = \"constant_curvature\"\n"] {
         let refused = scene(&format!("{SCENE}{flat}"), &across).unwrap_err().to_string();

@@ -16,7 +16,7 @@ use nalgebra::Vector3;
 use scene::{Cutter, Scene};
 use simulation::bone::{CuttingLaw, GridGeometry};
 use simulation::manipulator::ManipulatorParameters;
-use simulation::{CtView, Simulation, manipulator_parameters};
+use simulation::{CtView, Simulation, findings, manipulator_parameters};
 
 const COEFFICIENT: f64 = 0.3;
 const ENERGY_J_PER_M3: f64 = 5.0e7;
@@ -258,4 +258,19 @@ fn a_keyframe_in_the_cut_of_a_long_cutter_continues_bit_for_bit() {
         second.step(&Latched { tick, ..latched }).unwrap();
         assert_eq!(first.state().hash, second.state().hash, "tick {tick}");
     }
+}
+
+#[test]
+fn a_tip_thinner_than_two_voxels_is_called_unlikely() {
+    let scene = scene(BIT, "");
+    let told = |voxel_m: f64| {
+        let (geometry, hu) = block([-3.6e-3, -3.6e-3, 0.6e-3], [3.6e-3, 3.6e-3, 7.8e-3], voxel_m);
+        let found = findings(&scene, Some(CtView { geometry, hu: &hu }), &|_| true).unwrap();
+        let tip = found.iter().find(|finding| finding.key == "manipulator.tool.burr.tip_diameter_mm");
+        tip.map(|finding| finding.problem.clone())
+    };
+    assert_eq!(told(0.3e-3), None);
+    let said =
+        "is 0.6: a tip thinner than two voxels, 0.80 mm, catches on them, and its force comes in bursts";
+    assert_eq!(told(0.4e-3).as_deref(), Some(said));
 }

@@ -13,6 +13,8 @@ use crate::tool::FlexurePlace;
 const TOUCH_MM: f64 = 1e-6;
 /// Least distance between the last two corners of a cutter, mm: a shorter one is another shape.
 const SHORTEST_MM: f64 = 0.1;
+/// Most that a tendon winds about the tool from one flexure to the next, degrees: the model lets it run straight there.
+const MOST_TWIST_DEG: f64 = 45.0;
 /// Rest curvatures that differ by less than this share of the largest are one.
 const SAME_CURVATURE: f64 = 0.01;
 
@@ -28,7 +30,7 @@ pub(crate) fn tool(tool: &ToolDescription, above: &str, checker: &Checker) -> Re
     }
     check.shaft(places[0].at_mm)?;
     check.burr(&places)?;
-    tool.tendon.iter().enumerate().try_for_each(|(index, tendon)| check.tendon(index, tendon, places.len()))
+    tool.tendon.iter().enumerate().try_for_each(|(index, tendon)| check.tendon(index, tendon, &places))
 }
 
 struct Check<'a> {
@@ -198,11 +200,20 @@ impl Check<'_> {
         Ok(())
     }
 
-    fn tendon(&self, index: usize, tendon: &ToolTendon, flexures: usize) -> Result<(), SceneError> {
-        let (from, count) = (tendon.from_flexure as f64, flexures as f64);
+    fn tendon(&self, index: usize, tendon: &ToolTendon, places: &[FlexurePlace]) -> Result<(), SceneError> {
+        let (from, count) = (tendon.from_flexure as f64, places.len() as f64);
+        let apart_mm = places.windows(2).map(|pair| pair[1].at_mm - pair[0].at_mm);
+        let longest_mm = apart_mm.fold(MOST_TWIST_DEG / 180.0, f64::max);
         self.range(&format!("tendon[{index}].from_flexure"), from, 1.0, count)?;
         let to = tendon.to_flexure.map_or(count, |to| to as f64);
-        self.range(&format!("tendon[{index}].to_flexure"), to, from, count)
+        self.range(&format!("tendon[{index}].to_flexure"), to, from, count)?;
+        let most = MOST_TWIST_DEG / longest_mm;
+        self.range(
+            &format!("tendon[{index}].twist_deg_per_mm"),
+            tendon.twist_deg_per_mm.unwrap_or(0.0),
+            -most,
+            most,
+        )
     }
 }
 

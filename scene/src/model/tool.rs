@@ -215,6 +215,10 @@ pub struct ToolTendon {
     #[serde(default)]
     #[schemars(range(min = -10.0, max = 10.0))]
     pub across_mm: f64,
+    /// Angle by which the channel turns about the tool axis per length, from `toward_mm` to `across_mm`, beginning half way before the first
+    /// flexure that it bends: the tendon winds about the tool. For `spatial` and `full`.
+    #[schemars(range(min = -180.0, max = 180.0), extend("x-absent" = "0"))]
+    pub twist_deg_per_mm: Option<f64>,
     /// The first flexure that it bends, from 1 at the flange: up to there a sheath holds it.
     #[serde(default = "one")]
     #[schemars(range(min = 1, max = MAX_JOINTS))]

@@ -28,6 +28,7 @@ mod coupling;
 mod error;
 mod flexure;
 mod geometry;
+mod helix;
 mod loads;
 mod modal;
 mod model;
@@ -117,6 +118,7 @@ impl Manipulator {
             let expected = "1 to 32 entries for the planar rung";
             return Err(ManipulatorError::Length { field: "joint_positions_m", given, expected });
         }
+        helix::refuse(&parameters, "0: the rung planar does not twist")?;
         validation::validate_base(base)?;
         let layout = Layout::new(&parameters);
         let n = layout.joints;

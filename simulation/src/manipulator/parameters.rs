@@ -46,13 +46,16 @@ pub struct TendonReach {
     pub to: Option<usize>,
 }
 
-/// A tendon in a channel parallel to the tool's axis.
+/// A tendon in a channel parallel to the tool's axis, or winding about it.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct TendonRoute {
     /// Channel, (x, y) from the tool axis in the base frame, m. Only the spatial rungs bend along y.
     pub channel_m: [f64; 2],
     /// The flexures that it bends. In front of them a sheath holds it, behind them it ends.
     pub reach: TendonReach,
+    /// Angle by which the channel turns about the tool's axis, from x toward y, per length from half way before the first flexure that it
+    /// bends on, rad/m; 0: parallel to the axis. Only the spatial rungs twist: see `manipulator::helix`.
+    pub twist_rad_per_m: f64,
     /// Its own axial stiffness, N/m, in place of that of all.
     pub stiffness_n_per_m: Option<f64>,
     /// Its own capstan friction coefficient, in place of that of all.

@@ -10,7 +10,7 @@ use scene::{
 use super::burr_drive::{BurrDrive, BurrDriveState};
 use super::move_tool::PLANES_PER_SPHERE;
 use super::tendon_drive::TendonDrive;
-use super::tool::described;
+use super::tool::{described, twist_rad_per_m};
 use super::{Bone, Driver, Hounsfield, Simulation, SimulationError};
 use crate::arm::{Arm, ArmParameters, Compliance, ComplianceParameters, initial_q_rad, place_base_for};
 use crate::bone::{
@@ -18,7 +18,7 @@ use crate::bone::{
 };
 use crate::manipulator::{
     AnyManipulator, BaseMotion, Integrator, ManipulatorError, ManipulatorModel, ManipulatorParameters, Notch,
-    Rung,
+    Rung, TendonRoute,
 };
 use crate::rigid::{BodyMotion, BodyParameters, BodyShape, RigidScene};
 
@@ -134,7 +134,10 @@ pub fn manipulator_parameters(scene: &Scene) -> Result<ManipulatorParameters, Ma
         parameters.tendon_routes.iter_mut().flatten().for_each(|route| route.friction_coefficient = None);
     }
     if !scene.tendon.is_empty() {
-        let routes = scene.tendon.iter().map(|it| [it.toward_mm * 1e-3, it.across_mm * 1e-3].into());
+        let routes = scene.tendon.iter().map(|it| TendonRoute {
+            twist_rad_per_m: twist_rad_per_m(it.twist_deg_per_mm),
+            ..TendonRoute::from([it.toward_mm * 1e-3, it.across_mm * 1e-3])
+        });
         parameters.tendon_routes = Some(routes.collect());
     }
     if let Some(ratio) = overrides.damping_ratio {

@@ -15,6 +15,7 @@ use super::MAX_TENDONS;
 use super::contact::ContactSolver;
 use super::error::{ManipulatorError, check};
 use super::geometry::{BurrBody, SphereLayout, link_lengths_m, spheres};
+use super::helix;
 use super::parameters::{ManipulatorParameters, TendonRoute};
 use super::state::{BaseMotion, ContactResult, ProxySphere, StepReport, Wrench, places_from};
 use super::tendon::{Channels, TendonMemory};
@@ -355,8 +356,9 @@ impl ConstantCurvature {
     }
 }
 
-/// One arc cannot bend in part.
+/// One arc cannot bend in part, nor twist.
 fn refuse_partial_tendons(p: &ManipulatorParameters) -> Result<(), ManipulatorError> {
+    helix::refuse(p, "0: the rung constant_curvature does not twist")?;
     let joints = p.joint_positions_m.len();
     for TendonRoute { reach, .. } in p.tendon_routes.iter().flatten() {
         let allowed = "all flexures: the rung constant_curvature is one arc";

@@ -15,6 +15,8 @@ const NEAR_M: f64 = 0.01;
 const FAR_M: f64 = 0.1;
 /// A body may overlap the tool at the start by this much: it is pushed out, m.
 const OVERLAP_M: f64 = 1e-4;
+/// Spacings of files are rounded; a share.
+const ROUNDING: f64 = 1e-6;
 /// Less depth in bone prints as 0.0 mm, and is often rounding: a place between two voxels lies on the face of both, m.
 const SHALLOW_M: f64 = 5e-5;
 
@@ -197,6 +199,16 @@ pub(super) fn burr_thinner_than_tool(start: &Start) -> Option<String> {
     let (burr_mm, tube_mm) = (2e3 * tool.radii().cutter.widest_radius_m(), start.tube_diameter_mm());
     (burr_mm < tube_mm)
         .then(|| format!("is {burr_mm}: the shaft, {tube_mm:.1} mm thick, does not follow so thin a burr"))
+}
+
+/// The smoothed surface of bone and the voxels that are cut from it differ by up to half a voxel: a tip that is thinner catches on one and
+/// does not reach the other.
+pub(super) fn tip_thinner_than_voxels(start: &Start) -> Option<String> {
+    let tip_mm = start.scene.manipulator.tool.as_ref()?.burr.tip_diameter_mm?;
+    let voxel_mm = 1e3 * start.voxels()?.geometry().spacing_m.into_iter().fold(0.0, f64::max);
+    (tip_mm < 2.0 * voxel_mm * (1.0 - ROUNDING)).then(|| {
+        format!("is {tip_mm}: a tip thinner than two voxels, {:.2} mm, catches on them, and its force comes in bursts", 2.0 * voxel_mm)
+    })
 }
 
 pub(super) fn body_in_tool(start: &Start) -> Option<String> {
