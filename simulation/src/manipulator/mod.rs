@@ -79,9 +79,10 @@ pub const MAX_SHAFT_SPHERES: usize = 8;
 pub(crate) const MAX_SPHERES: usize = MAX_SHAFT_SPHERES + MAX_JOINTS + MAX_CUTTER_BALLS;
 /// Contacts for each sphere that there is room for. Most spheres have none to four; in a hole as narrow as itself one may have more.
 pub const CONTACTS_PER_SPHERE: usize = 10;
-/// Maximum contacts per step; excess contacts are refused and counted. The balls of a burr share those of one sphere with the whole tool:
-/// they touch the same bone.
-pub const MAX_CONTACTS: usize = CONTACTS_PER_SPHERE * (MAX_SHAFT_SPHERES + MAX_JOINTS + 1);
+/// Spheres that contacts are counted for: shaft, one per segment, one burr. The balls of a longer burr share with the whole tool.
+const COUNTED_SPHERES: usize = MAX_SHAFT_SPHERES + MAX_JOINTS + 1;
+/// Maximum contacts per step; excess contacts are refused and counted.
+pub const MAX_CONTACTS: usize = CONTACTS_PER_SPHERE * COUNTED_SPHERES;
 
 /// A continuum manipulator.
 #[derive(Debug, Clone)]

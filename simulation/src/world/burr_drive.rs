@@ -1,4 +1,4 @@
-//! The burr's motor, and what cutting does to it and to the tool.
+//! The burr's contacts and motor, and what cutting does to it and to the tool.
 //!
 //! A contact that presses with F and cuts with the coefficient mu pushes the burr along its surface with `mu F (w x n)`, w being the unit
 //! spin axis and n the contact's normal, toward the burr: nothing at the pole, mu F at the side. It also takes the torque `mu F r_eff` from
@@ -13,9 +13,9 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::Simulation;
-use crate::bone::BurrContact;
 use crate::bone::cutting::lever_share;
-use crate::manipulator::{ManipulatorModel, Wrench};
+use crate::bone::{Ball, BurrContact};
+use crate::manipulator::{ManipulatorModel, ProxySphere, Wrench};
 
 /// What of the motor and of the side force a scene models.
 #[derive(Debug, Clone, Copy)]
@@ -92,6 +92,34 @@ impl BurrDrive {
 }
 
 impl Simulation<'_> {
+    /// Lists the burr's balls, and their contacts with bone that carry force.
+    pub(super) fn find_burr_contacts(&mut self) {
+        self.burr_contacts.clear();
+        self.balls_behind.clear();
+        let spheres = self.manipulator.proxy_spheres();
+        // The burr's spheres are the last ones, from its back to its front.
+        let balls = self.manipulator.parameters().cutter.balls();
+        let behind = spheres.iter().rev().take(balls.len()).skip(1);
+        let ball = |sphere: &ProxySphere| Ball { centre_m: sphere.centre_m, radius_m: sphere.radius_m };
+        self.balls_behind.extend(behind.map(ball));
+        let axis = self.manipulator.t_world_tip().rotation * Vector3::z();
+        for result in self.manipulator.contact_results().iter().filter(|result| result.normal_force_n > 0.0) {
+            let from_front = spheres.len().checked_sub(result.sphere_index + 1);
+            let ball = from_front.and_then(|number| balls.get(number));
+            let body = self.rigid.as_ref().and_then(|rigid| rigid.body_of_plane(result.contact_index));
+            if let Some(ball) = ball
+                && body.is_none()
+            {
+                self.burr_contacts.push(BurrContact {
+                    normal: result.normal,
+                    normal_force_n: result.normal_force_n,
+                    axis_cosine: result.normal.dot(&axis),
+                    behind_m: ball.behind_m,
+                });
+            }
+        }
+    }
+
     /// Sets the burr's speed for the tick; a motor that comes to stand is told to whoever drives the burr.
     pub(super) fn turn_burr(&mut self) {
         let (before, drive) = (self.burr_speed_rad_per_s, &self.burr_drive);

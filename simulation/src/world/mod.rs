@@ -41,8 +41,7 @@ use crate::bone::{
 };
 use crate::contact_plane::ContactPlane;
 use crate::manipulator::{
-    AnyManipulator, AnyManipulatorState, BaseMotion, ManipulatorError, ManipulatorModel, ProxySphere,
-    StepReport,
+    AnyManipulator, AnyManipulatorState, BaseMotion, ManipulatorError, ManipulatorModel, StepReport,
 };
 use crate::rigid::{RigidError, RigidScene, RigidSnapshot, ToolDrive};
 use arm_in_bone::ArmWatch;
@@ -372,34 +371,6 @@ impl<'v> Simulation<'v> {
             linear_velocity_m_per_s: deflected.linear_velocity_m_s,
             angular_velocity_rad_per_s: deflected.angular_velocity_rad_s,
         })
-    }
-
-    /// Lists the burr's balls, and their contacts with bone that carry force.
-    fn find_burr_contacts(&mut self) {
-        self.burr_contacts.clear();
-        self.balls_behind.clear();
-        let spheres = self.manipulator.proxy_spheres();
-        // The burr's spheres are the last ones, from its back to its front.
-        let balls = self.manipulator.parameters().cutter.balls();
-        let behind = spheres.iter().rev().take(balls.len()).skip(1);
-        let ball = |sphere: &ProxySphere| Ball { centre_m: sphere.centre_m, radius_m: sphere.radius_m };
-        self.balls_behind.extend(behind.map(ball));
-        let axis = self.manipulator.t_world_tip().rotation * Vector3::z();
-        for result in self.manipulator.contact_results().iter().filter(|result| result.normal_force_n > 0.0) {
-            let from_front = spheres.len().checked_sub(result.sphere_index + 1);
-            let ball = from_front.and_then(|number| balls.get(number));
-            let body = self.rigid.as_ref().and_then(|rigid| rigid.body_of_plane(result.contact_index));
-            if let Some(ball) = ball
-                && body.is_none()
-            {
-                self.burr_contacts.push(BurrContact {
-                    normal: result.normal,
-                    normal_force_n: result.normal_force_n,
-                    axis_cosine: result.normal.dot(&axis),
-                    behind_m: ball.behind_m,
-                });
-            }
-        }
     }
 
     fn wear(&mut self) -> Result<usize, SimulationError> {
