@@ -25,7 +25,7 @@ enum Joint {
     Motors(ImpulseJointHandle),
 }
 
-/// The tool in Rapier.
+/// The tool in Rapier. Its burr is a ball: of a longer cutter, the one at its front.
 pub struct RapierChain {
     world: PhysicsWorld,
     parameters: ManipulatorParameters,

@@ -229,11 +229,14 @@ fn check_radius(radius_m: f64) -> Result<(), &'static str> {
 }
 
 fn check_zone(radius_m: f64, axis: Vec3, [from_m, to_m]: [f64; 2]) -> Result<(), &'static str> {
-    // Negated, so that a NaN is refused.
-    if !((norm(axis) - 1.0).abs() < 1e-6) {
+    // A NaN is neither.
+    let is_unit = (norm(axis) - 1.0).abs() < 1e-6;
+    let rounded_m = radius_m * (1.0 + 1e-9);
+    let is_within = -rounded_m <= from_m && from_m < to_m && to_m <= rounded_m;
+    if !is_unit {
         return Err("the axis of a zone is no unit vector: normalise it");
     }
-    if !(-radius_m * (1.0 + 1e-9) <= from_m && from_m < to_m && to_m <= radius_m * (1.0 + 1e-9)) {
+    if !is_within {
         return Err("the planes of a zone do not follow one another within its sphere: correct along_m");
     }
     Ok(())
