@@ -236,6 +236,8 @@ const NO_CAPACITIES: &[(&str, &str)] = &[
     ("MOST", "viewer_proc/src/log/marks.rs"),
     ("MOST", "xray/src/slice_ordered/splat.rs"),
     ("MOST_ASKED", "viewer_proc/src/live/subscriptions.rs"),
+    ("MOST_COUNTED", "scene/src/cutter.rs"),
+    ("MOST_TWIST_DEG", "scene/src/check/tool.rs"),
     ("MOST_CHARACTERS", "foreign_text/src/lib.rs"),
     ("MOST_COMPLAINTS", "bridge_proc/src/igtl/connection.rs"),
     ("MOST_LATE_NS", "viewer_proc/src/log/series/mod.rs"),

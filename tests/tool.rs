@@ -22,7 +22,7 @@ fn scene(burr: &str) -> Scene {
 fn radii_m(scene: &Scene) -> [Vec<f64>; 2] {
     let parameters = manipulator_parameters(scene).unwrap();
     let physics = [
-        parameters.burr_radius_m,
+        parameters.cutter.widest_radius_m(),
         parameters.tube_radii_m[0],
         parameters.tube_radii_m[1],
         parameters.shaft_sphere_radius_m,
@@ -44,7 +44,9 @@ fn radii_m(scene: &Scene) -> [Vec<f64>; 2] {
 
 #[test]
 fn physics_and_x_ray_take_the_tools_radii_from_one_place() {
-    for (burr, burr_m) in [("", STANDARD_RADII.burr_m), ("[manipulator]\nburr_diameter_mm = 5.0\n", 2.5e-3)] {
+    for (burr, burr_m) in
+        [("", STANDARD_RADII.cutter.widest_radius_m()), ("[manipulator]\nburr_diameter_mm = 5.0\n", 2.5e-3)]
+    {
         let (tube, lumen) = (STANDARD_RADII.tube_outer_m, STANDARD_RADII.tube_inner_m);
         let [physics, seen] = radii_m(&scene(burr));
         assert_eq!(physics, [burr_m, tube, lumen, tube, tube]);
@@ -74,7 +76,13 @@ fn a_changed_radius_in_a_tool_file_changes_physics_x_ray_and_viewer() {
         let simulation = Simulation::new(scene, None).unwrap();
         let surface = trabecula::geometry::tool::surface(simulation.state(), &scene.manipulator.radii());
         let stiffness = manipulator_parameters(scene).unwrap().joint_stiffness_nm_per_rad[5];
-        (physics, x_ray, [shape.outer_radius_m, shape.burr_radius_m], surface.volume_mm3(), stiffness)
+        (
+            physics,
+            x_ray,
+            [shape.outer_radius_m, shape.cutter.widest_radius_m()],
+            surface.volume_mm3(),
+            stiffness,
+        )
     };
     let (line, burr) = ("outer_diameter_mm = 6.0", "diameter_mm = 6.5");
     let before = seen(&with_tool(line, line));

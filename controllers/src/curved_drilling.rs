@@ -81,7 +81,7 @@ impl CurvedDrillingController {
         let controller = CurvedDrillingController {
             plan: plan.clone(),
             calibration,
-            burr_radius_m: scene.manipulator.radii().burr_m,
+            burr_radius_m: scene.manipulator.radii().cutter.front_radius_m(),
             waits_for_frame: plan.feedback == Feedback::Image && scene.frame_period_ticks().is_some(),
             shape_due_s: 0.0,
             start: None,

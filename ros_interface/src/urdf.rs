@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
-use scene::Scene;
+use scene::{Cutter, Scene};
 use simulation::manipulator_parameters;
 
 use crate::robot::{Robot, WORLD};
@@ -31,7 +31,7 @@ pub fn describe(scene: &Scene, robot: &Robot) -> Result<String, simulation::mani
         flexures_m: &tool.joint_positions_m,
         burr_from_last_m: tool.tip_offset_m,
         tube_m: radii.tube_outer_m,
-        burr_m: radii.burr_m,
+        cutter: &radii.cutter,
     };
     chain.add_to(&mut urdf, robot);
     let name = foreign_text::plain(&scene.name).replace(['<', '>', '&', '"'], "_");
@@ -59,7 +59,7 @@ struct Chain<'a> {
     flexures_m: &'a [f64],
     burr_from_last_m: f64,
     tube_m: f64,
-    burr_m: f64,
+    cutter: &'a Cutter,
 }
 
 impl Chain<'_> {
@@ -74,7 +74,9 @@ impl Chain<'_> {
             let here = self.flexures_m.get(index).copied().unwrap_or(from);
             let next = self.flexures_m.get(index + 1).copied().unwrap_or(here + self.burr_from_last_m);
             let child = robot.tool_link(index);
-            urdf.link(&child, rod(next - here));
+            let is_last = index + 1 == self.flexures_m.len();
+            let covered = if is_last { self.cutter.span_m() } else { 0.0 };
+            urdf.link(&child, rod(next - here - covered));
             let (lower, upper) = (-FLEXURE_RANGE_RAD, FLEXURE_RANGE_RAD);
             // Positive bends +z towards +x, the side of tendon 0.
             let kind = Kind::Revolute { axis: [0, 1, 0], lower, upper, rate: 100.0 };
@@ -82,11 +84,23 @@ impl Chain<'_> {
             (parent, from) = (child, here);
         }
         let burr = robot.tool_end("burr");
-        urdf.link(&burr, Some(Shape::Ball { radius_m: self.burr_m }));
+        urdf.link(
+            &burr,
+            self.cutter
+                .balls()
+                .iter()
+                .map(|ball| Shape::Ball { behind_m: ball.behind_m, radius_m: ball.radius_m }),
+        );
         urdf.joint("burr_centre", Kind::Fixed, &parent, &burr, &shift(along(self.burr_from_last_m)));
         let tip = robot.tool_end("tip");
         urdf.link(&tip, None);
-        urdf.joint("tip", Kind::Fixed, &parent, &tip, &shift(along(self.burr_from_last_m + self.burr_m)));
+        urdf.joint(
+            "tip",
+            Kind::Fixed,
+            &parent,
+            &tip,
+            &shift(along(self.burr_from_last_m + self.cutter.front_radius_m())),
+        );
     }
 }
 
@@ -97,13 +111,9 @@ fn shift(by: Vector3<f64>) -> Isometry3<f64> {
 #[derive(Debug, Clone, Copy)]
 enum Shape {
     /// From the link's origin to a point.
-    Rod {
-        to: Vector3<f64>,
-        radius_m: f64,
-    },
-    Ball {
-        radius_m: f64,
-    },
+    Rod { to: Vector3<f64>, radius_m: f64 },
+    /// Behind the link's origin, along z.
+    Ball { behind_m: f64, radius_m: f64 },
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -123,14 +133,15 @@ impl Urdf {
         let _ = writeln!(self.text, "  {line}");
     }
 
-    fn link(&mut self, name: &str, shape: Option<Shape>) {
-        let Some((at, geometry)) = shape.and_then(drawn) else {
-            return self.add(format_args!("<link name=\"{name}\"/>"));
+    fn link(&mut self, name: &str, shapes: impl IntoIterator<Item = Shape>) {
+        let visual = |(at, geometry): (Isometry3<f64>, String)| {
+            format!("<visual>{}<geometry>{geometry}</geometry></visual>", origin(&at))
         };
-        let origin = origin(&at);
-        self.add(format_args!(
-            "<link name=\"{name}\"><visual>{origin}<geometry>{geometry}</geometry></visual></link>"
-        ));
+        let visuals: String = shapes.into_iter().filter_map(drawn).map(visual).collect();
+        if visuals.is_empty() {
+            return self.add(format_args!("<link name=\"{name}\"/>"));
+        }
+        self.add(format_args!("<link name=\"{name}\">{visuals}</link>"));
     }
 
     fn joint(&mut self, name: &str, kind: Kind, parent: &str, child: &str, at: &Isometry3<f64>) {
@@ -159,7 +170,11 @@ fn origin(at: &Isometry3<f64>) -> String {
 /// A shape's place and its element; `None` for a rod without length.
 fn drawn(shape: Shape) -> Option<(Isometry3<f64>, String)> {
     match shape {
-        Shape::Ball { radius_m } => Some((Isometry3::identity(), format!("<sphere radius=\"{radius_m}\"/>"))),
+        Shape::Ball { behind_m, radius_m } => {
+            let at =
+                if behind_m > 0.0 { shift(Vector3::new(0.0, 0.0, -behind_m)) } else { Isometry3::identity() };
+            Some((at, format!("<sphere radius=\"{radius_m}\"/>")))
+        }
         Shape::Rod { to, radius_m } => {
             let length = to.norm();
             if length < 1e-6 {

@@ -33,6 +33,7 @@
 //! ```
 
 mod check;
+mod cutter;
 mod declaration;
 mod error;
 pub mod mesh;
@@ -50,6 +51,7 @@ mod truth;
 mod urdf;
 mod urdf_meshes;
 
+pub use cutter::{Cutter, CutterBall, CutterSolid, CutterZone, MAX_CUTTER_BALLS, STANDARD_SCALLOP_MM};
 pub use error::SceneError;
 pub use model::*;
 pub use named_file::ReadText;

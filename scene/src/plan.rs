@@ -74,7 +74,7 @@ fn burr_diameter_mm(scene: &Table) -> f64 {
     let own = manipulator.and_then(|table| number(table.get("burr_diameter_mm")?));
     let of_tool =
         || manipulator.and_then(|table| number(table.get("tool")?.get("burr")?.get("diameter_mm")?));
-    own.or_else(of_tool).unwrap_or(2e3 * STANDARD_RADII.burr_m)
+    own.or_else(of_tool).unwrap_or(2e3 * STANDARD_RADII.cutter.widest_radius_m())
 }
 
 /// Adds the pilot hole behind the scene's own holes, whose numbers in messages stay.

@@ -1,6 +1,6 @@
 //! The tool's dimensions, from which physics, contact spheres, X-ray, viewer and controllers take theirs.
 
-use crate::{Arm, Manipulator, ToolDescription, ToolFlexure};
+use crate::{Arm, Cutter, Manipulator, ToolDescription, ToolFlexure};
 
 /// Radii of the tool.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -11,16 +11,20 @@ pub struct ToolRadii {
     pub tube_inner_m: f64,
     /// Flexible drive cable in the lumen; 0 without.
     pub drive_cable_m: f64,
-    /// The burr, a ball.
-    pub burr_m: f64,
+    /// The burr.
+    pub cutter: Cutter,
 }
 
 /// The BIGSS/JHU manipulator: a nitinol tube with an outer diameter of 6 mm and a lumen of 4 mm (Murphy et al. 2014, "Design and kinematic
 /// characterization of a surgical manipulator with a focus on treating osteolysis", Robotica 32, doi 10.1017/S0263574713001082); contact
 /// spheres of 3 mm radius and a burr of 3.25 mm radius as in the open-source simulator (htp2/continuum-manip-volumetric-drilling-plugin).
 /// The cable's 2 mm are an assumption: only X-ray frames show it.
-pub const STANDARD_RADII: ToolRadii =
-    ToolRadii { tube_outer_m: 3.0e-3, tube_inner_m: 2.0e-3, drive_cable_m: 1.0e-3, burr_m: 3.25e-3 };
+pub const STANDARD_RADII: ToolRadii = ToolRadii {
+    tube_outer_m: 3.0e-3,
+    tube_inner_m: 2.0e-3,
+    drive_cable_m: 1.0e-3,
+    cutter: Cutter::ball(3.25e-3),
+};
 
 /// What joins the tool to the arm's flange. The shaft goes on from it to the tool's base.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -68,8 +72,8 @@ impl Manipulator {
     /// The radii of the scene's tool.
     pub fn radii(&self) -> ToolRadii {
         let own = self.tool.as_ref().map_or(STANDARD_RADII, ToolDescription::radii);
-        let burr_m = self.burr_diameter_mm.map_or(own.burr_m, |diameter_mm| diameter_mm * 0.5e-3);
-        ToolRadii { burr_m, ..own }
+        let ball = |diameter_mm: f64| Cutter::ball(diameter_mm * 0.5e-3);
+        ToolRadii { cutter: self.burr_diameter_mm.map_or(own.cutter, ball), ..own }
     }
 }
 
@@ -92,7 +96,7 @@ impl ToolDescription {
             tube_outer_m: radius_m(self.tube.outer_diameter_mm),
             tube_inner_m: radius_m(self.tube.inner_diameter_mm),
             drive_cable_m: self.tube.drive_cable_diameter_mm.map_or(0.0, radius_m),
-            burr_m: radius_m(self.burr.diameter_mm),
+            cutter: self.burr.cutter(),
         }
     }
 

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use scene::{ManipulatorRung, Scene, SceneError, ToolDescription};
+use scene::{Cutter, ManipulatorRung, Scene, SceneError, ToolDescription};
 
 const TOOL: &str = "name = \"drill\"
 [tube]
@@ -54,11 +54,14 @@ fn a_scene_holds_its_tool_and_reads_as_the_same_without_the_file() {
         tool.flexures().iter().map(|it| it.at_mm).collect::<Vec<_>>(),
         [36.0, 38.0, 40.0, 42.0, 44.0, 46.0, 48.0]
     );
-    assert_eq!((first.manipulator.radii().tube_outer_m, first.manipulator.radii().burr_m), (3e-3, 4e-3));
+    assert_eq!(
+        (first.manipulator.radii().tube_outer_m, first.manipulator.radii().cutter),
+        (3e-3, Cutter::ball(4e-3))
+    );
     let again = Scene::parse(&toml::to_string(&first).unwrap(), Path::new("log")).unwrap();
     assert_eq!(again, first);
     let overridden = scene(&format!("{SCENE}burr_diameter_mm = 7.0\n"), TOOL).unwrap();
-    assert_eq!(overridden.manipulator.radii().burr_m, 3.5e-3);
+    assert_eq!(overridden.manipulator.radii().cutter, Cutter::ball(3.5e-3));
 }
 
 /// Bug that it would be: the pilot hole of a plan as wide as the standard tool's burr.
@@ -105,6 +108,11 @@ fn a_tool_that_cannot_stand_is_refused_with_file_key_value_and_range() {
             "`tendon[0].to_flexure` is 4, allowed is 5 to 7",
         ),
         (
+            "toward_mm = 2.5",
+            "toward_mm = 2.5\ntwist_deg_per_mm = -30.0",
+            "`tendon[0].twist_deg_per_mm` is -30, allowed is -22.5 to 22.5",
+        ),
+        (
             "offset_mm = 4.0",
             "offset_mm = 0.9",
             "`burr.offset_mm` is 0.9, allowed is 1 to 500: the cutter would lie inside the tube",
@@ -141,6 +149,56 @@ fn a_tool_that_cannot_stand_is_refused_with_file_key_value_and_range() {
             "[burr]",
             "[shaft]\ncontact_to_mm = 37.0\n[burr]",
             "`shaft.contact_to_mm` is 37, allowed is 0 to 36",
+        ),
+        (
+            "diameter_mm = 8.0",
+            "shape = \"cylinder\"\ndiameter_mm = 8.0",
+            "`burr.length_mm` is missing; expected it of every shape but a ball",
+        ),
+        (
+            "diameter_mm = 8.0",
+            "length_mm = 9.0\ndiameter_mm = 8.0",
+            "`burr.length_mm` is of every shape but a ball; `burr.shape` is another",
+        ),
+        (
+            "diameter_mm = 8.0",
+            "shape = \"cylinder\"\npoint_deg = 118.0\nlength_mm = 9.0\ndiameter_mm = 8.0",
+            "`burr.point_deg` is of a bit; `burr.shape` is another",
+        ),
+        (
+            "diameter_mm = 8.0",
+            "scallop_mm = 0.1\ndiameter_mm = 8.0",
+            "`burr.scallop_mm` is of every shape but a ball; `burr.shape` is another",
+        ),
+        (
+            "diameter_mm = 8.0",
+            "shape = \"cylinder\"\nlength_mm = 8.05\ndiameter_mm = 8.0",
+            "`burr.length_mm` is 8.05, allowed is 8.1 to 60",
+        ),
+        (
+            "diameter_mm = 8.0",
+            "shape = \"cone\"\nlength_mm = 8.0\ntip_diameter_mm = 2.0\ndiameter_mm = 8.0",
+            "`burr.length_mm` is 8, allowed is 8.4 to 60",
+        ),
+        (
+            "diameter_mm = 8.0",
+            "shape = \"cone\"\nlength_mm = 12.0\ntip_diameter_mm = 8.0\ndiameter_mm = 8.0",
+            "`burr.tip_diameter_mm` is 8, allowed is 0.1 to 7.95",
+        ),
+        (
+            "diameter_mm = 8.0",
+            "shape = \"bit\"\nlength_mm = 5.0\ntip_diameter_mm = 2.0\npoint_deg = 90.0\ndiameter_mm = 8.0",
+            "`burr.length_mm` is 5, allowed is 9.34",
+        ),
+        (
+            "diameter_mm = 8.0",
+            "shape = \"cylinder\"\nlength_mm = 50.0\nscallop_mm = 0.01\ndiameter_mm = 8.0",
+            "`burr.scallop_mm` is 0.01: that takes 76 balls, allowed are 16",
+        ),
+        (
+            "diameter_mm = 8.0\noffset_mm = 4.0",
+            "shape = \"cylinder\"\nlength_mm = 13.0\ndiameter_mm = 8.0\noffset_mm = 5.0",
+            "`burr.offset_mm` is 5, allowed is 6 to 500: the cutter would lie inside the tube",
         ),
         ("[burr]", "[ball]", "line 6: `ball`: unknown field `ball`"),
         ("name = \"drill\"", "name = \"a b\"", "`name` is \"a b\"; expected 1 to 64 letters"),
@@ -189,6 +247,15 @@ fn what_a_scene_says_beside_a_tool_file_must_go_with_it() {
         let refused = scene(&format!("{SCENE}{more}"), TOOL).unwrap_err().to_string();
         assert!(refused.contains(said), "{refused}\nis not\n{said}");
     }
+    let cylinder = TOOL.replace(
+        "diameter_mm = 8.0\noffset_mm = 4.0",
+        "shape = \"cylinder\"\nlength_mm = 9.0\ndiameter_mm = 8.0\noffset_mm = 4.0",
+    );
+    let refused = scene(&format!("{SCENE}burr_diameter_mm = 7.0\n"), &cylinder).unwrap_err().to_string();
+    assert!(
+        refused.contains("a.toml: `manipulator.burr_diameter_mm` is of a ball; the tool has another cutter"),
+        "{refused}"
+    );
     let refused = scene(&SCENE.replace("\"tools/drill.toml\"", "7"), TOOL).unwrap_err().to_string();
     assert!(refused.contains("`manipulator.file` is 7, expected a path as text"), "{refused}");
     let unreadable = |_: &Path| Err(std::io::Error::other("no such file"));
@@ -219,6 +286,13 @@ fn a_rung_whose_assumptions_a_tool_breaks_is_refused() {
     assert!(
         scene(&arc, &TOOL.replace("stiffness_nm_per_deg", "rest_deg = 2.0\nstiffness_nm_per_deg")).is_ok()
     );
+    let wound = TOOL.replace("toward_mm = 2.5", "toward_mm = 2.5\ntwist_deg_per_mm = 3.0");
+    for model in ["planar", "constant_curvature"] {
+        let refused = scene(&format!("{SCENE}model = \"{model}\"\n"), &wound).unwrap_err().to_string();
+        let said = "`manipulator.tool.tendon.twist_deg_per_mm` bends out of the plane; expected `manipulator.model` to be spatial or full";
+        assert!(refused.contains(said), "{refused}");
+    }
+    assert!(scene(&format!("{SCENE}model = \"spatial\"\n"), &wound).is_ok());
     let across = TOOL.replace("toward_mm = 2.5", "toward_mm = 2.5\nacross_mm = 1.0");
     for flat in ["", "model = \"planar\"\n", "model = \"constant_curvature\"\n"] {
         let refused = scene(&format!("{SCENE}{flat}"), &across).unwrap_err().to_string();

@@ -195,11 +195,11 @@ fn a_burr_whose_edges_only_plough_cuts_nothing() {
         speed_rad_s: SPEED_RAD_S,
         normal_force_n,
     };
-    let up = BurrContact { normal: Vector3::z(), normal_force_n: 1.0, axis_cosine: 1.0 };
+    let up = BurrContact { normal: Vector3::z(), normal_force_n: 1.0, axis_cosine: 1.0, behind_m: 0.0 };
     let mut tick = |normal_force_n: f64| {
         let contacts = [BurrContact { normal_force_n, ..up }];
         let burr = burr(normal_force_n);
-        let work = Work { burr: &burr, contacts: &contacts, indentations: &[] };
+        let work = Work { burr: &burr, behind: &[], contacts: &contacts, indentations: &[] };
         block.field.wear(&block.hu, work, 1.0e-3).unwrap()
     };
     let edge_n = tick(1.0e-3).edge_force_n;

@@ -81,7 +81,8 @@ fn nothing_tunnels_at_a_metre_a_second() {
         let (mut z, mut most) = (-4e-3 - 0.125e-3 * f64::from(phase), f64::NEG_INFINITY);
         // The base stops where the straight tool would be 0.3 mm in the sheet.
         let sheet = 70e-3 + 12.0 * 0.5e-3 - 0.25e-3;
-        let front = |m: &Manipulator| m.t_world_tip().translation.vector.z + m.parameters().burr_radius_m;
+        let front =
+            |m: &Manipulator| m.t_world_tip().translation.vector.z + m.parameters().cutter.front_radius_m();
         let stop = sheet + 0.3e-3 - front(&m);
         let place = |z: f64| {
             let mut base = BaseMotion::at_rest(Isometry3::translation(0.0, 0.0, z));

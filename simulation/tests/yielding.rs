@@ -132,7 +132,7 @@ fn press(voxel_m: f64, turn: &Rotation3<f64>, up: &Vector3<f64>, to_m: f64) -> P
             }
         }
         let report = field
-            .wear(&hu, Work { burr: &NO_BURR, contacts: &[], indentations: &indentations }, 1e-3)
+            .wear(&hu, Work { burr: &NO_BURR, behind: &[], contacts: &[], indentations: &indentations }, 1e-3)
             .unwrap();
         pressed.absorbed_j += report.crushed.energy_j;
         pressed.work_j += force_n * step_m;

@@ -19,7 +19,7 @@ use crate::failure::Failure;
 use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::plan_edit::{SceneName, moved};
 use crate::scene_picture::facts::Facts;
-use crate::scene_picture::shape::Shapes;
+use crate::scene_picture::shape::{Shapes, Tube};
 use crate::scene_picture::surroundings::Surroundings;
 use crate::scenes::SceneSource;
 
@@ -207,6 +207,8 @@ fn measure(
 fn plan(scene: &Scene, shapes: &Shapes, facts: Option<&Facts>) -> Result<Value, Failure> {
     let end = &shapes.at_end;
     let line_m: Vec<[f64; 3]> = end.tube.line_mm.iter().map(|point| (point * 1e-3).into()).collect();
+    let ball = |ball: &Tube| json!({"centre_m": ball.line_mm.first().map(|mm| <[f64; 3]>::from(mm * 1e-3)), "radius_m": 1e-3 * ball.radius_mm});
+    let burr: Vec<Value> = end.burr.iter().map(ball).collect();
     let c_arm = scene.drr.as_ref().map(xray::from_scene::scene_c_arm).transpose();
     let c_arm = c_arm.map_err(Failure::bad_input)?;
     let frustum = c_arm.map(|c_arm| {
@@ -226,7 +228,7 @@ fn plan(scene: &Scene, shapes: &Shapes, facts: Option<&Facts>) -> Result<Value, 
             "isocentre_mm": scene.drr.as_ref().map(|drr| drr.isocentre_mm),
         },
         "tool_end": shapes.is_planned.then(|| json!({
-            "line_m": line_m, "radius_m": 1e-3 * end.tube.radius_mm, "burr_radius_m": 1e-3 * end.burr.radius_mm,
+            "line_m": line_m, "radius_m": 1e-3 * end.tube.radius_mm, "burr": burr,
         })),
         "frustum": frustum,
     }))

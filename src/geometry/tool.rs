@@ -1,33 +1,49 @@
 //! The tool as a surface.
 
 use ipc_types::messages::{Pose, State};
-use ipc_types::scene::ToolRadii;
+use ipc_types::scene::{Cutter, CutterZone, ToolRadii};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::mesh::Mesh;
 
 /// Corners of a cross-section.
 const SIDES: u32 = 24;
-/// Circles of the burr between its poles.
+/// Circles of a ball of the burr between its poles.
 const CIRCLES: u32 = 11;
 
-/// The tool of a state: a tube through base and links up to the burr, closed at both ends, and the burr, a ball.
+/// The tool of a state: a tube through base and links up to the burr, closed at both ends, and the burr.
 pub fn surface(state: &State, radii: &ToolRadii) -> Mesh {
     let count = (state.joint_count as usize).min(state.t_world_link.len());
     let poses =
         [&state.t_world_base].into_iter().chain(&state.t_world_link[..count]).chain([&state.t_world_burr]);
-    let rings: Vec<Ring> =
+    let mut rings: Vec<Ring> =
         poses.map(|pose| Ring { pose, ahead_m: 0.0, radius_m: radii.tube_outer_m }).collect();
+    if let Some(end) = rings.last_mut() {
+        end.ahead_m = -radii.cutter.span_m();
+    }
     let mut tool = swept(&rings);
-    let burr: Vec<Ring> = (1..=CIRCLES)
-        .map(|circle| {
-            let angle = core::f64::consts::PI * f64::from(circle) / f64::from(CIRCLES + 1);
-            let [ahead_m, radius_m] = [-angle.cos(), angle.sin()].map(|x| x * radii.burr_m);
-            Ring { pose: &state.t_world_burr, ahead_m, radius_m }
-        })
-        .collect();
-    tool.add(&swept(&burr));
+    tool.add(&swept(&burr_rings(&state.t_world_burr, &radii.cutter)));
     tool
+}
+
+/// Circles of the burr from its back to its front: of each ball those in its own zone, and where two balls meet.
+fn burr_rings<'p>(pose: &'p Pose, cutter: &Cutter) -> Vec<Ring<'p>> {
+    let zones: Vec<CutterZone> = cutter.zones().collect();
+    let mut rings = Vec::new();
+    for (number, CutterZone { ball, ahead_m: [from_m, to_m] }) in zones.iter().enumerate().rev() {
+        for circle in 1..=CIRCLES {
+            let angle = core::f64::consts::PI * f64::from(circle) / f64::from(CIRCLES + 1);
+            let [along_m, radius_m] = [-angle.cos(), angle.sin()].map(|x| x * ball.radius_m);
+            if along_m > *from_m && along_m < *to_m {
+                rings.push(Ring { pose, ahead_m: along_m - ball.behind_m, radius_m });
+            }
+        }
+        if number > 0 {
+            let radius_m = (ball.radius_m * ball.radius_m - to_m * to_m).max(0.0).sqrt();
+            rings.push(Ring { pose, ahead_m: to_m - ball.behind_m, radius_m });
+        }
+    }
+    rings
 }
 
 /// A circle across the z axis of a pose.

@@ -2,6 +2,7 @@
 
 use ipc_types::scene::{Scene, planned_path_mm};
 use nalgebra::Vector3;
+use simulation::manipulator::ManipulatorParameters;
 use simulation::manipulator_parameters;
 
 use crate::failure::Failure;
@@ -61,8 +62,34 @@ impl Hole {
 pub struct ToolShape {
     /// From the base to the burr's centre.
     pub tube: Tube,
-    /// The burr, a ball.
-    pub burr: Tube,
+    /// The burr's balls, from its front to its back.
+    pub burr: Vec<Tube>,
+}
+
+impl ToolShape {
+    fn of(tool: &ManipulatorParameters, mut line_mm: Vec<Vector3<f64>>) -> ToolShape {
+        let end_mm = line_mm.last().copied().unwrap_or_default();
+        let before = line_mm.iter().rev().find(|point| (end_mm - **point).norm() > 1e-6);
+        let along = before.map_or_else(Vector3::zeros, |before| (end_mm - before).normalize());
+        let behind_mm = |behind_m: f64| end_mm - along * (1e3 * behind_m);
+        let burr = tool
+            .cutter
+            .balls()
+            .iter()
+            .map(|ball| Tube { line_mm: vec![behind_mm(ball.behind_m)], radius_mm: 1e3 * ball.radius_m });
+        let burr = burr.collect();
+        let span_mm = 1e3 * tool.cutter.span_m();
+        if span_mm > 0.0 {
+            line_mm.retain(|point| (end_mm - point).dot(&along) > span_mm);
+            line_mm.push(behind_mm(tool.cutter.span_m()));
+        }
+        ToolShape { tube: Tube { line_mm, radius_mm: 1e3 * tool.tube_radii_m[0] }, burr }
+    }
+
+    /// Whether a point lies in it.
+    pub fn holds(&self, point_mm: &Vector3<f64>) -> bool {
+        self.tube.holds(point_mm) || self.burr.iter().any(|ball| ball.holds(point_mm))
+    }
 }
 
 /// Everything of a scene that lies in the CT.
@@ -110,13 +137,7 @@ impl Shapes {
         };
         let ahead = path_behind(&path_mm, &start_mm);
         let insertion_mm = length(&ahead);
-        let shape = |line_mm: Vec<Vector3<f64>>| {
-            let end = line_mm.last().copied().into_iter().collect();
-            ToolShape {
-                tube: Tube { line_mm, radius_mm: 1e3 * tool.tube_radii_m[0] },
-                burr: Tube { line_mm: end, radius_mm: 1e3 * tool.burr_radius_m },
-            }
-        };
+        let shape = |line_mm: Vec<Vector3<f64>>| ToolShape::of(&tool, line_mm);
         // The whole way of the burr: from the base of the tool at the start, and on along the path.
         let mut way = vec![start_mm - along * tool_mm];
         way.extend(&ahead);

@@ -68,11 +68,10 @@ struct Inside([bool; 3]);
 
 impl Inside {
     fn of(point: &Vector3<f64>, shapes: &Shapes) -> Inside {
-        let tool = |tool: &super::shape::ToolShape| tool.tube.holds(point) || tool.burr.holds(point);
         Inside([
             shapes.holes.iter().any(|hole| hole.holds(point)),
-            tool(&shapes.at_start),
-            shapes.is_planned && tool(&shapes.at_end),
+            shapes.at_start.holds(point),
+            shapes.is_planned && shapes.at_end.holds(point),
         ])
     }
 }
@@ -131,7 +130,7 @@ mod tests {
         };
         let tool = |at: [f64; 3]| {
             let tube = Tube { line_mm: vec![Vector3::from(at)], radius_mm: 3.0 };
-            ToolShape { burr: tube.clone(), tube }
+            ToolShape { burr: vec![tube.clone()], tube }
         };
         let shapes = Shapes {
             holes: Vec::new(),
@@ -172,7 +171,7 @@ mod tests {
     #[test]
     fn a_tool_is_outlined_to_scale_by_a_ring_two_pixels_wide() {
         let (volume, mut shapes) = ball();
-        shapes.at_end.burr.line_mm = vec![Vector3::new(0.0, 0.0, 1.8)];
+        shapes.at_end.burr[0].line_mm = vec![Vector3::new(0.0, 0.0, 1.8)];
         let pixels = plane(25.0).pixels(&volume, &shapes, 500, 500);
         let ring: Vec<usize> = pixels
             .chunks_exact(3)

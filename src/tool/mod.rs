@@ -5,7 +5,7 @@ pub mod source;
 
 use std::fmt::Write;
 
-use ipc_types::scene::Scene;
+use ipc_types::scene::{Cutter, Scene};
 use serde::Serialize;
 use simulation::manipulator_parameters;
 
@@ -22,6 +22,12 @@ pub struct Dimension {
     pub text: &'static str,
 }
 
+/// From a burr's front to its back, m.
+fn length_m(cutter: &Cutter) -> f64 {
+    let back_m = cutter.balls().last().map_or(0.0, |ball| ball.radius_m);
+    cutter.front_radius_m() + cutter.span_m() + back_m
+}
+
 /// The dimensions of a scene's tool: the straight tool in its base's frame, whose z runs along the tool from the flange.
 ///
 /// # Errors
@@ -33,7 +39,11 @@ pub fn dimensions(scene: &Scene) -> Result<Vec<Dimension>, Failure> {
     let joints = tool.joint_positions_m.len();
     let dimension = |name, value: f64, text| Dimension { name, value, text };
     let mut all = vec![
-        dimension("length_mm", 1e3 * (burr_m + tool.burr_radius_m), "from the flange to the burr's front"),
+        dimension(
+            "length_mm",
+            1e3 * (burr_m + tool.cutter.front_radius_m()),
+            "from the flange to the burr's front",
+        ),
         dimension(
             "burr_centre_mm",
             1e3 * burr_m,
@@ -55,7 +65,9 @@ pub fn dimensions(scene: &Scene) -> Result<Vec<Dimension>, Failure> {
             "outer diameter of the tube; a pilot hole is at least as wide",
         ),
         dimension("tube_inner_mm", 2e3 * tool.tube_radii_m[1], "inner diameter of the tube"),
-        dimension("burr_mm", 2e3 * tool.burr_radius_m, "diameter of the burr, a ball"),
+        dimension("burr_mm", 2e3 * tool.cutter.widest_radius_m(), "diameter of the burr, where it is widest"),
+        dimension("burr_length_mm", 1e3 * length_m(&tool.cutter), "from the front of the burr to its back"),
+        dimension("burr_balls", tool.cutter.balls().len() as f64, "number of balls that make up the burr"),
         dimension("flexures", joints as f64, "number of flexures"),
         dimension(
             "flexure_stop_deg",

@@ -77,9 +77,10 @@ struct Counted {
     removed: u64,
 }
 
-/// Steps through the drilling; `malloc` reads the other counter.
-fn drill(steer: Steer, malloc: impl Fn() -> u64) -> Counted {
-    let scene = Scene::parse(&scenes::piloted("lockstep", 30.0, ""), Path::new("drilling.toml")).unwrap();
+/// Steps through the drilling with a tool of these keys, or the standard one; `malloc` reads the other counter.
+fn drill(tool: &str, steer: Steer, malloc: impl Fn() -> u64) -> Counted {
+    let text = scenes::piloted("lockstep", 30.0, "") + tool;
+    let scene = Scene::parse(&text, Path::new("drilling.toml")).unwrap();
     // The block of the scene, of uniform bone.
     let dims = [80, 80, 120];
     let origin = nalgebra::Vector3::new(-19.75e-3, -19.75e-3, -29.75e-3);
@@ -126,11 +127,45 @@ fn ten_thousand_ticks_of_drilling_allocate_nothing() {
     if !alone("ten_thousand_ticks_of_drilling_allocate_nothing") {
         return;
     }
-    let counted = drill(sideways, || 0);
+    let counted = drill("", sideways, || 0);
     println!(
         "{TICKS} ticks of drilling, {} voxels: {} calls of Rust's allocator",
         counted.removed, counted.rust
     );
+    assert!(counted.removed > 100, "it drills: {counted:?}");
+    assert_eq!(counted.rust, 0);
+}
+
+/// A notched tube with a cylinder of eight balls.
+const LONG_CUTTER: &str = "
+[manipulator.tool]
+name = \"milling\"
+[manipulator.tool.tube]
+outer_diameter_mm = 6.0
+inner_diameter_mm = 4.0
+linear_density_kg_per_m = 0.1
+[manipulator.tool.burr]
+shape = \"cylinder\"
+diameter_mm = 6.5
+length_mm = 14.0
+offset_mm = 12.0
+mass_g = 3.0
+[[manipulator.tool.tendon]]
+toward_mm = 2.5
+[[manipulator.tool.flexure]]
+at_mm = 36.0
+count = 24
+pitch_mm = 1.3
+stiffness_nm_per_deg = 0.0125
+";
+
+#[test]
+fn ten_thousand_ticks_of_drilling_with_a_long_cutter_allocate_nothing() {
+    if !alone("ten_thousand_ticks_of_drilling_with_a_long_cutter_allocate_nothing") {
+        return;
+    }
+    let counted = drill(LONG_CUTTER, sideways, || 0);
+    println!("{TICKS} ticks, {} voxels: {} calls of Rust's allocator", counted.removed, counted.rust);
     assert!(counted.removed > 100, "it drills: {counted:?}");
     assert_eq!(counted.rust, 0);
 }
@@ -142,7 +177,7 @@ fn a_moving_arm_allocates_what_ruckig_hands_out_and_nothing_else() {
     if !alone("a_moving_arm_allocates_what_ruckig_hands_out_and_nothing_else") {
         return;
     }
-    let counted = drill(straight, || 0);
+    let counted = drill("", straight, || 0);
     println!("{TICKS} ticks with the arm in motion: {} calls of Rust's allocator", counted.rust);
     assert!(counted.removed > 100, "it drills: {counted:?}");
     assert_eq!(counted.rust as u64, 6 * TICKS, "three vectors made and dropped a tick");
@@ -204,8 +239,8 @@ fn counted_program() {
     let before = calls.read();
     drop(std::hint::black_box(Box::new([before; 100])));
     assert!(calls.read() > before, "the counter counts");
-    println!("\ncounted {}", drill(sideways, || calls.read()).malloc);
-    println!("moving {}", drill(straight, || calls.read()).malloc);
+    println!("\ncounted {}", drill("", sideways, || calls.read()).malloc);
+    println!("moving {}", drill("", straight, || calls.read()).malloc);
 }
 
 #[test]

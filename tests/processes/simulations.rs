@@ -31,19 +31,28 @@ fn make_python() -> Option<PathBuf> {
     Some(python)
 }
 
-/// The statistics of sensors, in the environment of the sweeps' test of SALib, which holds SciPy.
-#[test]
-fn noise_drift_delay_rate_jitter_and_drop_outs_of_sensors_are_those_declared_by_scipy() {
+/// Runs a check by SciPy to its end, in the environment of the sweeps' test of SALib, which holds it.
+fn by_scipy(file: &str) {
     let native = native();
     let packages = ["SALib==1.5.2", "numpy==2.4.6", "scipy==1.17.1"];
     let Some(python) = or_skip("salib", &packages, "SALib, numpy, scipy.signal, scipy.stats") else { return };
     install_package(&python, &[("TRABECULA_CLIENT_LIBRARY", &library()), ("TRABECULA_SIM_LIBRARY", &native)]);
     let mut command = Command::new(python);
-    command.arg(clients().join("python/tests/sensor_statistics.py"));
+    command.arg(clients().join("python/tests").join(file));
     command.env_remove(SESSION_VARIABLE).env_remove(CONTROLLER_VARIABLE);
     let said = output_within_limit(&mut command);
     println!("{said}");
     assert!(said.ends_with("done\n"), "{said}");
+}
+
+#[test]
+fn noise_drift_delay_rate_jitter_and_drop_outs_of_sensors_are_those_declared_by_scipy() {
+    by_scipy("sensor_statistics.py");
+}
+
+#[test]
+fn helical_tendons_bend_the_tool_as_rucker_and_websters_equations_solved_in_scipy() {
+    by_scipy("helical_tendons.py");
 }
 
 /// Runs a case in an empty folder.

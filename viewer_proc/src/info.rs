@@ -1,7 +1,7 @@
 //! Content of `/view/info`: the scene as the page needs it.
 
 use ipc_types::messages::{ARM_JOINTS, Pose};
-use ipc_types::scene::{Holder, Scene, planned_path_in_bone_mm};
+use ipc_types::scene::{Cutter, Holder, Scene, planned_path_in_bone_mm};
 use serde_json::{Value, json};
 use voxel_grid::slice::ANATOMICAL;
 
@@ -22,8 +22,8 @@ pub struct ToolShape {
     pub tip_offset_m: f64,
     /// Outer radius of the tube.
     pub outer_radius_m: f64,
-    /// Radius of the burr.
-    pub burr_radius_m: f64,
+    /// The burr.
+    pub cutter: Cutter,
     /// What joins the tool to the arm.
     pub holder: Holder,
     /// Parts of the arm between its joints: frame i + 1 in frame i while joint i + 1 is at zero; it turns about z of frame i, and frame 6 is
@@ -155,7 +155,7 @@ fn tool_part(scene: &Scene, tool: &ToolShape) -> Value {
         .iter()
         .skip(1)
         .copied()
-        .chain(tool.joint_positions_m.last().map(|z| z + tool.tip_offset_m));
+        .chain(tool.joint_positions_m.last().map(|z| z + tool.tip_offset_m - tool.cutter.span_m()));
     let links: Vec<Value> = tool
         .joint_positions_m
         .iter()
@@ -164,7 +164,10 @@ fn tool_part(scene: &Scene, tool: &ToolShape) -> Value {
         .collect();
     json!({
         "links": links,
-        "burr_radius_m": tool.burr_radius_m,
+        "burr_radius_m": tool.cutter.widest_radius_m(),
+        "burr_balls": tool.cutter.balls().iter().map(|ball| {
+            json!({"behind_m": ball.behind_m, "radius_m": ball.radius_m})
+        }).collect::<Vec<_>>(),
         "shaft": {"length_m": tool.joint_positions_m.first(), "radius_m": tool.outer_radius_m},
         "holder": tool.holder.reach_m(from_flange_m).map(|length_m| {
             json!({"length_m": length_m, "radius_m": tool.holder.radius_m})

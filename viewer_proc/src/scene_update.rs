@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use ipc_types::messages::{Pose, State};
+use ipc_types::scene::Cutter;
 use serde_json::{Value, json};
 
 use crate::board::Board;
@@ -17,14 +18,14 @@ const METRES_PER_NEWTON: f64 = 2e-3;
 #[derive(Debug)]
 pub struct Drawer {
     outer_radius_m: f64,
-    burr_radius_m: f64,
+    cutter: Cutter,
     last: Option<Instant>,
 }
 
 impl Drawer {
     /// A drawer for this tool.
     pub fn new(tool: &ToolShape) -> Drawer {
-        Drawer { outer_radius_m: tool.outer_radius_m, burr_radius_m: tool.burr_radius_m, last: None }
+        Drawer { outer_radius_m: tool.outer_radius_m, cutter: tool.cutter, last: None }
     }
 
     /// Whether somebody subscribes and the last drawing is old enough.
@@ -44,11 +45,18 @@ impl Drawer {
     pub fn update(&self, state: &State, time_ns: u64) -> String {
         let links = &state.t_world_link[..(state.joint_count as usize).min(state.t_world_link.len())];
         let starts = core::iter::once(&state.t_world_base).chain(links);
-        let ends = links.iter().chain(core::iter::once(&state.t_world_burr));
+        let mut burr_end = state.t_world_burr;
+        burr_end.position_m = self.on_axis(state, self.cutter.span_m());
+        let ends = links.iter().chain(core::iter::once(&burr_end));
         let cylinders: Vec<Value> = starts.zip(ends).map(|(start, end)| self.cylinder(start, end)).collect();
-        let diameter = 2.0 * self.burr_radius_m;
-        let burr = json!({"pose": pose(&state.t_world_burr, state.t_world_burr.position_m),
-            "size": point([diameter; 3]), "color": colour(0.8, 0.4, 0.0)});
+        let balls = self.cutter.balls().iter();
+        let burr: Vec<Value> = balls
+            .map(|ball| {
+                let centre_m = self.on_axis(state, ball.behind_m);
+                json!({"pose": pose(&state.t_world_burr, centre_m), "size": point([2.0 * ball.radius_m; 3]),
+                    "color": colour(0.8, 0.4, 0.0)})
+            })
+            .collect();
         let contacts = &state.contacts[..(state.contact_count as usize).min(state.contacts.len())];
         let lines: Vec<Value> = contacts
             .iter()
@@ -61,7 +69,14 @@ impl Drawer {
                     "colors": [], "indices": []})
             })
             .collect();
-        entity("tool", time_ns, &json!([burr]), &json!(cylinders), &json!(lines))
+        entity("tool", time_ns, &json!(burr), &json!(cylinders), &json!(lines))
+    }
+
+    /// A point of the burr's axis, behind its centre.
+    fn on_axis(&self, state: &State, behind_m: f64) -> [f64; 3] {
+        let Pose { position_m, orientation_xyzw: [x, y, z, w] } = state.t_world_burr;
+        let axis = [2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y)];
+        core::array::from_fn(|i| position_m[i] - behind_m * axis[i])
     }
 
     fn cylinder(&self, start: &Pose, end: &Pose) -> Value {

@@ -120,8 +120,8 @@ pub fn label_job(
 ) -> Result<Labels, DrrError> {
     take_removals(renderer, view, job)?;
     let tool = tool_of(&job.state, &job.radii, &job.holder, job.notch.as_ref());
-    // The burr is the tool's last part.
-    let burr = tool.parts.len().saturating_sub(1);
+    // The burr's parts are the tool's last ones.
+    let burr = tool.parts.len().saturating_sub(job.radii.cutter.balls().len());
     let points_m = points_of(&job.state);
     let request = LabelRequest { tool: &tool, burr, points_m: &points_m, bone_from_hu };
     renderer.labels(view, &job.c_arm, &request)

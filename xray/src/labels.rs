@@ -46,7 +46,7 @@ impl Class {
 pub struct LabelRequest<'a> {
     /// The tool.
     pub tool: &'a Tool,
-    /// Number of the part of the tool that is its burr.
+    /// Number of the first part of the tool that is its burr; those behind it are so too.
     pub burr: usize,
     /// World points to find in the image: base, joints from base to tip, burr.
     pub points_m: &'a [[f64; 3]],
@@ -181,6 +181,9 @@ fn is_end(part: &ToolPart, point_m: Vec3) -> bool {
 fn axis_ends_m(part: &ToolPart) -> Option<[Vec3; 2]> {
     match *part {
         ToolPart::Sphere { .. } => None,
+        ToolPart::SphereZone { centre_m, axis, along_m, .. } => {
+            Some(along_m.map(|at_m| add_scaled(centre_m, at_m, axis)))
+        }
         ToolPart::Cylinder { start_m, end_m, .. }
         | ToolPart::HollowCylinder { start_m, end_m, .. }
         | ToolPart::NotchedTube { start_m, end_m, .. }
@@ -193,7 +196,7 @@ fn axis_ends_m(part: &ToolPart) -> Option<[Vec3; 2]> {
 fn half_width_m(part: &ToolPart) -> f64 {
     match *part {
         ToolPart::Sphere { .. } => 0.0,
-        ToolPart::Cylinder { radius_m, .. } => radius_m,
+        ToolPart::Cylinder { radius_m, .. } | ToolPart::SphereZone { radius_m, .. } => radius_m,
         ToolPart::HollowCylinder { outer_radius_m, .. }
         | ToolPart::NotchedTube { outer_radius_m, .. }
         | ToolPart::MitredTube { outer_radius_m, .. } => outer_radius_m,

@@ -1,7 +1,7 @@
 //! X-ray model of the manipulator and its burr.
 
 use messages::{Pose, State};
-use scene::{Holder, Notch as SceneNotch, ToolRadii};
+use scene::{CutterZone, Holder, Notch as SceneNotch, ToolRadii};
 
 use crate::tool::LEAST_MITRE_COSINE;
 use crate::vector::{Vec3, add_scaled, cross, dot, norm, scale, sub};
@@ -15,11 +15,18 @@ const HOLDER_WALL_M: f64 = 2e-3;
 /// Shaft and links as nitinol tubes around a steel cable, the burr as a steel ball. With `notch`, every link between two flexures has a
 /// notch at its middle, on alternating sides of the bending plane. Where two links meet at an angle, the plane through the joint that
 /// halves it cuts both, so that no wedge is missing and no metal counts twice. Behind the base the shaft goes on to the holder on the
-/// arm's flange, a steel sleeve. The burr is the last part.
+/// arm's flange, a steel sleeve. The burr is the last part; of a longer cutter the parts of its balls are, which do not overlap, from the
+/// front to the back, and the last link ends at the centre of the last ball.
 pub fn tool_of(state: &State, radii: &ToolRadii, holder: &Holder, notch: Option<&SceneNotch>) -> Tool {
     let front_m = holder.front_m(state.t_world_flange.position_m, state.t_world_base.position_m);
-    let links = links_of(state, front_m);
-    let mut parts = Vec::with_capacity(2 * links.len() + 2);
+    let cutter = &radii.cutter;
+    let ahead = z_axis(&state.t_world_burr.orientation_xyzw);
+    let end_m = match cutter.only_radius_m() {
+        Some(_) => state.t_world_burr.position_m,
+        None => add_scaled(state.t_world_burr.position_m, -cutter.span_m(), ahead),
+    };
+    let links = links_of(state, front_m, end_m);
+    let mut parts = Vec::with_capacity(2 * links.len() + 1 + cutter.balls().len());
     if let Some(sleeve) =
         front_m.and_then(|front_m| Link::new(0, state.t_world_flange.position_m, front_m, [0.0; 3]))
     {
@@ -40,7 +47,17 @@ pub fn tool_of(state: &State, radii: &ToolRadii, holder: &Holder, notch: Option<
         }
     }
     let centre_m = state.t_world_burr.position_m;
-    parts.push(ToolPart::Sphere { centre_m, radius_m: radii.burr_m, material: Material::Steel316L });
+    let material = Material::Steel316L;
+    match cutter.only_radius_m() {
+        Some(radius_m) => parts.push(ToolPart::Sphere { centre_m, radius_m, material }),
+        None => parts.extend(cutter.zones().map(|CutterZone { ball, ahead_m }| ToolPart::SphereZone {
+            centre_m: add_scaled(centre_m, -ball.behind_m, ahead),
+            radius_m: ball.radius_m,
+            axis: ahead,
+            along_m: ahead_m,
+            material,
+        })),
+    }
     Tool { parts }
 }
 
@@ -98,13 +115,13 @@ impl Link {
     }
 }
 
-/// The shaft from the holder's front on, and the links of the tool from base to burr, but for those without length.
-fn links_of(state: &State, front_m: Option<Vec3>) -> Vec<Link> {
+/// The shaft from the holder's front on, and the links of the tool from base to the burr at `end_m`, but for those without length.
+fn links_of(state: &State, front_m: Option<Vec3>, end_m: Vec3) -> Vec<Link> {
     let joints = &state.t_world_link[..(state.joint_count as usize).min(state.t_world_link.len())];
     let origins = core::iter::once(&state.t_world_base).chain(joints);
-    let ends = joints.iter().chain(core::iter::once(&state.t_world_burr));
-    let link = |(number, (start, end)): (usize, (&Pose, &Pose))| {
-        Link::new(number, start.position_m, end.position_m, x_axis(&start.orientation_xyzw))
+    let ends = joints.iter().map(|joint| joint.position_m).chain(core::iter::once(end_m));
+    let link = |(number, (start, end_m)): (usize, (&Pose, Vec3))| {
+        Link::new(number, start.position_m, end_m, x_axis(&start.orientation_xyzw))
     };
     let behind = front_m.and_then(|front_m| Link::new(0, front_m, state.t_world_base.position_m, [0.0; 3]));
     behind.into_iter().chain(origins.zip(ends).enumerate().filter_map(link)).collect()
@@ -148,4 +165,9 @@ fn notch_of(notch: &SceneNotch, link: &Link) -> Option<Notch> {
 /// First column of the rotation matrix of a unit quaternion.
 fn x_axis([x, y, z, w]: &[f64; 4]) -> [f64; 3] {
     [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w), 2.0 * (x * z - y * w)]
+}
+
+/// Third column of the rotation matrix of a unit quaternion.
+fn z_axis([x, y, z, w]: &[f64; 4]) -> [f64; 3] {
+    [2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y)]
 }

@@ -1,7 +1,7 @@
 //! What the bridge sends of a session.
 
 use ipc_types::messages::{Frame, Phase, Pose, RunStatus, State};
-use ipc_types::scene::{Scene, planned_path_mm};
+use ipc_types::scene::{Cutter, Scene, planned_path_mm};
 use openigtlink::{Body, Coordinates, Image, Message, Point, PolyData, Timestamp};
 
 use crate::ras;
@@ -76,25 +76,27 @@ pub(crate) fn figures(state: &State, status: Option<&RunStatus>, timestamp: Time
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Radii {
     pub(crate) tube_m: f64,
-    pub(crate) burr_m: f64,
+    pub(crate) cutter: Cutter,
 }
 
-/// The tool as a surface: a tube through base, links and burr, closed by the burr's widest circle and its tip.
+/// The tool as a surface: a tube through base, links and burr, closed by the widest circle of the burr, or of its balls, and its tip.
 pub(crate) fn tool(state: &State, radii: Radii, timestamp: Timestamp) -> Message {
-    let mut rings: Vec<(&Pose, f64)> = vec![(&state.t_world_base, radii.tube_m)];
-    rings.extend(links(state).iter().map(|link| (link, radii.tube_m)));
-    rings.push((&state.t_world_burr, radii.burr_m));
-    rings.push((&state.t_world_tip, 0.0));
+    let mut rings: Vec<(&Pose, f64, f64)> = vec![(&state.t_world_base, radii.tube_m, 0.0)];
+    rings.extend(links(state).iter().map(|link| (link, radii.tube_m, 0.0)));
+    let balls = radii.cutter.balls().iter().rev();
+    rings.extend(balls.map(|ball| (&state.t_world_burr, ball.radius_m, ball.behind_m)));
+    rings.push((&state.t_world_tip, 0.0, 0.0));
     let mut surface = PolyData::default();
-    for (pose, radius_m) in &rings {
+    for (pose, radius_m, behind_m) in &rings {
+        let behind_mm = (1000.0 * behind_m) as f32;
         let transform = ras::transform(pose);
         let radius_mm = (1000.0 * radius_m) as f32;
         surface.points_mm.extend((0..SIDES).map(|side| {
             let angle = core::f32::consts::TAU * side as f32 / SIDES as f32;
             let (sin, cos) = angle.sin_cos();
             core::array::from_fn(|axis| {
-                let [x, y, _] = transform.rotation[axis];
-                transform.translation_mm[axis] + radius_mm * (x * cos + y * sin)
+                let [x, y, z] = transform.rotation[axis];
+                transform.translation_mm[axis] - behind_mm * z + radius_mm * (x * cos + y * sin)
             })
         }));
     }

@@ -38,7 +38,7 @@ impl Joined {
         };
         let client = Client::connect(&connection)?;
         let radii = client.scene().manipulator.radii();
-        let radii = Radii { tube_m: radii.tube_outer_m, burr_m: radii.burr_m };
+        let radii = Radii { tube_m: radii.tube_outer_m, cutter: radii.cutter };
         Ok(Joined {
             client,
             follower: Follower::new(speeds),

@@ -170,7 +170,8 @@ fn leaves_the_plane(scene: &Scene) -> bool {
     let size = |v: &[f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
     let gravity = &scene.gravity_m_per_s2;
     let part: f64 = across.iter().zip(gravity).map(|(a, g)| a * g).sum();
-    let pulled = scene.tendon.iter().any(|tendon| tendon.across_mm != 0.0);
+    let winds = |twist: Option<f64>| twist.is_some_and(|twist| twist != 0.0);
+    let pulled = scene.tendon.iter().any(|tendon| tendon.across_mm != 0.0 || winds(tendon.twist_deg_per_mm));
     pulled || !scene.body.is_empty() || part.abs() > 1e-6 * size(&across) * size(gravity).max(1e-300)
 }
 

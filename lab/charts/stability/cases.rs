@@ -87,7 +87,7 @@ impl Setup {
         for _ in 0..SETTLING_STEPS {
             tool.step(SETTLING_STEP_S, &drive);
         }
-        let burr_m = p.burr_radius_m;
+        let burr_m = p.cutter.front_radius_m();
         Ok(Setup {
             euler_n,
             step: pull(30.0),

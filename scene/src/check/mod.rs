@@ -174,10 +174,13 @@ fn check_tendons(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
         None => !scene.tolerance.as_ref().is_some_and(|t| t.tip_mm.is_some() || t.path_mm.is_some()),
         Some(model) => matches!(model, ManipulatorRung::Planar | ManipulatorRung::ConstantCurvature),
     };
-    let own = scene.tendon.iter().map(|tendon| ("tendon.across_mm", tendon.across_mm));
     let tool = scene.manipulator.tool.iter().flat_map(|tool| &tool.tendon);
-    let described = tool.map(|tendon| ("manipulator.tool.tendon.across_mm", tendon.across_mm));
-    if let Some((key, _)) = own.chain(described).find(|(_, across_mm)| flat && *across_mm != 0.0) {
+    let across = scene.tendon.iter().map(|tendon| ("tendon.across_mm", tendon.across_mm));
+    let across = across.chain(tool.clone().map(|it| ("manipulator.tool.tendon.across_mm", it.across_mm)));
+    let twist = scene.tendon.iter().map(|tendon| ("tendon.twist_deg_per_mm", tendon.twist_deg_per_mm));
+    let twist = twist.chain(tool.map(|it| ("manipulator.tool.tendon.twist_deg_per_mm", it.twist_deg_per_mm)));
+    let twist = twist.map(|(key, twist)| (key, twist.unwrap_or(0.0)));
+    if let Some((key, _)) = across.chain(twist).find(|(_, value)| flat && *value != 0.0) {
         let problem = "bends out of the plane; expected `manipulator.model` to be spatial or full";
         return Err(checker.invalid(key, problem));
     }

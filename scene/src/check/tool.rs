@@ -3,13 +3,18 @@
 use messages::MAX_JOINTS;
 
 use super::Checker;
+use crate::cutter::{MAX_CUTTER_BALLS, STANDARD_SCALLOP_MM};
 use crate::declaration::Range;
 use crate::error::SceneError;
-use crate::model::{ManipulatorRung, Scene, ToolDescription, ToolFlexure, ToolTendon};
+use crate::model::{CutterShape, ManipulatorRung, Scene, ToolDescription, ToolFlexure, ToolTendon};
 use crate::tool::FlexurePlace;
 
 /// Flexures may touch; so much less is rounding, mm.
 const TOUCH_MM: f64 = 1e-6;
+/// Least distance between the last two corners of a cutter, mm: a shorter one is another shape.
+const SHORTEST_MM: f64 = 0.1;
+/// Most that a tendon winds about the tool from one flexure to the next, degrees: the model lets it run straight there.
+const MOST_TWIST_DEG: f64 = 45.0;
 /// Rest curvatures that differ by less than this share of the largest are one.
 const SAME_CURVATURE: f64 = 0.01;
 
@@ -25,7 +30,7 @@ pub(crate) fn tool(tool: &ToolDescription, above: &str, checker: &Checker) -> Re
     }
     check.shaft(places[0].at_mm)?;
     check.burr(&places)?;
-    tool.tendon.iter().enumerate().try_for_each(|(index, tendon)| check.tendon(index, tendon, places.len()))
+    tool.tendon.iter().enumerate().try_for_each(|(index, tendon)| check.tendon(index, tendon, &places))
 }
 
 struct Check<'a> {
@@ -133,10 +138,11 @@ impl Check<'_> {
         self.range("shaft.contact_from_mm", shaft.contact_from_mm.unwrap_or(0.0), 0.0, to_mm)
     }
 
-    /// The cutter's centre is ahead of the tube's end, half a pitch behind which the last flexure sits.
+    /// The centre of the cutter's last ball is ahead of the tube's end, half a pitch behind which the last flexure sits.
     fn burr(&self, places: &[FlexurePlace]) -> Result<(), SceneError> {
+        self.shape()?;
         let length_mm = ToolDescription::length_mm(places, places.len() - 1);
-        let end_mm = 0.5 * length_mm.unwrap_or(0.0);
+        let end_mm = 0.5 * length_mm.unwrap_or(0.0) + self.tool.burr.span_mm();
         let offset_mm = self.tool.burr.offset_mm;
         if offset_mm < end_mm - TOUCH_MM {
             let problem = format!(
@@ -147,11 +153,67 @@ impl Check<'_> {
         Ok(())
     }
 
-    fn tendon(&self, index: usize, tendon: &ToolTendon, flexures: usize) -> Result<(), SceneError> {
-        let (from, count) = (tendon.from_flexure as f64, flexures as f64);
+    /// Which keys a shape has, and that they give a body whose balls stand apart.
+    fn shape(&self) -> Result<(), SceneError> {
+        let burr = &self.tool.burr;
+        let (is_cone, is_bit) = (burr.shape() == CutterShape::Cone, burr.shape() == CutterShape::Bit);
+        let is_long = burr.shape() != CutterShape::Ball;
+        for (key, is_given, has, of) in [
+            ("burr.length_mm", burr.length_mm.is_some(), is_long, "every shape but a ball"),
+            ("burr.tip_diameter_mm", burr.tip_diameter_mm.is_some(), is_cone || is_bit, "a cone or a bit"),
+            ("burr.point_deg", burr.point_deg.is_some(), is_bit, "a bit"),
+        ] {
+            match (is_given, has) {
+                (true, false) => {
+                    return Err(self.invalid(key, format!("is of {of}; `burr.shape` is another")));
+                }
+                (false, true) => {
+                    return Err(self.invalid(key, format!("is missing; expected it of {of}")));
+                }
+                _ => {}
+            }
+        }
+        if burr.scallop_mm.is_some() && !is_long {
+            return Err(
+                self.invalid("burr.scallop_mm", "is of every shape but a ball; `burr.shape` is another")
+            );
+        }
+        let (Some(length_mm), true) = (burr.length_mm, is_long) else { return Ok(()) };
+        let tip_mm = burr.tip_diameter_mm.unwrap_or(burr.diameter_mm);
+        if is_cone || is_bit {
+            // A step so small is a cylinder's.
+            self.range("burr.tip_diameter_mm", tip_mm, 0.1, burr.diameter_mm - 0.05)?;
+        }
+        // The corners before the last one keep their place: what is left is the last piece, and balls that lie in each other are no shape.
+        let before_mm = 1e3 * burr.corners().iter().rev().nth(1).map_or(0.0, |corner| corner.behind_m);
+        let ends_mm = 0.5 * (tip_mm + burr.diameter_mm);
+        let cone_mm = if is_cone { 0.5 * (burr.diameter_mm - tip_mm) } else { 0.0 };
+        self.range("burr.length_mm", length_mm, ends_mm + before_mm + 1.1 * cone_mm + SHORTEST_MM, 60.0)?;
+        let wanted = burr.balls_wanted();
+        if wanted > MAX_CUTTER_BALLS {
+            let problem = format!(
+                "is {}: that takes {wanted} balls, allowed are {MAX_CUTTER_BALLS}; expected a larger scallop or a shorter cutter",
+                burr.scallop_mm.unwrap_or(STANDARD_SCALLOP_MM)
+            );
+            return Err(self.invalid("burr.scallop_mm", problem));
+        }
+        Ok(())
+    }
+
+    fn tendon(&self, index: usize, tendon: &ToolTendon, places: &[FlexurePlace]) -> Result<(), SceneError> {
+        let (from, count) = (tendon.from_flexure as f64, places.len() as f64);
+        let apart_mm = places.windows(2).map(|pair| pair[1].at_mm - pair[0].at_mm);
+        let longest_mm = apart_mm.fold(MOST_TWIST_DEG / 180.0, f64::max);
         self.range(&format!("tendon[{index}].from_flexure"), from, 1.0, count)?;
         let to = tendon.to_flexure.map_or(count, |to| to as f64);
-        self.range(&format!("tendon[{index}].to_flexure"), to, from, count)
+        self.range(&format!("tendon[{index}].to_flexure"), to, from, count)?;
+        let most = MOST_TWIST_DEG / longest_mm;
+        self.range(
+            &format!("tendon[{index}].twist_deg_per_mm"),
+            tendon.twist_deg_per_mm.unwrap_or(0.0),
+            -most,
+            most,
+        )
     }
 }
 
@@ -168,6 +230,10 @@ pub(crate) fn beside(scene: &Scene, checker: &Checker) -> Result<(), SceneError>
     if let Some((key, _)) = notches.iter().find(|(_, given)| *given) {
         let problem = "is of the standard tool; a scene with another tool has it in its description";
         return Err(checker.invalid(key, problem));
+    }
+    if manipulator.burr_diameter_mm.is_some() && described.burr.shape() != CutterShape::Ball {
+        let problem = "is of a ball; the tool has another cutter, whose dimensions its description states";
+        return Err(checker.invalid("manipulator.burr_diameter_mm", problem));
     }
     if manipulator.model == Some(ManipulatorRung::ConstantCurvature) {
         one_arc(described, checker)?;

@@ -132,4 +132,8 @@ pub struct Tendon {
     #[serde(default)]
     #[schemars(range(min = -10.0, max = 10.0))]
     pub across_mm: f64,
+    /// Angle by which the channel turns about the tool axis per length, from `toward_mm` to `across_mm`, beginning half way before the first
+    /// flexure: the tendon winds about the tool. For `spatial` and `full`.
+    #[schemars(range(min = -30.0, max = 30.0), extend("x-absent" = "0"))]
+    pub twist_deg_per_mm: Option<f64>,
 }

@@ -35,7 +35,7 @@ pub struct ToolDescription {
     /// How far a flexure bends.
     #[serde(default)]
     pub stop: FlexureStop,
-    /// The cutter, a ball.
+    /// The cutter.
     pub burr: ToolBurr,
     /// The tendons, in the order of the commands.
     #[serde(default)]
@@ -155,19 +155,53 @@ impl Default for FlexureStop {
     }
 }
 
-/// The cutter of a tool, a ball.
+/// The cutter of a tool: a body of revolution about the tool's axis, with round ends.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ToolBurr {
-    /// Its diameter.
+    /// Its shape.
+    #[schemars(extend("x-absent" = "ball"))]
+    pub shape: Option<CutterShape>,
+    /// Its diameter, where it is widest.
     #[schemars(range(min = 1.0, max = 20.0))]
     pub diameter_mm: f64,
-    /// From the last flexure to its centre.
+    /// From its front to its back. Of every shape but a ball.
+    #[schemars(range(min = 1.0, max = 60.0))]
+    pub length_mm: Option<f64>,
+    /// Diameter of its round front, of a cone or a bit.
+    #[schemars(range(min = 0.1, max = 20.0))]
+    pub tip_diameter_mm: Option<f64>,
+    /// Angle of a bit's point, from flank to flank.
+    #[schemars(range(min = 30.0, max = 160.0))]
+    pub point_deg: Option<f64>,
+    /// Most that the balls which make up the shape leave out of it, between two of them.
+    #[schemars(range(min = 0.001, max = 1.0), extend("x-absent" = "0.05"))]
+    pub scallop_mm: Option<f64>,
+    /// From the last flexure to its centre; of another shape than a ball, to the centre of the ball at its front. This is the point that
+    /// `tool.burr_start_mm` places, and whose way a plan draws.
     #[schemars(range(min = 0.01, max = 500.0))]
     pub offset_mm: f64,
     /// Its mass.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub mass_g: f64,
+    /// Cutting force over normal force; `drilling.cutting_coefficient` of a scene stands in its place.
+    #[schemars(range(min = 0.01, max = 5.0), extend("x-absent" = "standard"))]
+    pub cutting_coefficient: Option<f64>,
+}
+
+/// Shapes of a cutter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum CutterShape {
+    /// A ball.
+    #[default]
+    Ball,
+    /// A cylinder between two half balls.
+    Cylinder,
+    /// A cone that widens from its round tip to a ball at its back.
+    Cone,
+    /// A drill bit: a conical point with a round tip, and the cylinder behind it.
+    Bit,
 }
 
 /// A tendon of a tool.
@@ -181,6 +215,10 @@ pub struct ToolTendon {
     #[serde(default)]
     #[schemars(range(min = -10.0, max = 10.0))]
     pub across_mm: f64,
+    /// Angle by which the channel turns about the tool axis per length, from `toward_mm` to `across_mm`, beginning half way before the first
+    /// flexure that it bends: the tendon winds about the tool. For `spatial` and `full`.
+    #[schemars(range(min = -180.0, max = 180.0), extend("x-absent" = "0"))]
+    pub twist_deg_per_mm: Option<f64>,
     /// The first flexure that it bends, from 1 at the flange: up to there a sheath holds it.
     #[serde(default = "one")]
     #[schemars(range(min = 1, max = MAX_JOINTS))]

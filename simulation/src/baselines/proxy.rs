@@ -66,7 +66,7 @@ impl ProxyTool {
     /// From the burr's centre to its proxy, world, m.
     pub fn offset_m(&self) -> Vector3<f64> {
         let burr = self.tool.t_world_tip().translation.vector;
-        proxy_of(&self.walls, &burr, self.tool.parameters().burr_radius_m) - burr
+        proxy_of(&self.walls, &burr, self.tool.parameters().cutter.front_radius_m()) - burr
     }
 
     /// Advances by `dt_s`; ignores contacts in the input.

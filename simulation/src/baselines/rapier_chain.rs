@@ -25,7 +25,7 @@ enum Joint {
     Motors(ImpulseJointHandle),
 }
 
-/// The tool in Rapier.
+/// The tool in Rapier. Its burr is a ball: of a longer cutter, the one at its front.
 pub struct RapierChain {
     world: PhysicsWorld,
     parameters: ManipulatorParameters,
@@ -100,7 +100,8 @@ impl RapierChain {
             let burr = if last { p.burr_mass_kg } else { 0.0 };
             let mass = tube + burr;
             let centre = (tube * 0.5 * length + burr * p.tip_offset_m) / mass;
-            let own = 0.4 * burr * p.burr_radius_m * p.burr_radius_m;
+            let radius_m = p.cutter.front_radius_m();
+            let own = 0.4 * burr * radius_m * radius_m;
             let across = tube * (length * length / 12.0 + gyration + (0.5 * length - centre).powi(2))
                 + own
                 + burr * (p.tip_offset_m - centre).powi(2);
@@ -119,7 +120,7 @@ impl RapierChain {
             let segment = if last && n > 1 { (z - previous).min(length) } else { length };
             self.insert_sphere(link, 0.5 * segment, p.segment_sphere_radius_m);
             if last {
-                self.insert_sphere(link, p.tip_offset_m, p.burr_radius_m);
+                self.insert_sphere(link, p.tip_offset_m, p.cutter.front_radius_m());
             }
             self.links.push(link);
             parent = link;

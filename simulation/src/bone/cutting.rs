@@ -41,6 +41,11 @@ impl CuttingLaw {
         self.cutting_friction * force_lever_n * burr.speed_rad_s.abs() * burr.radius_m
     }
 
+    /// Cutting power in W of a cutter whose contacts cut at this lever.
+    pub(super) fn power_at_w(&self, burr: &BurrState, lever_m: f64) -> f64 {
+        self.cutting_friction * burr.normal_force_n * burr.speed_rad_s.abs() * lever_m
+    }
+
     /// Steady feed in m/s of a burr under its force in bone of the given specific cutting energy, below the feed limit: power / (u x
     /// cross-section of the hole). For calibration.
     pub fn steady_feed_m_s(&self, burr: &BurrState, specific_energy_j_m3: f64) -> f64 {
@@ -63,7 +68,7 @@ impl CuttingLaw {
     }
 }
 
-/// A spinning ball burr in contact.
+/// A spinning burr in contact: a ball, or the front ball of a longer cutter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BurrState {
     /// Centre in the world, metres.
@@ -76,7 +81,21 @@ pub struct BurrState {
     pub normal_force_n: f64,
 }
 
+/// A ball of a cutter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ball {
+    /// Centre in the world, metres.
+    pub centre_m: Vector3<f64>,
+    /// Radius in metres.
+    pub radius_m: f64,
+}
+
 impl BurrState {
+    /// The burr as a ball.
+    pub(super) fn ball(&self) -> Ball {
+        Ball { centre_m: self.centre_m, radius_m: self.radius_m }
+    }
+
     pub(super) fn check(&self, max_burr_radius_m: f64) -> Result<(), BoneError> {
         let refuse =
             |name, value, expected| Err(BoneError::Burr { name, value, expected, max_burr_radius_m });
@@ -105,6 +124,8 @@ pub struct BurrContact {
     pub normal_force_n: f64,
     /// Cosine of the angle between the normal and the burr's axis; the sign does not matter.
     pub axis_cosine: f64,
+    /// From the burr's centre back to that of the ball that touches, m; 0 for a ball.
+    pub behind_m: f64,
 }
 
 /// What the tool does to the bone in a tick.
@@ -112,10 +133,35 @@ pub struct BurrContact {
 pub struct Work<'a> {
     /// The burr.
     pub burr: &'a BurrState,
+    /// The balls behind it, of a cutter that is longer than a ball.
+    pub behind: &'a [Ball],
     /// Its contacts with bone, whose forces add up to the burr's; none for a burr that cuts with its end.
     pub contacts: &'a [BurrContact],
     /// What the tool's spheres crushed.
     pub indentations: &'a [Indentation],
+}
+
+impl Work<'_> {
+    /// Radius where the cutter is widest, m.
+    pub(super) fn widest_radius_m(&self) -> f64 {
+        self.behind.iter().fold(self.burr.radius_m, |widest, ball| ball.radius_m.max(widest))
+    }
+
+    /// Checks the balls behind the front one.
+    pub(super) fn check_behind(&self, max_burr_radius_m: f64, cutter_span_m: f64) -> Result<(), BoneError> {
+        for ball in self.behind {
+            BurrState { centre_m: ball.centre_m, radius_m: ball.radius_m, ..*self.burr }
+                .check(max_burr_radius_m)?;
+            let value = (ball.centre_m - self.burr.centre_m).norm();
+            // The chain's own arithmetic moves it by rounding.
+            if value > cutter_span_m * (1.0 + 1e-6) {
+                let expected = "at most cutter_span_m";
+                let name = "distance from the front ball to one behind it";
+                return Err(BoneError::Burr { name, value, expected, max_burr_radius_m });
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Mean distance from the axis, as a share of the radius, of a ball's half that faces a contact, weighted by its area as seen along the

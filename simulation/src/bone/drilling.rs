@@ -6,6 +6,12 @@
 //! burr, 8r/(3 pi) for its side ([`super::cutting::lever_share`]); the pole itself stands still and cuts nothing. Pressure wears each
 //! contact on its own, so the forces add up as numbers: a burr pinched between two walls cuts both, although their forces cancel.
 //!
+//! A cutter of several balls touches bone with parts of each, and which parts its contacts do not tell: a contact stands for the nearest
+//! point of a patch that reaches over several balls. The lever of a contact is therefore taken from the touched voxels, each of which
+//! belongs to the one ball that is deepest in it: the mean distance of their surfaces from the spin axis, weighted by area as seen along
+//! the contact's normal ([`super::patch`]). It is the law of the ball over the patch that is there: 2R/3 for a point that bores its hole, R
+//! for a cylinder pressed sideways. No part counts twice, since no voxel and no force does.
+//!
 //! **Edge.** Edges that are not sharp plough before they cut: of the forces' sum F only what exceeds
 //! `F_edge = sum of p_e(HU) x area` over the touched voxels cuts, so E is multiplied by `max(1 - F_edge / F, 0)`, and below F_edge nothing
 //! is cut at any speed. The area of a voxel is that of its faces toward the burr that no other bone covers, as seen along the contacts'
@@ -36,12 +42,14 @@
 
 use nalgebra::Vector3;
 use pulp::Arch;
+use scene::MAX_CUTTER_BALLS;
 
 use super::BoneError;
 use super::cutting::{BurrContact, Work, check_time_step};
 use super::grid::VoxelIndex;
+use super::patch::Patch;
 use super::query::VoxelEnd;
-use super::reach::{Press, ReachedVoxels};
+use super::reach::{Press, PressedBall, ReachedVoxels};
 use super::removal::Removal;
 use super::strength::Place;
 use super::voxels::{Drilling, Voxels, check_volume};
@@ -69,6 +77,8 @@ pub struct GrindReport {
     pub edge_force_n: f64,
     /// Depth by which the bone recedes at the burr's deepest place for each newton above that force, m/N; 0 while it does not press.
     pub recession_m_per_n: f64,
+    /// Lever in m at which a cutter of several balls cuts; 0 while it does not press, and for a ball.
+    pub lever_m: f64,
     /// Cutting energy of the tick in J.
     pub energy_offered_j: f64,
     /// The part of it that bone absorbed.
@@ -87,6 +97,8 @@ pub(super) struct DrillScratch {
     count: usize,
     /// The voxels themselves, by index in the list of voxels in reach; for [`super::removal`] only.
     pub(super) kept: Vec<u32>,
+    /// What a cutter of several balls touches; for [`super::patch`] only.
+    pub(super) patch: Vec<Patch>,
 }
 
 /// Result of sharing the energy.
@@ -99,10 +111,16 @@ struct Level {
 }
 
 impl DrillScratch {
-    /// Room for `capacity` voxels.
-    pub fn new(capacity: usize) -> Self {
+    /// Room for `capacity` voxels, touched by one ball or several.
+    pub fn new(capacity: usize, is_ball: bool) -> Self {
         let numbers = || vec![0.0; capacity.next_multiple_of(LANES)];
-        Self { weight: numbers(), room_j: numbers(), count: 0, kept: Vec::with_capacity(capacity) }
+        Self {
+            weight: numbers(),
+            room_j: numbers(),
+            count: 0,
+            kept: Vec::with_capacity(capacity),
+            patch: Vec::with_capacity(if is_ball { 0 } else { capacity }),
+        }
     }
 
     /// Selects the voxels with positive depth.
@@ -188,6 +206,8 @@ pub(super) fn is_ended(spent: f64) -> bool {
 pub(super) struct DrillCache {
     reached: ReachedVoxels,
     scratch: DrillScratch,
+    /// Working memory: the burr's balls in a tick.
+    pressed: Vec<PressedBall>,
     /// Working memory of [`Drilling::indent`].
     crushed: Vec<(VoxelIndex, f64)>,
     /// Number of voxel edits that `reached` has seen.
@@ -198,8 +218,15 @@ impl DrillCache {
     /// An empty cache for these voxels.
     pub fn new(voxels: &Voxels) -> Self {
         let reached = ReachedVoxels::new(voxels.geometry(), voxels.parameters());
-        let scratch = DrillScratch::new(reached.capacity());
-        Self { reached, scratch, crushed: Vec::with_capacity(FIRST_CRUSHED), seen: voxels.journal().edits() }
+        let is_ball = voxels.parameters().cutter_span_m == 0.0;
+        let scratch = DrillScratch::new(reached.capacity(), is_ball);
+        Self {
+            reached,
+            scratch,
+            pressed: Vec::with_capacity(MAX_CUTTER_BALLS),
+            crushed: Vec::with_capacity(FIRST_CRUSHED),
+            seen: voxels.journal().edits(),
+        }
     }
 
     /// One tick: see [`BoneField::wear`](super::BoneField::wear).
@@ -208,18 +235,21 @@ impl DrillCache {
         voxels: &mut Voxels,
         arch: Arch,
         hu: &[i16],
-        Work { burr, contacts, indentations }: Work,
+        work: Work,
         dt_s: f64,
     ) -> Result<GrindReport, BoneError> {
+        let Work { burr, contacts, indentations, .. } = work;
         let parameters = *voxels.parameters();
         check_volume(voxels.geometry(), hu)?;
         burr.check(parameters.max_burr_radius_m)?;
+        work.check_behind(parameters.max_burr_radius_m, parameters.cutter_span_m)?;
         check_time_step(dt_s, parameters.max_burr_radius_m)?;
         if self.seen != voxels.journal().edits() {
             self.reached.forget();
         }
-        let press = Press::new(voxels, burr, dt_s);
-        let energy_j = parameters.cutting.power_of_contacts_w(burr, contacts) * dt_s;
+        let press = Press::new(voxels, &work, dt_s, &mut self.pressed);
+        let is_ball = work.behind.is_empty();
+        let mut power_w = if is_ball { parameters.cutting.power_of_contacts_w(burr, contacts) } else { 0.0 };
         let mut edit = voxels.drill();
         self.seen = edit.journal().edits();
         let mut report = GrindReport::default();
@@ -229,18 +259,24 @@ impl DrillCache {
         if report.crushed.crushed_count > 0 {
             self.reached.forget();
         }
-        if energy_j > 0.0 {
+        let long_presses = !is_ball && burr.normal_force_n > 0.0;
+        if power_w > 0.0 || long_presses {
             self.reached.bring(&edit, arch, hu, &press);
         }
         let mut tick = DrillTick { reached: &mut self.reached, scratch: &mut self.scratch, edit, report };
+        if long_presses {
+            tick.report.lever_m = tick.lever_m(&press, &work);
+            power_w = parameters.cutting.power_at_w(burr, tick.report.lever_m);
+        }
+        let energy_j = power_w * dt_s;
         if energy_j > 0.0 {
             tick.collect();
             match parameters.removal {
                 Removal::Energy => {
-                    let edge_n = tick.edge_force_n(hu, &press.centre, contacts);
+                    let edge_n = tick.edge_force_n(hu, &press, contacts);
                     tick.report.edge_force_n = edge_n;
                     tick.report.recession_m_per_n =
-                        tick.recession_m_per_j(&press.centre) * (energy_j / burr.normal_force_n);
+                        tick.recession_m_per_j(&press) * (energy_j / burr.normal_force_n);
                     tick.spend(arch, energy_j * (1.0 - edge_n / burr.normal_force_n).max(0.0));
                 }
                 rule => tick.remove_by_rule(rule, hu, burr.speed_rad_s.abs()),
@@ -276,12 +312,12 @@ impl DrillTick<'_> {
     }
 
     /// Depth by which the bone recedes at the burr's deepest place for each joule, m/J: the voxels share the energy by depth.
-    fn recession_m_per_j(&self, centre: &Vector3<f64>) -> f64 {
+    fn recession_m_per_j(&self, press: &Press) -> f64 {
         let spacing_m = self.edit.geometry().spacing_m;
         let ReachedVoxels { depth, full_j, spent, .. } = &*self.reached;
         let (mut sum, mut most_m_per_j) = (0.0, 0.0f64);
         for voxel in (0..depth.len()).filter(|voxel| depth[*voxel] > 0.0) {
-            let from = self.reached.offset(voxel, centre);
+            let from = self.reached.offset(voxel, &self.reached.ball_in(voxel, press).centre);
             let width_m = VoxelEnd::seen(from.into(), spacing_m, spent[voxel]).width;
             sum += depth[voxel];
             most_m_per_j = most_m_per_j.max(depth[voxel] * width_m / full_j[voxel]);
@@ -291,10 +327,8 @@ impl DrillTick<'_> {
 
     /// Sum of edge pressure times projected area over the touched voxels, N: see the module. Without contacts the burr's own direction is
     /// unknown, and each voxel counts with its whole face toward the burr.
-    fn edge_force_n(&self, hu: &[i16], centre: &Vector3<f64>, contacts: &[BurrContact]) -> f64 {
+    fn edge_force_n(&self, hu: &[i16], press: &Press, contacts: &[BurrContact]) -> f64 {
         let geometry = self.edit.geometry();
-        let [hx, hy, hz] = geometry.spacing_m;
-        let face_m2 = [hy * hz, hz * hx, hx * hy];
         // Normals weighted by force, apart by sign: a face is seen by the contacts whose normal has its direction.
         let mut seen = [[0.0; 2]; 3];
         let force_n: f64 = contacts.iter().map(|contact| contact.normal_force_n).sum();
@@ -311,20 +345,30 @@ impl DrillTick<'_> {
         let mut edge_n = 0.0;
         for voxel in (0..self.reached.index.len()).filter(|voxel| self.reached.depth[*voxel] > 0.0) {
             let index = self.reached.index[voxel];
-            let offset = self.reached.offset(voxel, centre);
-            let at = self.reached.at[voxel];
+            let offset = self.reached.offset(voxel, &self.reached.ball_in(voxel, press).centre);
+            let faces_m2 = self.bare_faces_m2(voxel, &offset);
             let mut area_m2 = 0.0;
             for axis in 0..3 {
-                let up = offset[axis] >= 0.0;
-                let mut beside = at;
-                beside[axis] += if up { 1 } else { -1 };
-                if !self.edit.occupancy().is_solid_at(beside) {
-                    area_m2 += face_m2[axis] * seen[axis][usize::from(up)];
-                }
+                area_m2 += faces_m2[axis] * seen[axis][usize::from(offset[axis] >= 0.0)];
             }
             edge_n += self.edit.material().edge_pressure_pa(hu[index.at()]) * area_m2;
         }
         edge_n
+    }
+
+    /// Areas in m^2 of a voxel's faces toward the burr across each grid axis, 0 of one that other bone covers; `offset` runs from the voxel
+    /// to the burr.
+    pub(super) fn bare_faces_m2(&self, voxel: usize, offset: &Vector3<f64>) -> [f64; 3] {
+        let [hx, hy, hz] = self.edit.geometry().spacing_m;
+        let mut faces_m2 = [hy * hz, hz * hx, hx * hy];
+        for axis in 0..3 {
+            let mut beside = self.reached.at[voxel];
+            beside[axis] += if offset[axis] >= 0.0 { 1 } else { -1 };
+            if self.edit.occupancy().is_solid_at(beside) {
+                faces_m2[axis] = 0.0;
+            }
+        }
+        faces_m2
     }
 
     /// Sets the spent fraction of a voxel in reach that has a place.

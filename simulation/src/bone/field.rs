@@ -74,7 +74,7 @@ impl BoneField {
     /// # Errors
     /// A CT of the wrong size, or a burr that is not finite or too large; nothing has changed then.
     pub fn grind(&mut self, hu: &[i16], burr: &BurrState, dt_s: f64) -> Result<GrindReport, BoneError> {
-        self.wear(hu, Work { burr, contacts: &[], indentations: &[] }, dt_s)
+        self.wear(hu, Work { burr, behind: &[], contacts: &[], indentations: &[] }, dt_s)
     }
 
     /// One tick of drilling and of crushing: [`Self::grind`] after the bone under each indentation has receded (see [`super::yielding`]).

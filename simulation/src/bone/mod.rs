@@ -26,6 +26,7 @@ pub mod material;
 mod near;
 mod occupancy;
 mod parameters;
+mod patch;
 pub mod query;
 mod reach;
 mod remembered;
@@ -37,7 +38,7 @@ mod tracked;
 mod voxels;
 pub mod yielding;
 
-pub use cutting::{BurrContact, BurrState, CuttingLaw, Work};
+pub use cutting::{Ball, BurrContact, BurrState, CuttingLaw, Work};
 pub use distance::Matter;
 pub use drilling::GrindReport;
 pub use error::BoneError;

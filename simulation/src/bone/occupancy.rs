@@ -36,6 +36,14 @@ impl VoxelBox {
     /// The empty box.
     pub const NOTHING: Self = Self { low: [i64::MAX; 3], high: [i64::MIN; 3] };
 
+    /// The smallest box that holds both.
+    pub fn hull(&self, other: &Self) -> Self {
+        Self {
+            low: core::array::from_fn(|a| self.low[a].min(other.low[a])),
+            high: core::array::from_fn(|a| self.high[a].max(other.high[a])),
+        }
+    }
+
     /// True if the two boxes overlap.
     #[inline]
     pub fn meets(&self, other: &Self) -> bool {

@@ -26,6 +26,8 @@ pub struct BoneParameters {
     pub removed_per_tick: usize,
     /// Largest burr radius in metres; it determines the size of the drilling scratch memory.
     pub max_burr_radius_m: f64,
+    /// Largest distance between the centres of a cutter's first and last ball in metres; so does it. 0: the burr is a ball.
+    pub cutter_span_m: f64,
 }
 
 impl Default for BoneParameters {
@@ -39,6 +41,7 @@ impl Default for BoneParameters {
             pool_blocks: usize::MAX,
             removed_per_tick: usize::MAX,
             max_burr_radius_m: 4.0e-3,
+            cutter_span_m: 0.0,
         }
     }
 }
@@ -52,6 +55,14 @@ impl BoneParameters {
                 name: "max_burr_radius_m",
                 value,
                 expected: "a finite number above 0",
+            });
+        }
+        let value = self.cutter_span_m;
+        if !(value.is_finite() && value >= 0.0) {
+            return Err(BoneError::Parameter {
+                name: "cutter_span_m",
+                value,
+                expected: "a finite number of at least 0",
             });
         }
         if self.removed_per_tick == 0 {

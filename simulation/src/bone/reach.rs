@@ -1,4 +1,5 @@
-//! Finds the voxels that a burr can reach, once for a burr that moves little between ticks.
+//! Finds the voxels that a burr can reach, once for a burr that moves little between ticks. A burr is a ball or a row of balls; a voxel
+//! belongs to the ball that is deepest in it, so that no voxel counts twice.
 //!
 //! A voxel matters to a tick of drilling if its surface lies within the burr's reach. The list holds the voxels whose boxes meet a
 //! slightly wider reach ([`SLACK_VOXELS`]). While the burr stays within that slack of the search position, the list contains all voxels
@@ -8,8 +9,9 @@
 
 use nalgebra::Vector3;
 use pulp::Arch;
+use scene::MAX_CUTTER_BALLS;
 
-use super::cutting::{BurrState, CuttingLaw};
+use super::cutting::{Ball, CuttingLaw, Work};
 use super::gather::outside;
 use super::grid::{GridGeometry, VoxelIndex, floor_to_i64};
 use super::occupancy::{VoxelBox, WINDOW_VOXELS};
@@ -27,41 +29,58 @@ fn cut_radius_m(radius_m: f64, cutting: &CuttingLaw) -> f64 {
     radius_m + cutting.reach_m
 }
 
+/// A ball of the burr in a tick.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PressedBall {
+    /// Its centre in the grid's metric frame.
+    pub centre: Vector3<f64>,
+    /// Its radius, metres.
+    pub radius_m: f64,
+    /// Cutting radius: the ball's radius plus the cutting law's reach, metres.
+    pub cut_m: f64,
+}
+
 /// The inputs that determine how deep the burr is in a voxel and how much energy the voxel can absorb in a tick.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Press {
-    /// The burr's centre in the grid's metric frame.
-    pub centre: Vector3<f64>,
-    /// Cutting radius: the burr's radius plus the cutting law's reach, metres.
-    pub cut_m: f64,
+pub(super) struct Press<'b> {
+    /// Its balls, from the front to the back.
+    pub balls: &'b [PressedBall],
     /// Maximum recession of a surface in the tick, metres.
     pub recession_m: f64,
 }
 
-impl Press {
-    /// The inputs of one burr and tick.
-    pub fn new(voxels: &Voxels, burr: &BurrState, dt_s: f64) -> Self {
+impl<'b> Press<'b> {
+    /// The inputs of one burr and tick, whose balls go into `into`.
+    pub fn new(voxels: &Voxels, work: &Work, dt_s: f64, into: &'b mut Vec<PressedBall>) -> Self {
         let cutting = &voxels.parameters().cutting;
+        let pressed = |ball: &Ball| PressedBall {
+            centre: voxels.geometry().point_to_grid(&ball.centre_m),
+            radius_m: ball.radius_m,
+            cut_m: cut_radius_m(ball.radius_m, cutting),
+        };
+        into.clear();
+        into.push(pressed(&work.burr.ball()));
+        into.extend(work.behind.iter().map(pressed));
         Self {
-            centre: voxels.geometry().point_to_grid(&burr.centre_m),
-            cut_m: cut_radius_m(burr.radius_m, cutting),
-            recession_m: cutting.feed_per_revolution_max_m * burr.speed_rad_s.abs() * dt_s
+            balls: into,
+            recession_m: cutting.feed_per_revolution_max_m * work.burr.speed_rad_s.abs() * dt_s
                 / core::f64::consts::TAU,
         }
     }
 }
 
-/// Maximum number of voxels that a search about the largest burr can find: their boxes meet a ball.
+/// Maximum number of voxels that a search about the largest burr can find: their boxes meet a capsule.
 pub(super) fn most_voxels(geometry: &GridGeometry, parameters: &BoneParameters) -> usize {
     let cut_m = cut_radius_m(parameters.max_burr_radius_m, &parameters.cutting);
     let searched_m = cut_m + geometry.smallest_spacing_m();
-    cells_within(geometry, 1, searched_m, searched_m + diagonal_m(geometry, 1))
+    let span_m = parameters.cutter_span_m;
+    cells_within(geometry, 1, (searched_m, searched_m + diagonal_m(geometry, 1)), span_m)
 }
 
-/// Maximum number of blocks of `edge` voxels in which one tick of the largest burr can cut: they meet a ball.
+/// Maximum number of blocks of `edge` voxels in which one tick of the largest burr can cut: they meet a capsule.
 pub(super) fn most_blocks(geometry: &GridGeometry, parameters: &BoneParameters, edge: usize) -> usize {
     let cut_m = cut_radius_m(parameters.max_burr_radius_m, &parameters.cutting);
-    cells_within(geometry, edge, cut_m, cut_m + diagonal_m(geometry, edge))
+    cells_within(geometry, edge, (cut_m, cut_m + diagonal_m(geometry, edge)), parameters.cutter_span_m)
 }
 
 /// Diagonal of a cell of `edge` voxels along each axis, m.
@@ -70,23 +89,25 @@ fn diagonal_m(geometry: &GridGeometry, edge: usize) -> f64 {
     edge as f64 * (hx * hx + hy * hy + hz * hz).sqrt()
 }
 
-/// Maximum number of cells of `edge` voxels per axis, which do not overlap, that meet a cube of half edge `cube_m` and lie in a ball of
-/// radius `ball_m`.
-fn cells_within(geometry: &GridGeometry, edge: usize, cube_m: f64, ball_m: f64) -> usize {
-    let in_cube = (0..3).fold(1usize, |count, axis| {
-        let along = (2.0 * cube_m / (edge as f64 * geometry.spacing_m[axis])) as usize + 2;
+/// Maximum number of cells of `edge` voxels per axis, which do not overlap, that meet the box of a capsule of radius `box_m` and lie in one
+/// of radius `capsule_m`; the centres of its ends are `span_m` apart, in any direction.
+fn cells_within(geometry: &GridGeometry, edge: usize, (box_m, capsule_m): (f64, f64), span_m: f64) -> usize {
+    let in_box = (0..3).fold(1usize, |count, axis| {
+        let along = ((2.0 * box_m + span_m) / (edge as f64 * geometry.spacing_m[axis])) as usize + 2;
         count.saturating_mul(along.min(geometry.dims[axis].div_ceil(edge)))
     });
-    let ball_m3 = core::f64::consts::PI * (4.0 / 3.0) * ball_m * ball_m * ball_m;
+    let pi = core::f64::consts::PI;
+    let capsule_m3 =
+        pi * (4.0 / 3.0) * capsule_m * capsule_m * capsule_m + pi * capsule_m * capsule_m * span_m;
     let cell_m3 = geometry.voxel_volume_m3() * (edge * edge * edge) as f64;
-    in_cube.min((ball_m3 / cell_m3) as usize + 1)
+    in_box.min((capsule_m3 / cell_m3) as usize + 1)
 }
 
 /// The voxels in reach, in grid order, x fastest, stored as arrays for branch-free SIMD loops.
 #[derive(Debug)]
 pub(super) struct ReachedVoxels {
-    /// The burr's centre and cutting radius at the search; `None` if the cache is empty.
-    searched: Option<(Vector3<f64>, f64)>,
+    /// The burr's balls at the search; none if the cache is empty.
+    searched: Vec<PressedBall>,
     /// Centres along each grid axis, metres.
     position: [Vec<f64>; 3],
     pub index: Vec<VoxelIndex>,
@@ -100,6 +121,10 @@ pub(super) struct ReachedVoxels {
     /// The burr's depth in each voxel in this tick, as a fraction of its width, and the voxel's capacity, J.
     pub depth: Vec<f64>,
     pub room_j: Vec<f64>,
+    /// Which ball is the deepest in each voxel; empty for a burr that is one ball.
+    deepest: Vec<u8>,
+    /// Depths and capacities of one ball of several.
+    of_ball: [Vec<f64>; 2],
     /// Capacity of all lists.
     capacity: usize,
 }
@@ -109,8 +134,10 @@ impl ReachedVoxels {
     pub fn new(geometry: &GridGeometry, parameters: &BoneParameters) -> Self {
         let capacity = most_voxels(geometry, parameters);
         let numbers = || Vec::with_capacity(capacity);
+        let for_several = if parameters.cutter_span_m > 0.0 { capacity } else { 0 };
+        let others = || Vec::with_capacity(for_several);
         Self {
-            searched: None,
+            searched: Vec::with_capacity(MAX_CUTTER_BALLS),
             position: [numbers(), numbers(), numbers()],
             index: Vec::with_capacity(capacity),
             at: Vec::with_capacity(capacity),
@@ -119,6 +146,8 @@ impl ReachedVoxels {
             full_j: numbers(),
             depth: numbers(),
             room_j: numbers(),
+            deepest: Vec::with_capacity(for_several),
+            of_ball: [others(), others()],
             capacity,
         }
     }
@@ -130,7 +159,7 @@ impl ReachedVoxels {
 
     /// Empties the cache; call after any bone change other than drilling.
     pub fn forget(&mut self) {
-        self.searched = None;
+        self.searched.clear();
     }
 
     fn clear(&mut self) {
@@ -143,25 +172,52 @@ impl ReachedVoxels {
     }
 
     fn holds(&self, press: &Press, slack_m: f64) -> bool {
-        self.searched.is_some_and(|(centre, cut_m)| {
-            cut_m == press.cut_m && (press.centre - centre).norm_squared() <= slack_m * slack_m
-        })
+        let near = |(searched, ball): (&PressedBall, &PressedBall)| {
+            searched.cut_m == ball.cut_m
+                && (ball.centre - searched.centre).norm_squared() <= slack_m * slack_m
+        };
+        self.searched.len() == press.balls.len() && self.searched.iter().zip(press.balls).all(near)
     }
 
-    /// Computes all depths and capacities.
+    /// Computes all depths and capacities, in each voxel those of the ball that is deepest in it.
     fn measure(&mut self, arch: Arch, press: &Press, spacing: [f64; 3]) {
         let count = self.index.len();
-        for list in [&mut self.depth, &mut self.room_j] {
-            list.resize(count, 0.0);
+        let [of_depth, of_room_j] = &mut self.of_ball;
+        self.deepest.clear();
+        for (number, ball) in press.balls.iter().enumerate() {
+            let [depth, room_j] = match number {
+                0 => [&mut self.depth, &mut self.room_j],
+                _ => [&mut *of_depth, &mut *of_room_j],
+            };
+            depth.resize(count, 0.0);
+            room_j.resize(count, 0.0);
+            arch.dispatch(Measure {
+                ball,
+                recession_m: press.recession_m,
+                spacing,
+                position: self.position.each_ref().map(Vec::as_slice),
+                spent: &self.spent,
+                full_j: &self.full_j,
+                out: [depth, room_j],
+            });
+            if number == 0 {
+                continue;
+            }
+            self.deepest.resize(count, 0);
+            for voxel in 0..count {
+                if of_depth[voxel] > self.depth[voxel] {
+                    self.depth[voxel] = of_depth[voxel];
+                    self.room_j[voxel] = of_room_j[voxel];
+                    self.deepest[voxel] = number as u8;
+                }
+            }
         }
-        arch.dispatch(Measure {
-            press,
-            spacing,
-            position: self.position.each_ref().map(Vec::as_slice),
-            spent: &self.spent,
-            full_j: &self.full_j,
-            out: [&mut self.depth, &mut self.room_j],
-        });
+    }
+
+    /// The ball that is deepest in a voxel.
+    pub fn ball_in<'b>(&self, voxel: usize, press: &Press<'b>) -> &'b PressedBall {
+        let number = self.deepest.get(voxel).copied().unwrap_or(0);
+        &press.balls[usize::from(number)]
     }
 
     /// Subtracts the energy of a level from all voxels with positive depth.
@@ -180,7 +236,8 @@ impl ReachedVoxels {
 /// The loop of [`ReachedVoxels::measure`], compiled for each instruction set. The instruction set changes no bit: each value is computed
 /// on its own by operations that IEEE 754 rounds correctly.
 struct Measure<'a> {
-    press: &'a Press,
+    ball: &'a PressedBall,
+    recession_m: f64,
     spacing: [f64; 3],
     position: [&'a [f64]; 3],
     spent: &'a [f64],
@@ -194,7 +251,8 @@ impl pulp::WithSimd for Measure<'_> {
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) {
         let count = self.spent.len();
-        let Press { centre, cut_m, recession_m } = *self.press;
+        let PressedBall { centre, cut_m, .. } = *self.ball;
+        let recession_m = self.recession_m;
         let [x, y, z] = self.position.map(|along| &along[..count]);
         let (spent, full_j) = (&self.spent[..count], &self.full_j[..count]);
         let [depth, room_j] = self.out.map(|list| &mut list[..count]);
@@ -251,33 +309,40 @@ impl ReachedVoxels {
         let slack_m = SLACK_VOXELS * geometry.smallest_spacing_m();
         if !self.holds(press, slack_m) {
             self.search(voxels, hu, press, slack_m);
-            self.searched = Some((press.centre, press.cut_m));
+            self.searched.clear();
+            self.searched.extend_from_slice(press.balls);
         }
         self.measure(arch, press, geometry.spacing_m);
     }
 
     fn search(&mut self, voxels: &Voxels, hu: &[i16], press: &Press, slack_m: f64) {
         self.clear();
-        let Press { centre, cut_m, .. } = press;
         let (occupancy, geometry) = (voxels.occupancy(), voxels.geometry());
         let spacing = geometry.spacing_m;
         // Widened by more than rounding can cause; each tick's own distances decide.
-        let widest = cut_m + slack_m + 1e-6 * geometry.smallest_spacing_m();
-        let Some(around) = occupancy.voxels_around((*centre).into(), widest, spacing) else { return };
+        let widest_m = |ball: &PressedBall| ball.cut_m + slack_m + 1e-6 * geometry.smallest_spacing_m();
+        let boxes = press
+            .balls
+            .iter()
+            .filter_map(|ball| occupancy.voxels_around(ball.centre.into(), widest_m(ball), spacing));
+        let Some(around) = boxes.reduce(|a, b| a.hull(&b)) else { return };
         if !occupancy.any_in(&around) {
             return;
         }
         let VoxelBox { low, high } = around;
         for k in low[2]..=high[2] {
-            let to_z = outside(centre.z - k as f64 * spacing[2], spacing[2]);
             for j in low[1]..=high[1] {
-                let to_y = outside(centre.y - j as f64 * spacing[1], spacing[1]);
-                let room = widest * widest - to_z * to_z - to_y * to_y;
                 for start in (low[0]..=high[0]).step_by(WINDOW_VOXELS as usize) {
                     let count = (high[0] - start + 1).min(WINDOW_VOXELS);
                     let window = occupancy.window(occupancy.window_place(start), j as usize, k as usize);
-                    let mut bits =
-                        window & ((1u64 << count) - 1) & columns_within(centre.x, room, spacing[0], start);
+                    let within = |ball: &PressedBall| {
+                        let to_z = outside(ball.centre.z - k as f64 * spacing[2], spacing[2]);
+                        let to_y = outside(ball.centre.y - j as f64 * spacing[1], spacing[1]);
+                        let room = widest_m(ball) * widest_m(ball) - to_z * to_z - to_y * to_y;
+                        columns_within(ball.centre.x, room, spacing[0], start)
+                    };
+                    let near = press.balls.iter().fold(0, |near, ball| near | within(ball));
+                    let mut bits = window & ((1u64 << count) - 1) & near;
                     while bits != 0 {
                         self.push(voxels, hu, [start + i64::from(bits.trailing_zeros()), j, k]);
                         bits &= bits - 1;

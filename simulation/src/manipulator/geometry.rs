@@ -13,7 +13,7 @@ pub enum SphereKind {
     Shaft,
     /// Midpoint of the segment distal to this flexure.
     Segment(usize),
-    /// The burr at the tip.
+    /// A ball of the burr at the tip.
     Burr,
 }
 
@@ -73,32 +73,64 @@ pub(super) fn link_lengths_m(p: &ManipulatorParameters) -> Vec<f64> {
 /// The shaft, then one body per flexure; the burr is part of the last.
 pub(super) fn link_bodies(p: &ManipulatorParameters, length_m: &[f64]) -> Vec<LinkBody> {
     let transverse = 0.25 * (p.tube_radii_m[0] * p.tube_radii_m[0] + p.tube_radii_m[1] * p.tube_radii_m[1]);
+    let last = length_m.len();
     let mut body =
         vec![LinkBody { mass_kg: p.shaft_mass_kg, centre_m: p.shaft_centre_m, inertia_kg_m2: 0.0 }];
-    for &length in length_m {
+    for (number, &length) in length_m.iter().enumerate() {
+        // The tube ends at the centre of the burr, or of the last of its balls.
+        let length = if number + 1 == last { length - p.cutter.span_m() } else { length };
         let mass = p.linear_density_kg_per_m * length;
         let inertia = mass * (length * length / 12.0 + transverse);
         body.push(LinkBody { mass_kg: mass, centre_m: 0.5 * length, inertia_kg_m2: inertia });
     }
-    let last = length_m.len();
     body[last] = with_burr(body[last], p);
     body
 }
 
-/// Adds the burr, a solid sphere at the tip, to the last link's tube.
+/// The burr's moments of inertia about its centre of mass.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct BurrBody {
+    /// From the burr's centre back to its centre of mass, m.
+    pub behind_m: f64,
+    pub across_kg_m2: f64,
+    pub along_kg_m2: f64,
+}
+
+impl BurrBody {
+    pub fn of(p: &ManipulatorParameters) -> Self {
+        match p.cutter.only_radius_m() {
+            Some(radius_m) => {
+                let own = 0.4 * p.burr_mass_kg * radius_m * radius_m;
+                Self { behind_m: 0.0, across_kg_m2: own, along_kg_m2: own }
+            }
+            None => {
+                let solid = p.cutter.solid();
+                Self {
+                    behind_m: solid.behind_m,
+                    across_kg_m2: p.burr_mass_kg * solid.across_m2,
+                    along_kg_m2: p.burr_mass_kg * solid.along_m2,
+                }
+            }
+        }
+    }
+}
+
+/// Adds the burr, a solid at the tip, to the last link's tube.
 fn with_burr(tube: LinkBody, p: &ManipulatorParameters) -> LinkBody {
     let mass = tube.mass_kg + p.burr_mass_kg;
-    let centre = (tube.mass_kg * tube.centre_m + p.burr_mass_kg * p.tip_offset_m) / mass;
-    let own = 0.4 * p.burr_mass_kg * p.burr_radius_m * p.burr_radius_m;
-    let (dt, db) = (tube.centre_m - centre, p.tip_offset_m - centre);
+    let burr = BurrBody::of(p);
+    let burr_centre = p.tip_offset_m - burr.behind_m;
+    let centre = (tube.mass_kg * tube.centre_m + p.burr_mass_kg * burr_centre) / mass;
+    let own = burr.across_kg_m2;
+    let (dt, db) = (tube.centre_m - centre, burr_centre - centre);
     let inertia = tube.inertia_kg_m2 + own + tube.mass_kg * dt * dt + p.burr_mass_kg * db * db;
     LinkBody { mass_kg: mass, centre_m: centre, inertia_kg_m2: inertia }
 }
 
-/// Shaft spheres at equal spacing, one sphere per segment, the burr. Link indices are non-decreasing.
+/// Shaft spheres at equal spacing, one sphere per segment, the burr's from the back to the front. Link indices are non-decreasing.
 pub(super) fn spheres(p: &ManipulatorParameters, length_m: &[f64]) -> Vec<SphereLayout> {
     let n = p.joint_positions_m.len();
-    let mut list = Vec::with_capacity(p.shaft_sphere_count + n + 1);
+    let mut list = Vec::with_capacity(p.shaft_sphere_count + n + p.cutter.balls().len());
     for i in 0..p.shaft_sphere_count {
         let fraction =
             if p.shaft_sphere_count > 1 { i as f64 / (p.shaft_sphere_count - 1) as f64 } else { 0.0 };
@@ -120,12 +152,12 @@ pub(super) fn spheres(p: &ManipulatorParameters, length_m: &[f64]) -> Vec<Sphere
             along_m: 0.5 * segment,
         });
     }
-    list.push(SphereLayout {
+    list.extend(p.cutter.balls().iter().rev().map(|ball| SphereLayout {
         kind: SphereKind::Burr,
-        radius_m: p.burr_radius_m,
+        radius_m: ball.radius_m,
         link: n,
-        along_m: length_m[n - 1],
-    });
+        along_m: length_m[n - 1] - ball.behind_m,
+    }));
     list
 }
 

@@ -28,6 +28,7 @@ mod coupling;
 mod error;
 mod flexure;
 mod geometry;
+mod helix;
 mod loads;
 mod modal;
 mod model;
@@ -42,6 +43,7 @@ mod tendon;
 mod validation;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use scene::MAX_CUTTER_BALLS;
 
 use articulated::Articulated;
 use contact::ContactSolver;
@@ -73,12 +75,14 @@ pub const MAX_LINKS: usize = 64;
 pub const MAX_TENDONS: usize = 4;
 /// Maximum number of proxy spheres on the shaft.
 pub const MAX_SHAFT_SPHERES: usize = 8;
-/// Shaft, one per segment, burr.
-pub(crate) const MAX_SPHERES: usize = MAX_SHAFT_SPHERES + MAX_JOINTS + 1;
+/// Shaft, one per segment, the burr's.
+pub(crate) const MAX_SPHERES: usize = MAX_SHAFT_SPHERES + MAX_JOINTS + MAX_CUTTER_BALLS;
 /// Contacts for each sphere that there is room for. Most spheres have none to four; in a hole as narrow as itself one may have more.
 pub const CONTACTS_PER_SPHERE: usize = 10;
+/// Spheres that contacts are counted for: shaft, one per segment, one burr. The balls of a longer burr share with the whole tool.
+const COUNTED_SPHERES: usize = MAX_SHAFT_SPHERES + MAX_JOINTS + 1;
 /// Maximum contacts per step; excess contacts are refused and counted.
-pub const MAX_CONTACTS: usize = CONTACTS_PER_SPHERE * MAX_SPHERES;
+pub const MAX_CONTACTS: usize = CONTACTS_PER_SPHERE * COUNTED_SPHERES;
 
 /// A continuum manipulator.
 #[derive(Debug, Clone)]
@@ -115,6 +119,7 @@ impl Manipulator {
             let expected = "1 to 32 entries for the planar rung";
             return Err(ManipulatorError::Length { field: "joint_positions_m", given, expected });
         }
+        helix::refuse(&parameters, "0: the rung planar does not twist")?;
         validation::validate_base(base)?;
         let layout = Layout::new(&parameters);
         let n = layout.joints;

@@ -1,7 +1,7 @@
 //! Dimensions, stiffnesses, masses and solver settings of a manipulator.
 
 use nalgebra::Vector3;
-use scene::STANDARD_RADII;
+use scene::{Cutter, STANDARD_RADII};
 use serde::{Deserialize, Serialize};
 
 use super::MAX_LINKS;
@@ -46,13 +46,16 @@ pub struct TendonReach {
     pub to: Option<usize>,
 }
 
-/// A tendon in a channel parallel to the tool's axis.
+/// A tendon in a channel parallel to the tool's axis, or winding about it.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct TendonRoute {
     /// Channel, (x, y) from the tool axis in the base frame, m. Only the spatial rungs bend along y.
     pub channel_m: [f64; 2],
     /// The flexures that it bends. In front of them a sheath holds it, behind them it ends.
     pub reach: TendonReach,
+    /// Angle by which the channel turns about the tool's axis, from x toward y, per length from half way before the first flexure that it
+    /// bends on, rad/m; 0: parallel to the axis. Only the spatial rungs twist: see `manipulator::helix`.
+    pub twist_rad_per_m: f64,
     /// Its own axial stiffness, N/m, in place of that of all.
     pub stiffness_n_per_m: Option<f64>,
     /// Its own capstan friction coefficient, in place of that of all.
@@ -116,14 +119,14 @@ pub struct ManipulatorParameters {
     pub joint_limit_rad: f64,
     /// Stiffness of the stop, N m/rad.
     pub joint_stop_stiffness_nm_per_rad: f64,
-    /// From the last flexure centre to the burr centre, m. The tip frame sits at the burr centre.
+    /// From the last flexure centre to the burr centre, m. The tip frame sits at the burr centre, which is that of its front ball.
     pub tip_offset_m: f64,
     /// Mass per length of the flexible tube, kg/m.
     pub linear_density_kg_per_m: f64,
     /// Outer and inner radius of the tube, m. They set the links' rotary inertia and, with `section`, the stiffness of a flexure but for
     /// bending, which `joint_stiffness_nm_per_rad` gives.
     pub tube_radii_m: [f64; 2],
-    /// Mass of the burr, a solid sphere, kg.
+    /// Mass of the burr, a solid, kg.
     pub burr_mass_kg: f64,
     /// Mass of the rigid shaft before the first flexure, kg.
     pub shaft_mass_kg: f64,
@@ -145,8 +148,8 @@ pub struct ManipulatorParameters {
     pub shaft_sphere_radius_m: f64,
     /// Radius of the segment spheres, one in the middle of each segment, m.
     pub segment_sphere_radius_m: f64,
-    /// Radius of the burr, m.
-    pub burr_radius_m: f64,
+    /// The burr.
+    pub cutter: Cutter,
     /// The tendons.
     pub tendon: TendonParameters,
     /// The tendons' routes, none for a tool without tendons; `None` for the antagonist pair.
@@ -257,7 +260,7 @@ impl ManipulatorParameters {
             shaft_sphere_span_m: [0.0, 35.0e-3],
             shaft_sphere_radius_m: STANDARD_RADII.tube_outer_m,
             segment_sphere_radius_m: STANDARD_RADII.tube_outer_m,
-            burr_radius_m: STANDARD_RADII.burr_m,
+            cutter: STANDARD_RADII.cutter,
             tendon: TendonParameters {
                 offset_m: 2.5e-3,
                 gap_m: 0.0,

@@ -17,6 +17,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::geometry::{Configuration, Layout};
+use super::helix;
 use super::parameters::{ManipulatorParameters, TendonParameters};
 use super::state::TendonCommand;
 use super::{MAX_JOINTS, MAX_TENDONS};
@@ -64,7 +65,17 @@ impl Channels {
             let (sin, cos) = libm::sincos(0.5 * parameters.rest_rad(joint));
             gap_m * (1.0 - cos) + 2.0 * offset_m[t][0] * sin
         };
-        let rest_m = core::array::from_fn(|t: usize| (reach[t][0]..reach[t][1]).map(|i| rest(t, i)).sum());
+        let mut rest_m =
+            core::array::from_fn(|t: usize| (reach[t][0]..reach[t][1]).map(|i| rest(t, i)).sum());
+        for (t, route) in parameters.tendon_routes.iter().flatten().enumerate().take(MAX_TENDONS) {
+            let crossings = helix::crossings(parameters, route);
+            let bent = (reach[t][0]..).zip(&crossings);
+            let each_m =
+                bent.map(|(joint, crossing)| crossing.chord::<1>(&[parameters.rest_rad(joint)]).length_m);
+            if !crossings.is_empty() {
+                rest_m[t] = each_m.sum();
+            }
+        }
         let compliance_rad_per_nm = parameters.joint_stiffness_nm_per_rad.iter().map(|k| 1.0 / k).sum();
         Self { count: parameters.tendon_count(), offset_m, reach, cable, rest_m, compliance_rad_per_nm }
     }

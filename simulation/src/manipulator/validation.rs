@@ -116,7 +116,12 @@ impl ManipulatorParameters {
         check_all("shaft_sphere_span_m", &self.shaft_sphere_span_m, "-10 to 10 m", |x| x.abs() <= 10.0)?;
         check("shaft_sphere_radius_m", self.shaft_sphere_radius_m, "1e-6 to 1 m", length)?;
         check("segment_sphere_radius_m", self.segment_sphere_radius_m, "1e-6 to 1 m", length)?;
-        check("burr_radius_m", self.burr_radius_m, "1e-6 to 1 m", length)
+        let last_m = self.tip_offset_m;
+        for ball in self.cutter.balls() {
+            check("cutter, radius", ball.radius_m, "1e-6 to 1 m", length)?;
+            check("cutter, behind_m", ball.behind_m, "0 to tip_offset_m", |x| (0.0..=last_m).contains(&x))?;
+        }
+        Ok(())
     }
 
     fn validate_tendon(&self) -> Result<(), ManipulatorError> {
@@ -139,7 +144,9 @@ impl ManipulatorParameters {
             return Err(ManipulatorError::Length { field: "tendon_routes", given, expected });
         }
         let joints = self.joint_positions_m.len();
-        for TendonRoute { channel_m, reach, stiffness_n_per_m, friction_coefficient } in routes {
+        for route in routes {
+            let TendonRoute { channel_m, reach, twist_rad_per_m, stiffness_n_per_m, friction_coefficient } =
+                route;
             check_all("tendon_routes.channel_m", channel_m, "-1 to 1 m", |x| x.abs() <= 1.0)?;
             check_all(
                 "tendon_routes.stiffness_n_per_m",
@@ -153,6 +160,11 @@ impl ManipulatorParameters {
                 "0 to 5",
                 |x| (0.0..=5.0).contains(&x),
             )?;
+            let longest_m = self.cell_edges_m().windows(2).map(|cell| cell[1] - cell[0]).fold(0.0, f64::max);
+            let allowed = "at most an eighth of a turn from one flexure to the next";
+            check("tendon_routes.twist_rad_per_m", *twist_rad_per_m, allowed, |twist| {
+                (twist * longest_m).abs() <= core::f64::consts::FRAC_PI_4 * (1.0 + 1e-9)
+            })?;
             let to = reach.to.unwrap_or(joints);
             check("tendon_routes.reach.to", to as f64, "1 to the number of flexures", |_| {
                 (1..=joints).contains(&to)

@@ -1,9 +1,10 @@
-//! The burr's motor, and what cutting does to it and to the tool.
+//! The burr's contacts and motor, and what cutting does to it and to the tool.
 //!
 //! A contact that presses with F and cuts with the coefficient mu pushes the burr along its surface with `mu F (w x n)`, w being the unit
 //! spin axis and n the contact's normal, toward the burr: nothing at the pole, mu F at the side. It also takes the torque `mu F r_eff` from
 //! the motor, through the drive shaft, which runs in the tube and does not turn it; torque times speed is the cutting power of
-//! [`crate::bone::cutting`]. Both are those of the last tick's contacts.
+//! [`crate::bone::cutting`]. Both are those of the last tick's contacts. A cutter that is longer than a ball is also turned by the side
+//! forces on the balls behind its front one.
 //!
 //! A motor with a stall torque M_s turns at `(1 - M/M_s)` times the commanded speed: the line of a DC motor at a constant voltage. At M_s
 //! it stands, and its burr rubs and cuts nothing until it is pressed less.
@@ -12,9 +13,9 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::Simulation;
-use crate::bone::BurrContact;
 use crate::bone::cutting::lever_share;
-use crate::manipulator::{ManipulatorModel, Wrench};
+use crate::bone::{Ball, BurrContact};
+use crate::manipulator::{ManipulatorModel, ProxySphere, Wrench};
 
 /// What of the motor and of the side force a scene models.
 #[derive(Debug, Clone, Copy)]
@@ -37,6 +38,19 @@ pub(super) struct BurrDriveState {
     pub torque_nm: f64,
     /// Force on the burr across its contacts, world, N.
     pub side_force_n: [f64; 3],
+    /// Torque of these forces about the burr's centre, world, N m: 0 for a ball, whose contacts push through its centre. A keyframe holds
+    /// it beside this, and only for a longer cutter.
+    #[serde(skip)]
+    pub side_torque_nm: [f64; 3],
+}
+
+/// At which distance from the spin axis contacts cut.
+#[derive(Debug, Clone, Copy)]
+enum Lever {
+    /// A ball: by the direction of each contact.
+    Ball { radius_m: f64 },
+    /// A cutter of several balls: the mean over what it touches.
+    Mean { lever_m: f64 },
 }
 
 impl BurrDrive {
@@ -54,22 +68,58 @@ impl BurrDrive {
         }
     }
 
-    /// Takes the contacts of a tick on a burr of this radius, spin axis and speed.
-    fn take(&mut self, contacts: &[BurrContact], radius_m: f64, axis: &Vector3<f64>, speed_rad_per_s: f64) {
-        let (mut torque_nm, mut side_n) = (0.0, Vector3::zeros());
+    /// Takes the contacts of a tick on a burr that cuts with these levers, and has this spin axis and speed.
+    fn take(&mut self, contacts: &[BurrContact], lever: Lever, axis: &Vector3<f64>, speed_rad_per_s: f64) {
+        let (mut torque_nm, mut side_n, mut moment_nm) = (0.0, Vector3::zeros(), Vector3::zeros());
         for contact in contacts {
             let cutting_n = self.cutting_coefficient * contact.normal_force_n;
-            torque_nm += cutting_n * radius_m * lever_share(contact.axis_cosine);
-            side_n += axis.cross(&contact.normal) * cutting_n;
+            torque_nm += match lever {
+                Lever::Ball { radius_m } => cutting_n * radius_m * lever_share(contact.axis_cosine),
+                Lever::Mean { lever_m } => cutting_n * lever_m,
+            };
+            let across_n = axis.cross(&contact.normal) * cutting_n;
+            side_n += across_n;
+            moment_nm += (axis * -contact.behind_m).cross(&across_n);
         }
         self.state.torque_nm = torque_nm;
         // One that stands rubs, and that is friction of the contact.
         let sense = if speed_rad_per_s == 0.0 { 0.0 } else { speed_rad_per_s.signum() };
-        self.state.side_force_n = if self.side_force { (side_n * sense).into() } else { [0.0; 3] };
+        let seen = |vector: Vector3<f64>| if self.side_force { (vector * sense).into() } else { [0.0; 3] };
+        let is_long = matches!(lever, Lever::Mean { .. });
+        (self.state.side_force_n, self.state.side_torque_nm) =
+            (seen(side_n), if is_long { seen(moment_nm) } else { [0.0; 3] });
     }
 }
 
 impl Simulation<'_> {
+    /// Lists the burr's balls, and their contacts with bone that carry force.
+    pub(super) fn find_burr_contacts(&mut self) {
+        self.burr_contacts.clear();
+        self.balls_behind.clear();
+        let spheres = self.manipulator.proxy_spheres();
+        // The burr's spheres are the last ones, from its back to its front.
+        let balls = self.manipulator.parameters().cutter.balls();
+        let behind = spheres.iter().rev().take(balls.len()).skip(1);
+        let ball = |sphere: &ProxySphere| Ball { centre_m: sphere.centre_m, radius_m: sphere.radius_m };
+        self.balls_behind.extend(behind.map(ball));
+        let axis = self.manipulator.t_world_tip().rotation * Vector3::z();
+        for result in self.manipulator.contact_results().iter().filter(|result| result.normal_force_n > 0.0) {
+            let from_front = spheres.len().checked_sub(result.sphere_index + 1);
+            let ball = from_front.and_then(|number| balls.get(number));
+            let body = self.rigid.as_ref().and_then(|rigid| rigid.body_of_plane(result.contact_index));
+            if let Some(ball) = ball
+                && body.is_none()
+            {
+                self.burr_contacts.push(BurrContact {
+                    normal: result.normal,
+                    normal_force_n: result.normal_force_n,
+                    axis_cosine: result.normal.dot(&axis),
+                    behind_m: ball.behind_m,
+                });
+            }
+        }
+    }
+
     /// Sets the burr's speed for the tick; a motor that comes to stand is told to whoever drives the burr.
     pub(super) fn turn_burr(&mut self) {
         let (before, drive) = (self.burr_speed_rad_per_s, &self.burr_drive);
@@ -88,16 +138,23 @@ impl Simulation<'_> {
 
     /// The force of the last tick's cutting on the tool's tip.
     pub(super) fn cutting_wrench(&self) -> Wrench {
-        Wrench { force_n: self.burr_drive.state.side_force_n.into(), ..Wrench::zero() }
+        let BurrDriveState { side_force_n, side_torque_nm, .. } = self.burr_drive.state;
+        Wrench { force_n: side_force_n.into(), torque_nm: side_torque_nm.into() }
     }
 
-    /// Takes the tick's contacts of the burr.
-    pub(super) fn load_burr(&mut self) {
+    /// Whether a tick's side force also has a torque that the next tick needs.
+    pub(super) fn has_side_torque(&self) -> bool {
+        self.burr_drive.side_force && self.manipulator.parameters().cutter.only_radius_m().is_none()
+    }
+
+    /// Takes the tick's contacts of the burr; `lever_m` is that of a cutter of several balls.
+    pub(super) fn load_burr(&mut self, lever_m: f64) {
         if !self.burr_drive.is_modelled() {
             return;
         }
-        let radius_m = self.manipulator.parameters().burr_radius_m;
+        let radius_m = self.manipulator.parameters().cutter.only_radius_m();
+        let lever = radius_m.map_or(Lever::Mean { lever_m }, |radius_m| Lever::Ball { radius_m });
         let axis = self.manipulator.t_world_tip().rotation * Vector3::z();
-        self.burr_drive.take(&self.burr_contacts, radius_m, &axis, self.burr_speed_rad_per_s);
+        self.burr_drive.take(&self.burr_contacts, lever, &axis, self.burr_speed_rad_per_s);
     }
 }

@@ -75,6 +75,10 @@ impl Simulation<'_> {
         if self.burr_drive.is_modelled() {
             end += postcard::to_slice(&self.burr_drive.state, &mut buffer[end..]).map_err(too_long)?.len();
         }
+        if self.has_side_torque() {
+            let torque_nm = &self.burr_drive.state.side_torque_nm;
+            end += postcard::to_slice(torque_nm, &mut buffer[end..]).map_err(too_long)?.len();
+        }
         if !self.sensors.is_empty() {
             end +=
                 postcard::to_slice(&self.sensors.serialised(), &mut buffer[end..]).map_err(too_long)?.len();
@@ -111,10 +115,14 @@ impl Simulation<'_> {
         ) = whole;
         let state = State::read_from_bytes(state).map_err(|_| unreadable("its state".to_owned()))?;
         let command_rad_per_s = burr_speed_rad_per_s;
-        let (burr_drive, rest) = match self.burr_drive.is_modelled() {
+        let (mut burr_drive, mut rest) = match self.burr_drive.is_modelled() {
             false => (BurrDriveState { command_rad_per_s, ..BurrDriveState::default() }, rest),
             true => postcard::take_from_bytes(rest).map_err(|cause| unreadable(cause.to_string()))?,
         };
+        if self.has_side_torque() {
+            (burr_drive.side_torque_nm, rest) =
+                postcard::take_from_bytes(rest).map_err(|cause| unreadable(cause.to_string()))?;
+        }
         let (sensors, rest) = match self.sensors.is_empty() {
             true => (self.sensors.state(), rest),
             false => postcard::take_from_bytes(rest).map_err(|cause| unreadable(cause.to_string()))?,

@@ -61,7 +61,7 @@ impl Simulation<'_> {
         }
         let base = tool.t_world_link(0).translation.vector;
         let parameters = tool.parameters();
-        let length_m = parameters.burr_centre_m() + parameters.burr_radius_m;
+        let length_m = parameters.burr_centre_m() + parameters.cutter.front_radius_m();
         tool.proxy_spheres().iter().try_for_each(|sphere| check_sphere(sphere, &base, length_m))
     }
 }

@@ -48,7 +48,7 @@ impl Simulation<'_> {
         state.t_world_base = pose(&tool.t_world_link(0));
         let burr = tool.t_world_tip();
         state.t_world_burr = pose(&burr);
-        let front = burr * Isometry3::translation(0.0, 0.0, tool.parameters().burr_radius_m);
+        let front = burr * Isometry3::translation(0.0, 0.0, tool.parameters().cutter.front_radius_m());
         state.t_world_tip = pose(&front);
         for (slot, link) in state.t_world_link.iter_mut().zip(1..=joints) {
             *slot = pose(&tool.t_world_link(link));

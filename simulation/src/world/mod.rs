@@ -37,13 +37,12 @@ use zerocopy::IntoBytes;
 
 use crate::arm::{Arm, ArmError, ArmSnapshot, Compliance, ComplianceState};
 use crate::bone::{
-    BoneError, BoneField, BoneSnapshot, BurrContact, BurrState, ContactBuffer, GridGeometry, Indentation,
-    VoxelIndex, Work,
+    Ball, BoneError, BoneField, BoneSnapshot, BurrContact, BurrState, ContactBuffer, GridGeometry,
+    Indentation, VoxelIndex, Work,
 };
 use crate::contact_plane::ContactPlane;
 use crate::manipulator::{
-    AnyManipulator, AnyManipulatorState, BaseMotion, ManipulatorError, ManipulatorModel, SphereKind,
-    StepReport,
+    AnyManipulator, AnyManipulatorState, BaseMotion, ManipulatorError, ManipulatorModel, StepReport,
 };
 use crate::rigid::{RigidError, RigidScene, RigidSnapshot, ToolDrive};
 use arm_in_bone::ArmWatch;
@@ -174,6 +173,8 @@ pub struct Simulation<'v> {
     indentations: Vec<Indentation>,
     /// The burr's contacts with bone that carried force in the last step.
     burr_contacts: Vec<BurrContact>,
+    /// Workspace: the balls of a longer cutter behind its front one.
+    balls_behind: Vec<Ball>,
     /// One per proxy sphere.
     reach: Vec<Reach>,
     /// Workspace: the tool before the tick.
@@ -377,38 +378,24 @@ impl<'v> Simulation<'v> {
         })
     }
 
-    /// Lists the burr's contacts with bone that carry force.
-    fn find_burr_contacts(&mut self) {
-        self.burr_contacts.clear();
-        let spheres = self.manipulator.proxy_spheres();
-        let axis = self.manipulator.t_world_tip().rotation * Vector3::z();
-        for result in self.manipulator.contact_results().iter().filter(|result| result.normal_force_n > 0.0) {
-            let burr = spheres.get(result.sphere_index).is_some_and(|sphere| sphere.kind == SphereKind::Burr);
-            let body = self.rigid.as_ref().and_then(|rigid| rigid.body_of_plane(result.contact_index));
-            if burr && body.is_none() {
-                self.burr_contacts.push(BurrContact {
-                    normal: result.normal,
-                    normal_force_n: result.normal_force_n,
-                    axis_cosine: result.normal.dot(&axis),
-                });
-            }
-        }
-    }
-
     fn wear(&mut self) -> Result<usize, SimulationError> {
         self.find_indentations();
         self.find_burr_contacts();
-        self.load_burr();
-        let Some(bone) = &mut self.bone else { return Ok(0) };
+        let Some(bone) = &mut self.bone else {
+            self.load_burr(0.0);
+            return Ok(0);
+        };
         let burr = BurrState {
             centre_m: self.manipulator.t_world_tip().translation.vector,
-            radius_m: self.manipulator.parameters().burr_radius_m,
+            radius_m: self.manipulator.parameters().cutter.front_radius_m(),
             speed_rad_s: self.burr_speed_rad_per_s,
             normal_force_n: self.burr_contacts.iter().map(|contact| contact.normal_force_n).sum(),
         };
-        let work = Work { burr: &burr, contacts: &self.burr_contacts, indentations: &self.indentations };
+        let (behind, contacts) = (&self.balls_behind, &self.burr_contacts);
+        let work = Work { burr: &burr, behind, contacts, indentations: &self.indentations };
         let report = bone.field.wear(&bone.hu, work, self.dt_s)?;
         self.receding = Receding::after(&report, burr.speed_rad_s.abs() * self.dt_s);
+        self.load_burr(report.lever_m);
         self.cutting_energy_j += report.energy_used_j;
         self.crushing_energy_j += report.crushed.energy_j;
         self.uncut_voxels = report.refused_count + report.crushed.refused_count;

@@ -3,14 +3,14 @@
 use messages::State;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use scene::{
-    Body, BodyMotion as SceneMotion, ContactVoxels as SceneContactVoxels, Integrator as SceneIntegrator,
-    ManipulatorRung, Removal as SceneRemoval, Scene, StartShape, Tool,
+    Body, BodyMotion as SceneMotion, ContactVoxels as SceneContactVoxels, Cutter,
+    Integrator as SceneIntegrator, ManipulatorRung, Removal as SceneRemoval, Scene, StartShape, Tool,
 };
 
 use super::burr_drive::{BurrDrive, BurrDriveState};
 use super::move_tool::PLANES_PER_SPHERE;
 use super::tendon_drive::TendonDrive;
-use super::tool::described;
+use super::tool::{described, twist_rad_per_m};
 use super::{Bone, Driver, Hounsfield, Simulation, SimulationError};
 use crate::arm::{Arm, ArmParameters, Compliance, ComplianceParameters, initial_q_rad, place_base_for};
 use crate::bone::{
@@ -18,7 +18,7 @@ use crate::bone::{
 };
 use crate::manipulator::{
     AnyManipulator, BaseMotion, Integrator, ManipulatorError, ManipulatorModel, ManipulatorParameters, Notch,
-    Rung,
+    Rung, TendonRoute,
 };
 use crate::rigid::{BodyMotion, BodyParameters, BodyShape, RigidScene};
 
@@ -34,7 +34,7 @@ pub(super) fn build<'v>(
     let arm = arm(scene, &t_world_base)?;
     // Use the arm's own forward kinematics, so that tick 1 does not start with a jump from rounding.
     let base = BaseMotion::at_rest(arm.state().t_world_tool);
-    let max_burr_radius_m = parameters.burr_radius_m;
+    let cutter = parameters.cutter;
     let compliance = compliance(scene, arm.parameters(), &parameters)?;
     let mut manipulator =
         AnyManipulator::new(rung(scene.manipulator.model.unwrap_or_default()), parameters, &base)?;
@@ -46,7 +46,7 @@ pub(super) fn build<'v>(
         (None, _) => (None, Vec::new()),
         (Some(_), None) => return Err(SimulationError::VolumeMissing),
         (Some(_), Some(ct)) => {
-            let (bone, predrilled) = bone(scene, ct, max_burr_radius_m, PLANES_PER_SPHERE * sphere_count)?;
+            let (bone, predrilled) = bone(scene, ct, &cutter, PLANES_PER_SPHERE * sphere_count)?;
             (Some(bone), predrilled)
         }
     };
@@ -75,7 +75,8 @@ pub(super) fn build<'v>(
         crushing_energy_j: 0.0,
         receding: super::Receding::default(),
         indentations: Vec::with_capacity(PLANES_PER_SPHERE * sphere_count),
-        burr_contacts: Vec::with_capacity(PLANES_PER_SPHERE),
+        burr_contacts: Vec::with_capacity(PLANES_PER_SPHERE * cutter.balls().len()),
+        balls_behind: Vec::with_capacity(cutter.balls().len()),
         uncut_voxels: 0,
         left_out_contacts: 0,
         sensors: sensors::SensorArray::new(scene),
@@ -96,9 +97,15 @@ fn burr_drive(scene: &Scene) -> BurrDrive {
     BurrDrive {
         stall_torque_nm: scene.manipulator.burr_stall_torque_nmm.map(|torque| torque * 1e-3),
         side_force: scene.drilling.side_force.unwrap_or(false),
-        cutting_coefficient: scene.drilling.cutting_coefficient.unwrap_or(standard),
+        cutting_coefficient: cutting_coefficient(scene).unwrap_or(standard),
         state: BurrDriveState::default(),
     }
+}
+
+/// The scene's own cutting coefficient, or that of its tool's burr.
+fn cutting_coefficient(scene: &Scene) -> Option<f64> {
+    let of_tool = || scene.manipulator.tool.as_ref().and_then(|tool| tool.burr.cutting_coefficient);
+    scene.drilling.cutting_coefficient.or_else(of_tool)
 }
 
 /// The rung that a scene names.
@@ -128,7 +135,10 @@ pub fn manipulator_parameters(scene: &Scene) -> Result<ManipulatorParameters, Ma
         parameters.tendon_routes.iter_mut().flatten().for_each(|route| route.friction_coefficient = None);
     }
     if !scene.tendon.is_empty() {
-        let routes = scene.tendon.iter().map(|it| [it.toward_mm * 1e-3, it.across_mm * 1e-3].into());
+        let routes = scene.tendon.iter().map(|it| TendonRoute {
+            twist_rad_per_m: twist_rad_per_m(it.twist_deg_per_mm),
+            ..TendonRoute::from([it.toward_mm * 1e-3, it.across_mm * 1e-3])
+        });
         parameters.tendon_routes = Some(routes.collect());
     }
     if let Some(ratio) = overrides.damping_ratio {
@@ -145,7 +155,7 @@ pub fn manipulator_parameters(scene: &Scene) -> Result<ManipulatorParameters, Ma
     if let Some(stiffness) = overrides.mount_stiffness_n_per_m {
         parameters.mount_stiffness_n_per_m = [stiffness; 3];
     }
-    parameters.burr_radius_m = overrides.radii().burr_m;
+    parameters.cutter = overrides.radii().cutter;
     parameters.gravity_m_per_s2 = Vector3::from(scene.gravity_m_per_s2);
     parameters.integrator = match overrides.integrator.unwrap_or_default() {
         SceneIntegrator::LinearlyImplicitEuler => Integrator::LinearlyImplicitEuler,
@@ -242,10 +252,11 @@ fn compliance(
 fn bone<'v>(
     scene: &Scene,
     (geometry, hu): (GridGeometry, Hounsfield<'v>),
-    max_burr_radius_m: f64,
+    cutter: &Cutter,
     most_planes: usize,
 ) -> Result<(Bone<'v>, Vec<u32>), SimulationError> {
-    let mut parameters = BoneParameters { max_burr_radius_m, ..BoneParameters::default() };
+    let (max_burr_radius_m, cutter_span_m) = (cutter.widest_radius_m(), cutter.span_m());
+    let mut parameters = BoneParameters { max_burr_radius_m, cutter_span_m, ..BoneParameters::default() };
     if let Some(volume) = &scene.volume {
         parameters.threshold_hu = volume.bone_threshold_hu;
     }
@@ -256,7 +267,7 @@ fn bone<'v>(
     if let Some(exponent) = drilling.density_exponent {
         parameters.material.exponent = exponent;
     }
-    if let Some(coefficient) = drilling.cutting_coefficient {
+    if let Some(coefficient) = cutting_coefficient(scene) {
         parameters.cutting.cutting_friction = coefficient;
     }
     if let Some(pressure) = drilling.edge_pressure_mpa {

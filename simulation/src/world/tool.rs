@@ -49,7 +49,7 @@ pub(super) fn described(tool: &ToolDescription) -> ManipulatorParameters {
         shaft_sphere_span_m: spheres.span_m,
         shaft_sphere_radius_m: radii.tube_outer_m,
         segment_sphere_radius_m: radii.tube_outer_m,
-        burr_radius_m: radii.burr_m,
+        cutter: radii.cutter,
         tendon: TendonParameters {
             offset_m: 0.0,
             gap_m: tool.tendon_cable.gap_mm / 1e3,
@@ -63,10 +63,16 @@ pub(super) fn described(tool: &ToolDescription) -> ManipulatorParameters {
     }
 }
 
+/// A tendon's twist in SI units.
+pub(super) fn twist_rad_per_m(twist_deg_per_mm: Option<f64>) -> f64 {
+    twist_deg_per_mm.unwrap_or(0.0) * (PI / 180.0) * 1e3
+}
+
 fn route(tendon: &scene::ToolTendon) -> TendonRoute {
     TendonRoute {
         channel_m: [tendon.toward_mm / 1e3, tendon.across_mm / 1e3],
         reach: TendonReach { from: tendon.from_flexure - 1, to: tendon.to_flexure },
+        twist_rad_per_m: twist_rad_per_m(tendon.twist_deg_per_mm),
         stiffness_n_per_m: tendon.stiffness_n_per_m,
         friction_coefficient: tendon.friction,
     }

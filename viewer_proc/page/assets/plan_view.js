@@ -22,7 +22,7 @@ export function addPlannedTool(list, info) {
   const end = info?.plan?.tool_end;
   if (end) {
     for (let i = 1; i < end.line_m.length; i++) list.cylinder(end.line_m[i - 1], end.line_m[i], end.radius_m, END);
-    list.sphere(end.line_m.at(-1), end.burr_radius_m, END);
+    for (const ball of end.burr) list.sphere(ball.centre_m, ball.radius_m, END);
   }
   if (info?.plan) for (const hole of info.scene?.predrill ?? []) list.cylinder(hole.from_m, hole.to_m, hole.radius_m, HOLE);
 }

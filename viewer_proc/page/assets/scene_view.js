@@ -8,7 +8,7 @@ import { cameraRay, nearest, pick } from "/assets/pick.js";
 import { PART_FRAGMENT, PART_VERTEX, SURFACE_FRAGMENT, SURFACE_VERTEX } from "/assets/shaders.js";
 import { cone, cube, cylinder, sphere } from "/assets/shapes.js";
 import { Surface } from "/assets/surface.js";
-import { COLOURS, addArm, addBodies, addContacts, addTool, bendingPlane } from "/assets/tool_model.js";
+import { COLOURS, addArm, addBodies, addContacts, addTool, bendingPlane, burrBalls } from "/assets/tool_model.js";
 import { transform } from "/assets/vector.js";
 
 /** How the bone is shown. */
@@ -169,7 +169,7 @@ export class SceneView {
     const { camera, canvas, boneMode } = this;
     const ray = cameraRay(camera, x, y, canvas.clientWidth, canvas.clientHeight);
     const { poses, info } = model;
-    const balls = poses ? [{ centre: poses.burr.position, radius: info?.tool?.burr_radius_m ?? 0.003 }] : [];
+    const balls = poses ? burrBalls(poses, info?.tool) : [];
     const cut = boneMode === "section" && poses ? bendingPlane(poses.base, camera.eye) : [0, 0, 0, 0];
     const blocks = boneMode === "hidden" ? [] : this.surface.blocks.values();
     return pick(ray, blocks, cut, balls) ?? nearest(ray, this.cursor?.point ?? camera.centre);

@@ -4,7 +4,7 @@ import { distanceText } from "/assets/measure.js";
 import { cutBall, cutCylinder, normal, place, pointAt } from "/assets/slice_geometry.js";
 import { textScale } from "/assets/plot.js";
 import { drawHandles } from "/assets/plan_edit.js";
-import { COLOURS, holderFront } from "/assets/tool_model.js";
+import { COLOURS, burrBalls, holderFront } from "/assets/tool_model.js";
 import { add, dot, scale, subtract, transform } from "/assets/vector.js";
 
 /** @typedef {import("/assets/vector.js").Vector} Vector */
@@ -239,7 +239,8 @@ export class SliceTile {
     });
     if (holder.length > 0) this.#outline(context, [polygon(holder.map(pixels))], css(COLOURS.shaft), ratio);
     this.#outline(context, body, css(COLOURS.linkOdd), ratio);
-    this.#outline(context, ball(poses.burr.position, tool.burr_radius_m ?? 0.003), css(COLOURS.burr), ratio);
+    const burr = burrBalls(poses, tool).flatMap(({ centre, radius }) => ball(centre, radius));
+    this.#outline(context, burr, css(COLOURS.burr), ratio);
   }
 
   /** The outline of a union: its parts are stroked, then what lies inside any of them is taken away. @param {Path2D[]} parts */

@@ -49,7 +49,6 @@ export class Trail {
 
 /** @param {PartsList} list @param {Poses} poses @param {object} tool of `/view/info` @param {object} [one] one colour for all */
 export function addTool(list, poses, tool, one) {
-  const burrRadius = tool.burr_radius_m ?? 0.003;
   const shaft = tool.shaft ?? { length_m: 0, radius_m: 0.003 };
   const end = transform(poses.base, [0, 0, shaft.length_m]);
   list.cylinder(poses.base.position, end, shaft.radius_m, one ?? COLOURS.shaft);
@@ -66,7 +65,13 @@ export function addTool(list, poses, tool, one) {
     // A ball in each joint: a bend would open a gap between the ends of two cylinders.
     list.sphere(pose.position, link.outer_radius_m, colour);
   });
-  list.sphere(poses.burr.position, burrRadius, one ?? COLOURS.burr);
+  for (const { centre, radius } of burrBalls(poses, tool)) list.sphere(centre, radius, one ?? COLOURS.burr);
+}
+
+/** The balls of the burr, from its front to its back. @param {Poses} poses @param {any} [tool] of `/view/info` */
+export function burrBalls(poses, tool) {
+  const balls = tool?.burr_balls ?? [{ behind_m: 0, radius_m: 0.003 }];
+  return balls.map((ball) => ({ centre: transform(poses.burr, [0, 0, -ball.behind_m]), radius: ball.radius_m }));
 }
 
 /**

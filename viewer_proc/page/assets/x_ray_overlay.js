@@ -4,7 +4,7 @@ import { CLICK_PX } from "/assets/measure.js";
 import { textScale } from "/assets/plot.js";
 import { pixelsPerMetre, project, unproject } from "/assets/pick.js";
 import { drawMeasures } from "/assets/slice_tile.js";
-import { COLOURS } from "/assets/tool_model.js";
+import { COLOURS, burrBalls } from "/assets/tool_model.js";
 import { transform } from "/assets/vector.js";
 
 /** @typedef {import("/assets/vector.js").Vector} Vector */
@@ -118,9 +118,13 @@ export class XRayOverlay {
     if (!tip) return;
     context.strokeStyle = css(COLOURS.burr);
     context.lineWidth = 2 * ratio;
-    context.beginPath();
-    context.arc(tip[0], tip[1], Math.max(2 * ratio, (tool.burr_radius_m ?? 0.003) * pixelsPerMetre(projection, tip[2]) * scale), 0, 7);
-    context.stroke();
+    for (const { centre, radius } of burrBalls(poses, tool)) {
+      const seen = at(centre);
+      if (!seen) continue;
+      context.beginPath();
+      context.arc(seen[0], seen[1], Math.max(2 * ratio, radius * pixelsPerMetre(projection, seen[2]) * scale), 0, 7);
+      context.stroke();
+    }
     context.fillStyle = css(COLOURS.burr);
     context.beginPath();
     context.arc(tip[0], tip[1], 1.8 * ratio, 0, 7);

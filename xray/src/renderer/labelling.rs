@@ -78,7 +78,7 @@ impl DrrRenderer {
                 pixels,
                 mu_per_m,
                 material: part.material().index(),
-                class: if number == burr { Class::Burr } else { Class::Tool },
+                class: if number >= burr { Class::Burr } else { Class::Tool },
             }));
         }
         Ok(parts)

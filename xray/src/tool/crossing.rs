@@ -17,6 +17,8 @@ pub struct Crossing {
 pub(crate) enum SeenPart {
     /// `o` runs from the centre to the source.
     Sphere { o: Vec3, radius_m: f64 },
+    /// The same, and the planes that cut the sphere.
+    Zone { o: Vec3, radius_m: f64, ends: [End; 2] },
     /// The source's coordinate along the axis, and its vector across the axis.
     Axial { axis: Vec3, ends: [End; 2], radii: Radii, along: f64, across: Vec3 },
 }
@@ -53,6 +55,11 @@ impl SeenPart {
         match *self {
             Self::Sphere { o, radius_m } => {
                 let envelope = clip(Closest::new(o, direction_m).inside(radius_m)?)?;
+                Some(Crossing { envelope, metal_m: (envelope.1 - envelope.0) * length_m })
+            }
+            Self::Zone { o, radius_m, ends } => {
+                let ball = Closest::new(o, direction_m).inside(radius_m)?;
+                let envelope = clip(overlap(between_ends(&ends, direction_m)?, ball)?)?;
                 Some(Crossing { envelope, metal_m: (envelope.1 - envelope.0) * length_m })
             }
             Self::Axial { axis, ends, radii, along, across } => {

@@ -96,6 +96,19 @@ pub enum ToolPart {
         /// Material.
         material: Material,
     },
+    /// The part of a solid sphere between two parallel planes, as of a ball in a row of balls that overlap.
+    SphereZone {
+        /// Centre.
+        centre_m: [f64; 3],
+        /// Radius.
+        radius_m: f64,
+        /// Unit normal of the planes.
+        axis: [f64; 3],
+        /// Where the planes are, from the centre along the axis; the first before the second, both within the sphere.
+        along_m: [f64; 2],
+        /// Material.
+        material: Material,
+    },
 }
 
 /// A notch in a tube: the cut-out between two planes perpendicular to the axis and beyond a third plane parallel to it.

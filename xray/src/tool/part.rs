@@ -16,6 +16,7 @@ pub struct PreparedPart {
 #[derive(Debug, Clone, Copy)]
 enum Shape {
     Sphere { centre_m: Vec3, radius_m: f64 },
+    Zone { centre_m: Vec3, radius_m: f64, axis: Vec3, along_m: [f64; 2] },
     Axial { start_m: Vec3, axis: Vec3, length_m: f64, normals: [Vec3; 2], radii: Radii },
 }
 
@@ -42,13 +43,19 @@ impl PreparedPart {
     ///
     /// # Errors
     /// A number is not finite or above 100 m, a radius or length is not positive, the lumen is as wide as the tube, or a notch is outside
-    /// its tube, or an end is cut more obliquely than at 60 degrees.
+    /// its tube, a zone outside its sphere, or an end is cut more obliquely than at 60 degrees.
     pub fn new(part: &ToolPart) -> Result<Self, &'static str> {
         let (shape, material) = match *part {
             ToolPart::Sphere { centre_m, radius_m, material } => {
                 check_points(&[centre_m])?;
                 check_radius(radius_m)?;
                 (Shape::Sphere { centre_m, radius_m }, material)
+            }
+            ToolPart::SphereZone { centre_m, radius_m, axis, along_m, material } => {
+                check_points(&[centre_m])?;
+                check_radius(radius_m)?;
+                check_zone(radius_m, axis, along_m)?;
+                (Shape::Zone { centre_m, radius_m, axis, along_m }, material)
             }
             ToolPart::Cylinder { start_m, end_m, radius_m, material } => {
                 check_radius(radius_m)?;
@@ -116,6 +123,11 @@ impl PreparedPart {
     pub(crate) fn seen_from(&self, source_m: Vec3) -> SeenPart {
         match self.shape {
             Shape::Sphere { centre_m, radius_m } => SeenPart::Sphere { o: sub(source_m, centre_m), radius_m },
+            Shape::Zone { centre_m, radius_m, axis, along_m } => {
+                let o = sub(source_m, centre_m);
+                let ends = along_m.map(|at_m| End { normal: axis, ahead_m: at_m - dot(o, axis) });
+                SeenPart::Zone { o, radius_m, ends }
+            }
             Shape::Axial { start_m, axis, length_m, normals, radii } => {
                 let o = sub(source_m, start_m);
                 let along = dot(o, axis);
@@ -136,6 +148,12 @@ impl PreparedPart {
         match self.shape {
             Shape::Sphere { centre_m, radius_m: r } => {
                 (centre_m, [[r, 0.0, 0.0], [0.0, r, 0.0], [0.0, 0.0, r]])
+            }
+            Shape::Zone { centre_m, radius_m, axis, along_m: [from_m, to_m] } => {
+                let side = any_perpendicular(axis);
+                let half_m = 0.5 * (to_m - from_m);
+                let half = [scale(axis, half_m), scale(side, radius_m), scale(cross(axis, side), radius_m)];
+                (add_scaled(centre_m, from_m + half_m, axis), half)
             }
             Shape::Axial { start_m, axis, length_m, normals, radii } => {
                 let radius_m = match radii {
@@ -208,6 +226,20 @@ fn check_radius(radius_m: f64) -> Result<(), &'static str> {
     } else {
         Err("a radius is not in 0 to 1 m (0 excluded): give it in metres; a solid part is a Cylinder")
     }
+}
+
+fn check_zone(radius_m: f64, axis: Vec3, [from_m, to_m]: [f64; 2]) -> Result<(), &'static str> {
+    // A NaN is neither.
+    let is_unit = (norm(axis) - 1.0).abs() < 1e-6;
+    let rounded_m = radius_m * (1.0 + 1e-9);
+    let is_within = -rounded_m <= from_m && from_m < to_m && to_m <= rounded_m;
+    if !is_unit {
+        return Err("the axis of a zone is no unit vector: normalise it");
+    }
+    if !is_within {
+        return Err("the planes of a zone do not follow one another within its sphere: correct along_m");
+    }
+    Ok(())
 }
 
 fn check_tube(outer_radius_m: f64, inner_radius_m: f64) -> Result<(), &'static str> {

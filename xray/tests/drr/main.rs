@@ -11,6 +11,8 @@ mod camera;
 #[cfg(test)]
 mod coefficients;
 #[cfg(test)]
+mod cutters;
+#[cfg(test)]
 mod detector;
 #[cfg(test)]
 mod frames;

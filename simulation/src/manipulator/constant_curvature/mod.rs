@@ -14,7 +14,8 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 use super::MAX_TENDONS;
 use super::contact::ContactSolver;
 use super::error::{ManipulatorError, check};
-use super::geometry::{SphereLayout, link_lengths_m, spheres};
+use super::geometry::{BurrBody, SphereLayout, link_lengths_m, spheres};
+use super::helix;
 use super::parameters::{ManipulatorParameters, TendonRoute};
 use super::state::{BaseMotion, ContactResult, ProxySphere, StepReport, Wrench, places_from};
 use super::tendon::{Channels, TendonMemory};
@@ -355,8 +356,9 @@ impl ConstantCurvature {
     }
 }
 
-/// One arc cannot bend in part.
+/// One arc cannot bend in part, nor twist.
 fn refuse_partial_tendons(p: &ManipulatorParameters) -> Result<(), ManipulatorError> {
+    helix::refuse(p, "0: the rung constant_curvature does not twist")?;
     let joints = p.joint_positions_m.len();
     for TendonRoute { reach, .. } in p.tendon_routes.iter().flatten() {
         let allowed = "all flexures: the rung constant_curvature is one arc";
@@ -382,12 +384,12 @@ fn lumps(p: &ManipulatorParameters, arc: &Arc) -> Vec<Lump> {
     }
     let burr = p.burr_centre_m();
     let end = arc.start_m + arc.length_m;
-    let rest = (burr - end).max(0.0);
+    let rest = (burr - p.cutter.span_m() - end).max(0.0);
     let mass_kg = density * rest;
     let inertia_kg_m2 = mass_kg * (rest * rest / 12.0 + gyration);
     lumps.push(Lump { mass_kg, z_m: end + 0.5 * rest, inertia_kg_m2 });
-    let own = 0.4 * p.burr_mass_kg * p.burr_radius_m * p.burr_radius_m;
-    lumps.push(Lump { mass_kg: p.burr_mass_kg, z_m: burr, inertia_kg_m2: own });
+    let body = BurrBody::of(p);
+    lumps.push(Lump { mass_kg: p.burr_mass_kg, z_m: burr - body.behind_m, inertia_kg_m2: body.across_kg_m2 });
     lumps
 }
 

@@ -8,7 +8,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::algebra::{Moments, Spatial, ZERO, add_body, shift_along, turn_about};
 use crate::manipulator::contact::Chain;
-use crate::manipulator::geometry::{LinkBody, SphereLayout, link_bodies, link_lengths_m, spheres};
+use crate::manipulator::geometry::{BurrBody, LinkBody, SphereLayout, link_bodies, link_lengths_m, spheres};
 use crate::manipulator::parameters::ManipulatorParameters;
 
 /// Degrees of freedom of the mount.
@@ -50,7 +50,10 @@ impl<const D: usize> SpatialLayout<D> {
         let along = |length: &f64| p.linear_density_kg_per_m * length * 0.5 * (outer * outer + inner * inner);
         let mut axial_inertia_kg_m2 = vec![0.0];
         axial_inertia_kg_m2.extend(length_m.iter().map(along));
-        axial_inertia_kg_m2[length_m.len()] += 0.4 * p.burr_mass_kg * p.burr_radius_m * p.burr_radius_m;
+        if let Some(last_m) = length_m.last() {
+            axial_inertia_kg_m2[length_m.len()] = along(&(last_m - p.cutter.span_m()));
+        }
+        axial_inertia_kg_m2[length_m.len()] += BurrBody::of(p).along_kg_m2;
         Self {
             joints: length_m.len(),
             first_joint_m: p.joint_positions_m[0],

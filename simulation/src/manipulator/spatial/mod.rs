@@ -24,7 +24,6 @@ use super::error::ManipulatorError;
 use super::parameters::ManipulatorParameters;
 use super::pressed::PressedStops;
 use super::state::{BaseMotion, ContactResult, ProxySphere, StepReport, Wrench};
-use super::tendon::Channels;
 use super::{CONTACTS_PER_SPHERE, MAX_LINKS, MAX_SHAFT_SPHERES, modal};
 use articulated::Articulated;
 use coupling::Coupling;
@@ -118,7 +117,7 @@ impl<const D: usize> SpatialChain<D> {
             bend: [vec![0.0; layout.joints], vec![0.0; layout.joints]],
             trial: Configuration::new(&layout),
             articulated: Articulated::new(freedoms),
-            tendon: TendonLoad::new(freedoms, Channels::of(&parameters)),
+            tendon: TendonLoad::new(freedoms, &parameters),
             coupling: Coupling::new(freedoms),
             loads: Loads::new(links),
             contact: ContactSolver::new(layout.first_freedoms(), MAX_CONTACTS),

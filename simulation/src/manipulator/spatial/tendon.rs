@@ -3,11 +3,13 @@
 //! The law of the planar rung (see `manipulator::tendon`), extended by lateral bending and, in the full rung, compression. A flexure bent
 //! by q, bent laterally by p (about x, so toward -y) and compressed by u takes up `l = g (1 - cos(q/2) cos(p/2)) + 2 d sin(q/2) - 2 e
 //! sin(p/2) + u` of a tendon in the channel (d, e). A tension T exerts the generalised force `T dl` on every coordinate. Torsion also
-//! winds the channels; this is second order in the angle of one flexure and neglected.
+//! winds the channels; this is second order in the angle of one flexure and neglected. Of a tendon that winds about the tool it is the
+//! first: `manipulator::helix`.
 
 use super::layout::SpatialLayout;
 use crate::manipulator::MAX_TENDONS;
-use crate::manipulator::parameters::TendonParameters;
+use crate::manipulator::helix::{Chord, Crossing, crossings};
+use crate::manipulator::parameters::{ManipulatorParameters, TendonParameters};
 use crate::manipulator::state::TendonCommand;
 use crate::manipulator::tendon::{Channels, TendonMemory, base_tension};
 
@@ -15,6 +17,8 @@ use crate::manipulator::tendon::{Channels, TendonMemory, base_tension};
 #[derive(Debug, Clone)]
 pub(super) struct TendonLoad {
     pub channels: Channels,
+    /// Of each tendon that winds about the tool, one for each flexure that it bends.
+    crossings: [Vec<Crossing>; MAX_TENDONS],
     /// Generalised force per coordinate, N m (N for displacements).
     pub torque: Vec<f64>,
     /// -d force_i / d q_i at constant tension and sliding state.
@@ -64,6 +68,19 @@ impl TakeUp {
             turn_slope,
         }
     }
+
+    /// The bends' part of a chord.
+    fn of_chord<const D: usize>(chord: &Chord) -> Self {
+        let bend = SpatialLayout::<D>::BEND;
+        let both = |of: &[f64; 6]| [of[bend], of[bend + 1]];
+        Self {
+            length_m: chord.length_m,
+            slope: both(&chord.slope),
+            curvature: both(&chord.curvature),
+            turn_rad: chord.turn_rad,
+            turn_slope: chord.turn_slope,
+        }
+    }
 }
 
 /// Generalised positions, and the velocities assumed there.
@@ -74,10 +91,14 @@ pub(super) struct Motion<'a> {
 }
 
 impl TendonLoad {
-    pub fn new(freedoms: usize, channels: Channels) -> Self {
+    pub fn new(freedoms: usize, parameters: &ManipulatorParameters) -> Self {
         let blank = || vec![0.0; freedoms];
+        let route = |t: usize| parameters.tendon_routes.as_ref().and_then(|routes| routes.get(t));
         Self {
-            channels,
+            channels: Channels::of(parameters),
+            crossings: core::array::from_fn(|t| {
+                route(t).map_or_else(Vec::new, |route| crossings(parameters, route))
+            }),
             torque: blank(),
             stiffness: blank(),
             slope: core::array::from_fn(|_| blank()),
@@ -116,7 +137,13 @@ impl TendonLoad {
             }
             let mut wrap = 0.0;
             for i in self.channels.flexures(t) {
-                let take_up = TakeUp::of(p, layout, self.channels.offset_m[t], i, motion.q);
+                let bend = layout.bend(i);
+                let first = bend - SpatialLayout::<D>::BEND;
+                let chord = self.chord::<D>(t, i, &motion.q[first..first + D]);
+                let take_up = match &chord {
+                    Some(chord) => TakeUp::of_chord::<D>(chord),
+                    None => TakeUp::of(p, layout, self.channels.offset_m[t], i, motion.q),
+                };
                 wrap += 0.5 * take_up.turn_rad;
                 let mu = if frictional { p.friction_coefficient } else { 0.0 };
                 let share = if frictional { libm::exp(-mu * sliding * wrap) } else { 1.0 };
@@ -124,8 +151,6 @@ impl TendonLoad {
                 let winding = 0.5 * local * mu * sliding;
                 let friction = if saturated { 0.0 } else { local * mu * wrap / p.presliding_m };
                 wrap += 0.5 * take_up.turn_rad;
-                let bend = layout.bend(i);
-                let first = bend - SpatialLayout::<D>::BEND;
                 for k in first..first + D {
                     let slope = self.slope[t][k];
                     self.torque[k] += local * slope;
@@ -135,8 +160,21 @@ impl TendonLoad {
                     self.stiffness[bend + k] += winding * take_up.turn_slope[k] * self.slope[t][bend + k]
                         - local * take_up.curvature[k];
                 }
+                if let Some(chord) = &chord {
+                    // Bends are in the loop before.
+                    let bends = SpatialLayout::<D>::BEND..SpatialLayout::<D>::BEND + D.min(2);
+                    for k in (0..D).filter(|k| !bends.contains(k)) {
+                        self.stiffness[first + k] -= local * chord.curvature[k];
+                    }
+                }
             }
         }
+    }
+
+    /// How tendon `t` crosses flexure `joint`, at its coordinates `q`; `None` if it runs parallel to the axis.
+    fn chord<const D: usize>(&self, t: usize, joint: usize, q: &[f64]) -> Option<Chord> {
+        let place = joint.checked_sub(self.channels.reach[t][0])?;
+        self.crossings[t].get(place).map(|crossing| crossing.chord::<D>(q))
     }
 
     /// Updates d take-up / dq of tendon `t`; returns the take-up and its rate.
@@ -150,8 +188,20 @@ impl TendonLoad {
         let Motion { q, v } = motion;
         let (mut length_m, mut rate) = (0.0, 0.0);
         for i in self.channels.flexures(t) {
-            let take_up = TakeUp::of(&cable, layout, self.channels.offset_m[t], i, q);
             let k = layout.bend(i);
+            let first = k - SpatialLayout::<D>::BEND;
+            if let Some(chord) = self.chord::<D>(t, i, &q[first..first + D]) {
+                length_m += chord.length_m;
+                for (slope, (own, v)) in self.slope[t][first..first + D]
+                    .iter_mut()
+                    .zip(chord.slope.iter().zip(&v[first..first + D]))
+                {
+                    *slope = *own;
+                    rate += own * v;
+                }
+                continue;
+            }
+            let take_up = TakeUp::of(&cable, layout, self.channels.offset_m[t], i, q);
             length_m += take_up.length_m;
             self.slope[t][k] = take_up.slope[0];
             rate += take_up.slope[0] * v[k];
@@ -171,7 +221,12 @@ impl TendonLoad {
     pub fn take_up<const D: usize>(&self, layout: &SpatialLayout<D>, q: &[f64], t: usize) -> f64 {
         let p = &self.channels.cable[t];
         let (channel, flexures) = (self.channels.offset_m[t], self.channels.flexures(t));
-        let bent_m: f64 = flexures.map(|i| TakeUp::of(p, layout, channel, i, q).length_m).sum();
+        let each_m = |i: usize| {
+            let first = layout.bend(i) - SpatialLayout::<D>::BEND;
+            let chord = self.chord::<D>(t, i, &q[first..first + D]);
+            chord.map_or_else(|| TakeUp::of(p, layout, channel, i, q).length_m, |chord| chord.length_m)
+        };
+        let bent_m: f64 = flexures.map(each_m).sum();
         bent_m - self.channels.rest_m[t]
     }
 

@@ -15,6 +15,8 @@ const NEAR_M: f64 = 0.01;
 const FAR_M: f64 = 0.1;
 /// A body may overlap the tool at the start by this much: it is pushed out, m.
 const OVERLAP_M: f64 = 1e-4;
+/// Spacings of files are rounded; a share.
+const ROUNDING: f64 = 1e-6;
 /// Less depth in bone prints as 0.0 mm, and is often rounding: a place between two voxels lies on the face of both, m.
 const SHALLOW_M: f64 = 5e-5;
 
@@ -28,8 +30,16 @@ impl Start<'_> {
     }
 
     pub(super) fn burr_gap_m(&self) -> Option<f64> {
-        let radius_m = self.simulation.manipulator.parameters().burr_radius_m;
-        Some(self.voxels()?.distance_m(&self.burr_m(), Matter::Bone)? - radius_m)
+        let voxels = self.voxels()?;
+        let gap_m =
+            |ball: &ProxySphere| Some(voxels.distance_m(&ball.centre_m, Matter::Bone)? - ball.radius_m);
+        self.burr().filter_map(gap_m).min_by(f64::total_cmp)
+    }
+
+    /// The burr's spheres.
+    fn burr(&self) -> impl Iterator<Item = &ProxySphere> {
+        let spheres = self.simulation.manipulator.proxy_spheres().iter();
+        spheres.filter(|sphere| sphere.kind == SphereKind::Burr)
     }
 
     /// The tube's spheres: shaft and segments.
@@ -105,8 +115,9 @@ pub(super) fn start_far_from_bone(start: &Start) -> Option<String> {
 }
 
 pub(super) fn burr_in_bone(start: &Start) -> Option<String> {
-    let depth_m =
-        start.voxels()?.distance_m(&start.burr_m(), Matter::Open).filter(|depth_m| *depth_m > SHALLOW_M)?;
+    let voxels = start.voxels()?;
+    let depths_m = start.burr().filter_map(|ball| voxels.distance_m(&ball.centre_m, Matter::Open));
+    let depth_m = depths_m.max_by(f64::total_cmp).filter(|depth_m| *depth_m > SHALLOW_M)?;
     let depth_mm = depth_m * 1e3;
     Some(format!(
         "puts the burr {depth_mm:.1} mm inside bone; expected in front of it, or in a `[[predrill]]` hole"
@@ -165,7 +176,7 @@ pub(super) fn hole_thinner_than_tool(start: &Start) -> Option<String> {
 }
 
 pub(super) fn hole_thinner_than_burr(start: &Start) -> Option<String> {
-    let burr_mm = 2e3 * start.simulation.manipulator.parameters().burr_radius_m;
+    let burr_mm = 2e3 * start.simulation.manipulator.parameters().cutter.widest_radius_m();
     let tube_mm = start.tube_diameter_mm();
     start.voxels()?;
     let is_burrs = |hole: &&Predrill| {
@@ -185,9 +196,19 @@ pub(super) fn burr_thinner_than_tool(start: &Start) -> Option<String> {
     if tool.burr_diameter_mm.is_none() && tool.tool.is_none() {
         return None;
     }
-    let (burr_mm, tube_mm) = (2e3 * tool.radii().burr_m, start.tube_diameter_mm());
+    let (burr_mm, tube_mm) = (2e3 * tool.radii().cutter.widest_radius_m(), start.tube_diameter_mm());
     (burr_mm < tube_mm)
         .then(|| format!("is {burr_mm}: the shaft, {tube_mm:.1} mm thick, does not follow so thin a burr"))
+}
+
+/// The smoothed surface of bone and the voxels that are cut from it differ by up to half a voxel: a tip that is thinner catches on one and
+/// does not reach the other.
+pub(super) fn tip_thinner_than_voxels(start: &Start) -> Option<String> {
+    let tip_mm = start.scene.manipulator.tool.as_ref()?.burr.tip_diameter_mm?;
+    let voxel_mm = 1e3 * start.voxels()?.geometry().spacing_m.into_iter().fold(0.0, f64::max);
+    (tip_mm < 2.0 * voxel_mm * (1.0 - ROUNDING)).then(|| {
+        format!("is {tip_mm}: a tip thinner than two voxels, {:.2} mm, catches on them, and its force comes in bursts", 2.0 * voxel_mm)
+    })
 }
 
 pub(super) fn body_in_tool(start: &Start) -> Option<String> {
