@@ -212,6 +212,7 @@ const NO_CAPACITIES: &[(&str, &str)] = &[
     ("MAX_EVALUATIONS", "simulation/src/rigid/coupling.rs"),
     ("MAX_FILE_BYTES", "volume_io/src/dicom/file.rs"),
     ("MAX_FREEDOMS", "simulation/src/manipulator/pressing.rs"),
+    ("MOST_FAR_PLANES", "simulation/src/bone/query.rs"),
     ("MOST_PLANES", "simulation/src/bone/yielding.rs"),
     ("MAX_GROUPS", "physics_proc/src/process/held_back.rs"),
     ("MAX_HALVINGS", "xray/src/slice_ordered/parts.rs"),

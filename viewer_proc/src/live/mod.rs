@@ -89,7 +89,9 @@ pub fn view(
     let driver = Driver::start(folder, &scene, Arc::clone(&over), Arc::clone(&board));
     ready();
     let serving = std::thread::spawn(move || server.serve());
-    let log = FollowedLog::of(folder);
+    let mut log = FollowedLog::of(folder);
+    // A short run may be over, and its folder gone, before the next look.
+    log.look();
     let mut live = Live { board, subscriptions, control, driver, slices, called, log, dt_ns: scene.dt_ns() };
     let watched = live.watch(&session, end).map(|ended| live.whole_log(ended, end));
     // The last messages are still on their way to the clients.
@@ -132,10 +134,7 @@ impl Live {
             while let Ok(call) = self.called.try_recv() {
                 self.dispatch(call);
             }
-            // A killed host leaves its announcement behind; the physics then ends too, and reports it.
-            if self.subscriptions.run_has_ended() && (session.host_is_alive() || !session.is_announced()) {
-                self.log.look();
-                self.board.notice("info", "the run has ended");
+            if self.has_ended_regularly(session) {
                 return Ok(Ended::Regularly);
             }
             if end.is_set() {
@@ -146,12 +145,28 @@ impl Live {
                 alive_seen = Instant::now();
                 self.log.look();
                 if !session.host_is_alive() {
+                    // A short run may have ended, and its host with it, since the last poll.
+                    self.subscriptions.poll(&self.board)?;
+                    if self.has_ended_regularly(session) {
+                        return Ok(Ended::Regularly);
+                    }
                     self.board.notice("error", HUB_DIED);
                     return Ok(Ended::Otherwise);
                 }
             }
             std::thread::sleep(POLL_PERIOD);
         }
+    }
+
+    /// Whether the run has come to its end. A killed host leaves its announcement behind; the physics then ends too, and reports it.
+    fn has_ended_regularly(&mut self, session: &Session) -> bool {
+        let regularly =
+            self.subscriptions.run_has_ended() && (session.host_is_alive() || !session.is_announced());
+        if regularly {
+            self.log.look();
+            self.board.notice("info", "the run has ended");
+        }
+        regularly
     }
 
     /// Waits for the log of a run that has ended, as long as somebody watches.
