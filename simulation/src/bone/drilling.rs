@@ -9,7 +9,7 @@
 //! A cutter of several balls touches bone with parts of each, and which parts its contacts do not tell: a contact stands for the nearest
 //! point of a patch that reaches over several balls. The lever of a contact is therefore taken from the touched voxels, each of which
 //! belongs to the one ball that is deepest in it: the mean distance of their surfaces from the spin axis, weighted by area as seen along
-//! the contact's normal ([`super::patch`]). It is the law of the ball over the patch that is there: 2R/3 for a point that bores its hole, R
+//! the contact's normal (`patch.rs`). It is the law of the ball over the patch that is there: 2R/3 for a point that bores its hole, R
 //! for a cylinder pressed sideways. No part counts twice, since no voxel and no force does.
 //!
 //! **Edge.** Edges that are not sharp plough before they cut: of the forces' sum F only what exceeds
@@ -273,7 +273,8 @@ impl DrillCache {
             tick.collect();
             match parameters.removal {
                 Removal::Energy => {
-                    let edge_n = tick.edge_force_n(hu, &press, contacts);
+                    let has_edge = parameters.material.edge_pressure_ref_pa > 0.0;
+                    let edge_n = if has_edge { tick.edge_force_n(hu, &press, contacts) } else { 0.0 };
                     tick.report.edge_force_n = edge_n;
                     tick.report.recession_m_per_n =
                         tick.recession_m_per_j(&press) * (energy_j / burr.normal_force_n);
@@ -314,13 +315,18 @@ impl DrillTick<'_> {
     /// Depth by which the bone recedes at the burr's deepest place for each joule, m/J: the voxels share the energy by depth.
     fn recession_m_per_j(&self, press: &Press) -> f64 {
         let spacing_m = self.edit.geometry().spacing_m;
+        // No voxel is wider in any direction; rounding has room.
+        let widest_m = Vector3::from(spacing_m).norm() * (1.0 + 1e-9);
         let ReachedVoxels { depth, full_j, spent, .. } = &*self.reached;
         let (mut sum, mut most_m_per_j) = (0.0, 0.0f64);
-        for voxel in (0..depth.len()).filter(|voxel| depth[*voxel] > 0.0) {
-            let from = self.reached.offset(voxel, &self.reached.ball_in(voxel, press).centre);
-            let width_m = VoxelEnd::seen(from.into(), spacing_m, spent[voxel]).width;
-            sum += depth[voxel];
-            most_m_per_j = most_m_per_j.max(depth[voxel] * width_m / full_j[voxel]);
+        for voxel in 0..depth.len() {
+            let depth = depth[voxel];
+            sum += depth;
+            if depth * widest_m > most_m_per_j * full_j[voxel] {
+                let from = self.reached.offset(voxel, &self.reached.ball_in(voxel, press).centre);
+                let width_m = VoxelEnd::seen(from.into(), spacing_m, spent[voxel]).width;
+                most_m_per_j = most_m_per_j.max(depth * width_m / full_j[voxel]);
+            }
         }
         if sum > 0.0 { most_m_per_j / sum } else { 0.0 }
     }
