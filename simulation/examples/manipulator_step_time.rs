@@ -40,14 +40,7 @@ fn tunnel(m: &AnyManipulator, spheres: usize, sides: &[f64], clearance_m: f64, o
             let gap_m = side * (sphere.centre_m.x - centre) * across.x + clearance_m;
             let normal = Unit::new_unchecked(across.into_inner() * side);
             let point_m = sphere.centre_m - normal.into_inner() * (gap_m + sphere.radius_m);
-            out.push(ContactPlane {
-                sphere_index,
-                point_m,
-                normal,
-                gap_m,
-                strength_n: f64::INFINITY,
-                give: Default::default(),
-            });
+            out.push(ContactPlane::hard(sphere_index, point_m, normal, gap_m));
         }
     }
 }

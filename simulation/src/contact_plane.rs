@@ -34,6 +34,23 @@ pub struct Give {
 }
 
 impl ContactPlane {
+    /// A plane that neither yields nor recedes.
+    pub fn hard(
+        sphere_index: usize,
+        point_m: Vector3<f64>,
+        normal: Unit<Vector3<f64>>,
+        gap_m: f64,
+    ) -> ContactPlane {
+        ContactPlane {
+            sphere_index,
+            point_m,
+            normal,
+            gap_m,
+            strength_n: f64::INFINITY,
+            give: Give::default(),
+        }
+    }
+
     /// True if the gap is finite, the normal has unit length, which `Unit::new_unchecked` does not guarantee, and the strength is not
     /// negative.
     pub(crate) fn is_usable(&self) -> bool {

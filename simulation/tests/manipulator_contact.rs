@@ -30,14 +30,7 @@ fn half_space(m: &Manipulator, normal: Vector3<f64>, offset_m: f64, out: &mut Ve
         let gap_m = distance - s.radius_m;
         if gap_m < 2e-3 {
             let point_m = s.centre_m - normal.into_inner() * distance;
-            out.push(ContactPlane {
-                sphere_index,
-                point_m,
-                normal,
-                gap_m,
-                strength_n: f64::INFINITY,
-                give: Default::default(),
-            });
+            out.push(ContactPlane::hard(sphere_index, point_m, normal, gap_m));
         }
     }
 }
@@ -158,14 +151,7 @@ fn tight_tunnel_with_opposing_walls_stays_finite() {
                 for side in [1.0, -1.0] {
                     let gap_m = side * s.centre_m.x + clearance;
                     let normal = Unit::new_unchecked(Vector3::x() * side);
-                    planes.push(ContactPlane {
-                        sphere_index,
-                        point_m: s.centre_m,
-                        normal,
-                        gap_m,
-                        strength_n: f64::INFINITY,
-                        give: Default::default(),
-                    });
+                    planes.push(ContactPlane::hard(sphere_index, s.centre_m, normal, gap_m));
                 }
             }
             let tension = if (k / 50usize).is_multiple_of(2) { 10.0 } else { 0.0 };
@@ -394,14 +380,7 @@ fn winding_tunnel_rests_in_equilibrium() {
                 for side in [1.0, -1.0] {
                     let gap_m = side * (s.centre_m.x - 0.3e-3 * phase.sin()) * normal.x + 20e-6;
                     let normal = Unit::new_unchecked(normal.into_inner() * side);
-                    planes.push(ContactPlane {
-                        sphere_index,
-                        point_m: s.centre_m,
-                        normal,
-                        gap_m,
-                        strength_n: f64::INFINITY,
-                        give: Default::default(),
-                    });
+                    planes.push(ContactPlane::hard(sphere_index, s.centre_m, normal, gap_m));
                 }
             }
             step(&mut m, rest(), TendonCommand::Force([8.0, 0.0]), &planes);

@@ -184,14 +184,7 @@ fn busy(m: &mut Manipulator, from: usize, to: usize) -> Vec<u64> {
             let gap_m = 0.006 - s.centre_m.x - s.radius_m;
             if gap_m < 1e-3 {
                 let normal = Unit::new_unchecked(-Vector3::x());
-                planes.push(ContactPlane {
-                    sphere_index,
-                    point_m: s.centre_m,
-                    normal,
-                    gap_m,
-                    strength_n: f64::INFINITY,
-                    give: Default::default(),
-                });
+                planes.push(ContactPlane::hard(sphere_index, s.centre_m, normal, gap_m));
             }
         }
         let t = k as f64 * 1e-3;
@@ -359,14 +352,7 @@ fn bad_input_is_refused_by_name_and_changes_nothing() {
     assert_eq!(before, m.snapshot());
     // Single bad contacts are left out and counted.
     let normal = Unit::new_unchecked(Vector3::x());
-    let plane = |sphere_index, gap_m| ContactPlane {
-        sphere_index,
-        point_m: Vector3::zeros(),
-        normal,
-        gap_m,
-        strength_n: f64::INFINITY,
-        give: Default::default(),
-    };
+    let plane = |sphere_index, gap_m| ContactPlane::hard(sphere_index, Vector3::zeros(), normal, gap_m);
     let planes = [plane(1000, 0.0), plane(3, f64::NAN), plane(3, 1e-3)];
     let input = StepInput { contacts: &planes, ..free(TendonCommand::Force([0.0; 2])) };
     let report = m.step(1e-3, &input).unwrap();

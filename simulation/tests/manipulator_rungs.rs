@@ -246,14 +246,7 @@ fn wall<M: ManipulatorModel>(m: &M) -> Vec<ContactPlane> {
     let normal = Unit::new_unchecked(-Vector3::x());
     let near = |(sphere_index, s): (usize, &simulation::manipulator::ProxySphere)| {
         let gap_m = 0.006 - s.centre_m.x - s.radius_m;
-        (gap_m < 1e-3).then_some(ContactPlane {
-            sphere_index,
-            point_m: s.centre_m,
-            normal,
-            gap_m,
-            strength_n: f64::INFINITY,
-            give: Default::default(),
-        })
+        (gap_m < 1e-3).then_some(ContactPlane::hard(sphere_index, s.centre_m, normal, gap_m))
     };
     m.proxy_spheres().iter().enumerate().filter_map(near).collect()
 }

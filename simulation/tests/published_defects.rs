@@ -114,14 +114,7 @@ fn touched_at_the_shaft(height_m: f64) -> (Vec<(f64, f64)>, f64) {
         let sphere = m.proxy_spheres()[last];
         let gap_m = sphere.centre_m.x - 20e-6;
         let normal = Unit::new_unchecked(Vector3::x());
-        let plane = [ContactPlane {
-            sphere_index: last,
-            point_m: sphere.centre_m,
-            normal,
-            gap_m,
-            strength_n: f64::INFINITY,
-            give: Default::default(),
-        }];
+        let plane = [ContactPlane::hard(last, sphere.centre_m, normal, gap_m)];
         m.step(DT_S, &StepInput { base, ..pull([0.0; 2], &plane) }).unwrap();
     }
     let forces = shaft.iter().map(|sphere| {

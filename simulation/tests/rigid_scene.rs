@@ -193,14 +193,7 @@ fn a_fixed_box_is_the_same_wall_as_a_half_space() {
         for (sphere_index, s) in with_plane.proxy_spheres().iter().enumerate() {
             let gap_m = 0.008 - s.centre_m.x - s.radius_m;
             let point_m = Vector3::new(0.008, s.centre_m.y, s.centre_m.z);
-            planes.push(ContactPlane {
-                sphere_index,
-                point_m,
-                normal: Unit::new_unchecked(-Vector3::x()),
-                gap_m,
-                strength_n: f64::INFINITY,
-                give: Default::default(),
-            });
+            planes.push(ContactPlane::hard(sphere_index, point_m, Unit::new_unchecked(-Vector3::x()), gap_m));
         }
         let tendon = TendonCommand::Force([8.0, 0.0]);
         let input =

@@ -32,14 +32,7 @@ impl Wall {
             let gap_m = distance - sphere.radius_m;
             if gap_m < margin_m + dt_s * sphere.velocity_m_per_s.norm() {
                 let point_m = sphere.centre_m - self.normal.into_inner() * distance;
-                out.push(ContactPlane {
-                    sphere_index,
-                    point_m,
-                    normal: self.normal,
-                    gap_m,
-                    strength_n: f64::INFINITY,
-                    give: Default::default(),
-                });
+                out.push(ContactPlane::hard(sphere_index, point_m, self.normal, gap_m));
             }
         }
     }

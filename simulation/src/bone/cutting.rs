@@ -41,6 +41,11 @@ impl CuttingLaw {
         self.cutting_friction * force_lever_n * burr.speed_rad_s.abs() * burr.radius_m
     }
 
+    /// Most that a surface recedes in m while the burr turns at this speed for a time: the teeth's feed per revolution.
+    pub fn most_recession_m(&self, speed_rad_s: f64, time_s: f64) -> f64 {
+        self.feed_per_revolution_max_m * speed_rad_s.abs() * time_s / core::f64::consts::TAU
+    }
+
     /// Cutting power in W of a cutter whose contacts cut at this lever.
     pub(super) fn power_at_w(&self, burr: &BurrState, lever_m: f64) -> f64 {
         self.cutting_friction * burr.normal_force_n * burr.speed_rad_s.abs() * lever_m

@@ -235,15 +235,9 @@ impl Voxels {
         normal: &Vector3<f64>,
         gap_m: f64,
     ) -> ContactPlane {
-        ContactPlane {
-            sphere_index,
-            point_m: self.geometry().point_to_world(point),
-            // A rotated unit vector keeps its length.
-            normal: Unit::new_unchecked(self.geometry().direction_world_grid * normal),
-            gap_m,
-            strength_n: f64::INFINITY,
-            give: Default::default(),
-        }
+        // A rotated unit vector keeps its length.
+        let normal = Unit::new_unchecked(self.geometry().direction_world_grid * normal);
+        ContactPlane::hard(sphere_index, self.geometry().point_to_world(point), normal, gap_m)
     }
 
     /// Turns candidates into planes, nearest first; `cells` caches the smoothed surface for the same sphere.

@@ -61,11 +61,7 @@ impl<'b> Press<'b> {
         into.clear();
         into.push(pressed(&work.burr.ball()));
         into.extend(work.behind.iter().map(pressed));
-        Self {
-            balls: into,
-            recession_m: cutting.feed_per_revolution_max_m * work.burr.speed_rad_s.abs() * dt_s
-                / core::f64::consts::TAU,
-        }
+        Self { balls: into, recession_m: cutting.most_recession_m(work.burr.speed_rad_s, dt_s) }
     }
 }
 

@@ -3,9 +3,9 @@
 //! A normal row requires `v_n + P / (k_c dt^2) >= -gap / dt`: the sphere may close its gap within the step (speculative contact), and at
 //! rest the overlap equals force / k_c. Any overlap beyond what the last contact force explains is pushed out at a bounded speed. An
 //! obstacle that yields carries no more than its strength: the sphere then goes in deeper, and the obstacle gives way after the step. One
-//! that is cut recedes within the step by what the force cuts ([`crate::contact_plane::Give`]): the sphere goes in so much deeper at the same force. Coulomb
-//! friction holds per contact: the impulse either stops the sliding or lies on the circle mu P_n and opposes the remaining sliding. The
-//! rows are solved together by Newton's method (`newton`) on the chain's own recursion (`chain`).
+//! that is cut recedes within the step by what the force cuts ([`crate::contact_plane::Give`]): the sphere goes in so much deeper at the
+//! same force. Coulomb friction holds per contact: the impulse either stops the sliding or lies on the circle mu P_n and opposes the
+//! remaining sliding. The rows are solved together by Newton's method (`newton`) on the chain's own recursion (`chain`).
 
 mod chain;
 mod laws;

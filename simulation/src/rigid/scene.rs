@@ -135,14 +135,7 @@ impl RigidScene {
                 let nearest = body.shape.nearest(&body.t_world_body, &sphere.centre_m);
                 let gap_m = nearest.distance_m - sphere.radius_m;
                 if gap_m <= margin_m {
-                    planes.push(ContactPlane {
-                        sphere_index,
-                        point_m: nearest.point_m,
-                        normal: nearest.normal,
-                        gap_m,
-                        strength_n: f64::INFINITY,
-                        give: Default::default(),
-                    });
+                    planes.push(ContactPlane::hard(sphere_index, nearest.point_m, nearest.normal, gap_m));
                     self.plane_body.push(index);
                 }
             }

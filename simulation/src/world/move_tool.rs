@@ -248,9 +248,10 @@ impl Simulation<'_> {
                     });
                 }
             }
-            let turned_rad = self.burr_speed_rad_per_s.abs() * self.dt_s;
-            let feed_m = bone.field.voxels().parameters().cutting.feed_per_revolution_max_m;
-            let give = self.receding.give(turned_rad, feed_m);
+            let (speed_rad_per_s, cutting) =
+                (self.burr_speed_rad_per_s, &bone.field.voxels().parameters().cutting);
+            let most_m = cutting.most_recession_m(speed_rad_per_s, self.dt_s);
+            let give = self.receding.give(speed_rad_per_s.abs() * self.dt_s, most_m);
             let spheres = self.manipulator.proxy_spheres();
             for plane in bone.contacts.planes_mut() {
                 if spheres[plane.sphere_index].kind == SphereKind::Burr {

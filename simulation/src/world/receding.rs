@@ -2,10 +2,8 @@
 //!
 //! What the burr cuts is known after a step: the voxels wear by the energy of the step's forces ([`crate::bone::drilling`]). A step that
 //! takes bone for rigid meanwhile presses as hard as the contact is stiff, cuts too much, and finds nothing to press on in the next; the
-//! forces jump, and the more, the longer the step. So the contacts of the burr recede within the step by what their force will cut: the
-//! cutting law at the bone that was touched in the last tick, implicit in the force.
-
-use core::f64::consts::TAU;
+//! forces jump, and the more, the longer the step. So the contacts of the burr recede within the step, together, by what their forces will
+//! cut: the cutting law at the bone that was touched in the last tick, implicit in the force.
 
 use serde::{Deserialize, Serialize};
 
@@ -28,12 +26,8 @@ impl Receding {
         Receding { edge_n: report.edge_force_n, m_per_n_rad }
     }
 
-    /// How the bone gives way in a step in which the burr turns by `turned_rad`, at most `feed_per_revolution_m` each time around.
-    pub fn give(&self, turned_rad: f64, feed_per_revolution_m: f64) -> Give {
-        Give {
-            from_n: self.edge_n,
-            m_per_n: self.m_per_n_rad * turned_rad,
-            most_m: feed_per_revolution_m * turned_rad / TAU,
-        }
+    /// How the bone gives way in a step in which the burr turns by `turned_rad`, at most by `most_m`.
+    pub fn give(&self, turned_rad: f64, most_m: f64) -> Give {
+        Give { from_n: self.edge_n, m_per_n: self.m_per_n_rad * turned_rad, most_m }
     }
 }

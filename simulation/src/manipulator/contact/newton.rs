@@ -5,9 +5,10 @@
 //! `1/2 |v - v*|_A^2 + sum max(0, target - v_n)^2 / (2 c) + friction(v_t)`
 //!
 //! with v* the free velocities and c the compliance (the primal form of Castro, Permenter and Han 2022, "An Unconstrained Convex
-//! Formulation of Compliant Contact", IEEE Trans. Robotics 39(2), arXiv 2110.10107). A contact that yields has another integral in place of the square; obstacles
-//! that recede add a term of their common speed ([`super::patch`]); the function stays convex. Each iteration replaces every row's law by its
-//! tangent, solves the chain with the rows that press (see `chain`), and goes along the step to the minimum.
+//! Formulation of Compliant Contact", IEEE Trans. Robotics 39(2), arXiv 2110.10107). A contact that yields has another
+//! integral in place of the square; obstacles that recede add a term of their common speed ([`super::patch`]); the function stays convex.
+//! Each iteration replaces every row's law by its tangent, solves the chain with the rows that press (see `chain`), and goes along the
+//! step to the minimum.
 //!
 //! **Friction.** The radius of each cone, mu times the normal impulse, is held while the function is minimised and then renewed
 //! (alternating cones), so Coulomb's law holds without the dilation of a convex cone. Within a cone, an augmented Lagrangian holds a
