@@ -36,6 +36,7 @@ pub mod board;
 pub mod channels;
 pub mod error;
 pub mod info;
+mod left;
 pub mod live;
 pub mod log;
 pub mod plan;

@@ -23,6 +23,7 @@ use crate::board::Board;
 use crate::channels::{Channels, INFO};
 use crate::error::ViewerError;
 use crate::info::{ArmLooks, Origin, ToolShape, info};
+use crate::left::Left;
 use crate::server::{Door, Server};
 use crate::services::{Call, Calls, Request};
 use crate::slice::NO_VOLUME;
@@ -40,6 +41,8 @@ pub(crate) const CALL_QUEUE: usize = 64;
 const ALIVE_LOOK: Duration = Duration::from_millis(200);
 /// How long a log may take to be finished: as long as the launcher gives the recorder.
 const LOG_LIMIT: Duration = Duration::from_secs(130);
+/// The page knows a regular end by these words.
+const RUN_ENDED: &str = "the run has ended";
 const HUB_DIED: &str = "the hub has died: its launcher is gone, and the run with it";
 
 /// Watches the session in a folder until it ends or the process is asked to end. Calls `shapes` for those of tool and arm, and `ready` when
@@ -57,6 +60,9 @@ pub fn view(
     // The viewer must come to its end even if the host was killed while it made a segment.
     let _sweeper = HalfMadeSweeper::after_host(folder);
     let session = Session::join(folder)?;
+    let mut log = FollowedLog::of(folder);
+    // A short run may be over, and its folder gone, before the next look.
+    log.look();
     let scene = session_scene(folder)?;
     let board = Arc::new(Board::new(Channels::new(&scene.controller_names(), &scene.sensor)));
     let (calls, called) = mpsc::sync_channel(CALL_QUEUE);
@@ -89,9 +95,6 @@ pub fn view(
     let driver = Driver::start(folder, &scene, Arc::clone(&over), Arc::clone(&board));
     ready();
     let serving = std::thread::spawn(move || server.serve());
-    let mut log = FollowedLog::of(folder);
-    // A short run may be over, and its folder gone, before the next look.
-    log.look();
     let mut live = Live { board, subscriptions, control, driver, slices, called, log, dt_ns: scene.dt_ns() };
     let watched = live.watch(&session, end).map(|ended| live.whole_log(ended, end));
     // The last messages are still on their way to the clients.
@@ -116,8 +119,11 @@ struct Live {
 /// How a session ended.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Ended {
-    /// The run came to its end.
-    Regularly,
+    /// The run said that it came to its end.
+    Heard,
+    /// Its host has put it away, or another has cleared it away after a host that died: only its log knows. A short run may be over before
+    /// this viewer listens.
+    Unheard,
     /// Its host died, or the viewer was asked to end.
     Otherwise,
 }
@@ -126,6 +132,7 @@ impl Live {
     fn watch(&mut self, session: &Session, end: &EndRequest) -> Result<Ended, ViewerError> {
         let mut alive_seen = Instant::now();
         loop {
+            self.log.look();
             self.subscriptions.poll(&self.board)?;
             if self.subscriptions.physics_is_heard() {
                 self.control.physics_listens()?;
@@ -134,8 +141,8 @@ impl Live {
             while let Ok(call) = self.called.try_recv() {
                 self.dispatch(call);
             }
-            if self.has_ended_regularly(session) {
-                return Ok(Ended::Regularly);
+            if self.has_said_its_end(session) {
+                return Ok(Ended::Heard);
             }
             if end.is_set() {
                 self.board.notice("info", "the viewer has been ended");
@@ -143,37 +150,52 @@ impl Live {
             }
             if alive_seen.elapsed() > ALIVE_LOOK || self.subscriptions.run_has_ended() {
                 alive_seen = Instant::now();
-                self.log.look();
                 if !session.host_is_alive() {
-                    // A short run may have ended, and its host with it, since the last poll.
-                    self.subscriptions.poll(&self.board)?;
-                    if self.has_ended_regularly(session) {
-                        return Ok(Ended::Regularly);
-                    }
-                    self.board.notice("error", HUB_DIED);
-                    return Ok(Ended::Otherwise);
+                    return self.without_host(session);
                 }
             }
             std::thread::sleep(POLL_PERIOD);
         }
     }
 
-    /// Whether the run has come to its end. A killed host leaves its announcement behind; the physics then ends too, and reports it.
-    fn has_ended_regularly(&mut self, session: &Session) -> bool {
-        let regularly =
-            self.subscriptions.run_has_ended() && (session.host_is_alive() || !session.is_announced());
-        if regularly {
-            self.log.look();
-            self.board.notice("info", "the run has ended");
+    /// What has become of a session whose host is gone. A host that ends puts its session away before it lets go of it.
+    fn without_host(&mut self, session: &Session) -> Result<Ended, ViewerError> {
+        // What it sent since the last poll.
+        self.subscriptions.poll(&self.board)?;
+        if self.has_said_its_end(session) {
+            return Ok(Ended::Heard);
         }
-        regularly
+        if session.is_announced() {
+            self.board.notice("error", HUB_DIED);
+            return Ok(Ended::Otherwise);
+        }
+        if !self.log.is_known() {
+            self.board.notice(
+                "warning",
+                "the session is gone, and nobody said how its run ended; it is not recorded",
+            );
+            return Ok(Ended::Otherwise);
+        }
+        Ok(Ended::Unheard)
+    }
+
+    /// Whether the run has said that it came to its end. A killed host leaves its announcement behind; the physics then ends too, and
+    /// reports it.
+    fn has_said_its_end(&mut self, session: &Session) -> bool {
+        let said = self.subscriptions.run_has_ended() && (session.host_is_alive() || !session.is_announced());
+        if said {
+            self.board.notice("info", RUN_ENDED);
+        }
+        said
     }
 
     /// Waits for the log of a run that has ended, as long as somebody watches.
     fn whole_log(&mut self, ended: Ended, end: &EndRequest) -> Option<PathBuf> {
         let began = Instant::now();
-        while ended == Ended::Regularly && !end.is_set() && began.elapsed() < LOG_LIMIT {
-            if self.board.client_count() == 0 || !self.log.is_known() {
+        // A page that comes from the plan of a short run may still be on its way.
+        let mut left = Left::default();
+        while ended != Ended::Otherwise && !end.is_set() && began.elapsed() < LOG_LIMIT {
+            if !self.log.is_known() || left.is_over(self.board.client_count()) {
                 return None;
             }
             if let Some((log, reason)) = self.log.whole() {
@@ -181,6 +203,9 @@ impl Live {
                 if matches!(&reason, Some(EndReason::PartDied(part)) if part == Part::Host.name()) {
                     self.board.notice("error", HUB_DIED);
                     return None;
+                }
+                if ended == Ended::Unheard {
+                    self.board.notice("info", RUN_ENDED);
                 }
                 self.board.go_on();
                 return Some(log);

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 const LEFT_LIMIT: Duration = Duration::from_secs(5);
 
 /// When somebody watched last.
-pub(super) struct Left(Instant);
+pub(crate) struct Left(Instant);
 
 impl Default for Left {
     fn default() -> Left {
@@ -16,7 +16,7 @@ impl Default for Left {
 
 impl Left {
     /// Whether nobody has watched for `LEFT_LIMIT`.
-    pub(super) fn is_over(&mut self, clients: usize) -> bool {
+    pub(crate) fn is_over(&mut self, clients: usize) -> bool {
         if clients > 0 {
             self.0 = Instant::now();
         }
