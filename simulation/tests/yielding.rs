@@ -10,8 +10,8 @@ use messages::{ArmMode, Command, CommandSource};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use simulation::bone::yielding::MOST_PLANES;
 use simulation::bone::{
-    BoneField, BoneParameters, BurrState, ContactBuffer, GridGeometry, Indentation, MaterialLaw, Removal,
-    Work,
+    BoneField, BoneParameters, BurrState, ContactBuffer, GridGeometry, Indentation, MaterialLaw, Pressing,
+    Removal, Work,
 };
 use simulation::contact_plane::ContactPlane;
 use simulation::{CtView, Simulation};
@@ -68,11 +68,13 @@ fn cylinder(along: &Vector3<f64>, up: &Vector3<f64>, depth_m: f64) -> Vec<Vector
 }
 
 /// Planes of a sphere, with their strengths.
-fn planes(field: &BoneField, hu: &[i16], centre_m: &Vector3<f64>) -> Vec<ContactPlane> {
+fn planes(field: &mut BoneField, hu: &[i16], centre_m: &Vector3<f64>) -> Vec<ContactPlane> {
     let mut buffer = ContactBuffer::with_capacity(MOST_PLANES);
     field.voxels().contact_planes(0, centre_m, RADIUS_M, 0.1e-3, &mut buffer);
     let mut planes = buffer.planes().to_vec();
-    let strengths_n = field.voxels().strengths_n(hu, centre_m, RADIUS_M, &planes, [0.0; MOST_PLANES]);
+    let depth_m = [0.0; MOST_PLANES];
+    let pressing = Pressing { centre_m: *centre_m, radius_m: RADIUS_M, planes: &planes, depth_m };
+    let strengths_n = field.strengths_n(hu, &pressing);
     for (plane, strength_n) in planes.iter_mut().zip(strengths_n) {
         plane.strength_n = strength_n;
     }
@@ -114,16 +116,15 @@ fn press(voxel_m: f64, turn: &Rotation3<f64>, up: &Vector3<f64>, to_m: f64) -> P
         let depth_m = step as f64 * step_m;
         let (mut force_n, mut indentations) = (0.0, Vec::new());
         for centre_m in cylinder(&along, up, depth_m) {
-            for plane in planes(&field, &hu, &centre_m) {
+            for plane in planes(&mut field, &hu, &centre_m) {
                 let deep_m = -plane.gap_m - plane.strength_n / STIFFNESS_N_PER_M;
                 if deep_m > 0.0 {
                     force_n += plane.strength_n * plane.normal.dot(up);
-                    let normal = plane.normal.into_inner();
                     indentations.push(Indentation {
                         sphere_index: 0,
                         centre_m,
                         radius_m: RADIUS_M,
-                        normal,
+                        normal: plane.normal,
                         depth_m: deep_m,
                     });
                 } else {

@@ -46,21 +46,18 @@ use scene::MAX_CUTTER_BALLS;
 
 use super::BoneError;
 use super::cutting::{BurrContact, Work, check_time_step};
-use super::grid::VoxelIndex;
 use super::patch::Patch;
 use super::query::VoxelEnd;
 use super::reach::{Press, PressedBall, ReachedVoxels};
 use super::removal::Removal;
 use super::strength::Place;
 use super::voxels::{Drilling, Voxels, check_volume};
-use super::yielding::CrushReport;
+use super::yielding::{CrushReport, FIRST_NEAR, Near};
 
 /// Iterations of the energy sharing; what remains after them is reported as unused.
 const SHARE_ROUNDS: usize = 8;
 /// Number of parallel partial sums, added in a fixed order.
 const LANES: usize = 8;
-/// Voxels that the spheres of a tick can crush before the list of them grows.
-const FIRST_CRUSHED: usize = 4096;
 
 /// Result of one tick of drilling.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -209,7 +206,7 @@ pub(super) struct DrillCache {
     /// Working memory: the burr's balls in a tick.
     pressed: Vec<PressedBall>,
     /// Working memory of [`Drilling::indent`].
-    crushed: Vec<(VoxelIndex, f64)>,
+    crushed: Vec<Near>,
     /// Number of voxel edits that `reached` has seen.
     seen: u64,
 }
@@ -224,7 +221,7 @@ impl DrillCache {
             reached,
             scratch,
             pressed: Vec::with_capacity(MAX_CUTTER_BALLS),
-            crushed: Vec::with_capacity(FIRST_CRUSHED),
+            crushed: Vec::with_capacity(FIRST_NEAR),
             seen: voxels.journal().edits(),
         }
     }

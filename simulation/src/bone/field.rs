@@ -11,6 +11,7 @@ use super::parameters::BoneParameters;
 use super::query::ContactBuffer;
 use super::tracked::ContactCache;
 use super::voxels::{BoneSnapshot, Voxels};
+use super::yielding::{FIRST_NEAR, FindStrengths, MOST_PLANES, Near, Pressing};
 
 /// The bone of one CT, for contact queries and drilling: the [`Voxels`] and one cache for each of the two.
 ///
@@ -21,6 +22,8 @@ pub struct BoneField {
     voxels: Voxels,
     contact_cache: ContactCache,
     drill_cache: DrillCache,
+    /// Working memory of [`Self::strengths_n`].
+    near: Vec<Near>,
     /// SIMD support of this CPU.
     arch: Arch,
 }
@@ -34,7 +37,8 @@ impl BoneField {
     pub fn new(geometry: GridGeometry, hu: &[i16], parameters: BoneParameters) -> Result<Self, BoneError> {
         let voxels = Voxels::new(geometry, hu, parameters)?;
         let (contact_cache, drill_cache) = (ContactCache::new(&voxels), DrillCache::new(&voxels));
-        Ok(Self { voxels, contact_cache, drill_cache, arch: Arch::new() })
+        let near = Vec::with_capacity(FIRST_NEAR);
+        Ok(Self { voxels, contact_cache, drill_cache, near, arch: Arch::new() })
     }
 
     /// The current bone.
@@ -66,6 +70,12 @@ impl BoneField {
         if let Some(sphere) = self.voxels.sphere(sphere_index, centre_world_m, radius_m, margin_m) {
             self.contact_cache.planes(&self.voxels, self.arch, &sphere, out);
         }
+    }
+
+    /// Strength of each of a sphere's contacts, N (see [`super::yielding`]). `hu` is the CT that the field was built from.
+    pub fn strengths_n(&mut self, hu: &[i16], pressing: &Pressing) -> [f64; MOST_PLANES] {
+        let Self { voxels, near, .. } = self;
+        self.arch.dispatch(FindStrengths { voxels, hu, pressing, near })
     }
 
     /// One tick of drilling with the burr's end, `dt_s` long. `hu` is the CT that the field was built from. [`Voxels::removed_this_tick`] then lists the

@@ -49,4 +49,4 @@ pub use parameters::BoneParameters;
 pub use query::{ContactBuffer, ContactKind};
 pub use removal::Removal;
 pub use voxels::{BoneSnapshot, Voxels};
-pub use yielding::{CrushReport, Indentation};
+pub use yielding::{CrushReport, Indentation, Pressing};

@@ -91,22 +91,6 @@ impl SplineCell {
     /// Air only.
     pub const AIR: Self = Self { coefficients: [[[0.0; 3]; 3]; 3] };
 
-    /// Subtracts sums along x, for a power of u_y, indexed by the power of u_z.
-    #[inline(always)]
-    fn take_rows(&mut self, y_power: usize, by_z: &[[f64; BLOCK_EDGE]; 3]) {
-        for (by_y, sums) in self.coefficients.iter_mut().zip(by_z) {
-            let [one, u, u2] = by_y[y_power];
-            let mut along_x = [one, u, u2, 0.0];
-            for (weights, sum) in WEIGHT_18_F64.iter().zip(sums) {
-                for lane in 0..4 {
-                    along_x[lane] -= weights[lane] * sum;
-                }
-            }
-            let [one, u, u2, _] = along_x;
-            by_y[y_power] = [one, u, u2];
-        }
-    }
-
     /// The smoothed occupancy and its slopes with respect to u.
     #[inline(always)]
     pub fn sample(&self, u: [f64; 3]) -> SurfaceSample {
@@ -136,94 +120,110 @@ impl Voxels {
         let mut cell =
             SplineCell { coefficients: [0, 1, 2].map(|z_power| by_y.map(|words| fields(words[z_power]))) };
         if let Some(blocks) = self.pool().blocks_about(start, SPLINE_VOXELS as i64 - 1) {
-            self.take_spent(start, &blocks, &rows, &mut cell);
+            self.take_spent(start, &blocks, &mut cell);
         }
         cell
     }
 
-    /// Subtracts the spent fractions from a cell, a row of seven voxels at a time.
+    /// Subtracts the spent fractions from a cell. Sums whole rows of the blocks it lies in, and picks its seven voxels of a row at the
+    /// end: cheaper than to pick them row by row.
     #[inline(always)]
-    fn take_spent(
-        &self,
-        start: [i64; 3],
-        blocks: &BlocksAbout,
-        rows: &[[u8; SPLINE_VOXELS]; SPLINE_VOXELS],
-        cell: &mut SplineCell,
-    ) {
+    fn take_spent(&self, start: [i64; 3], blocks: &BlocksAbout, cell: &mut SplineCell) {
         let within = start.map(|x| (x & 7) as usize);
-        let pairs = [0, 1].map(|z| [0, 1].map(|y| [0, 1].map(|x| self.pool().block(blocks, [x, y, z]))));
-        // Indexed by the power of u_y.
-        let mut slices = [[[0.0; BLOCK_EDGE]; SPLINE_VOXELS]; 3];
-        let mut any = false;
-        for (slice, bones) in rows.iter().enumerate() {
-            let z = within[2] + slice;
-            let mut spent_rows = [[0.0; BLOCK_EDGE]; SPLINE_VOXELS];
-            let mut any_in_slice = false;
-            for (row, (bones, spent)) in bones.iter().zip(&mut spent_rows).enumerate() {
-                let y = within[1] + row;
-                let pair = &pairs[z / BLOCK_EDGE % 2][y / BLOCK_EDGE % 2];
-                any_in_slice |= spent_in_row(pair, [within[0], y, z], bones & 0x7f, spent);
+        // Of the first block and of the second along x.
+        let mut halves = [Sums::NOTHING; 2];
+        for (x, half) in halves.iter_mut().enumerate() {
+            let mut sides = [[None; 2]; 2];
+            for (z, side) in sides.iter_mut().enumerate() {
+                for (y, block) in side.iter_mut().enumerate() {
+                    *block = self.pool().block(blocks, [x, y, z]);
+                }
             }
-            if any_in_slice {
+            half.add(&sides, [within[1], within[2]]);
+        }
+        let [first, second] = &halves;
+        for (z_power, by_y) in cell.coefficients.iter_mut().enumerate() {
+            for (y_power, by_x) in by_y.iter_mut().enumerate() {
+                let both = [first.by_y[y_power][z_power], second.by_y[y_power][z_power]];
+                take_rows(by_x, &both.as_flattened()[within[0]..]);
+            }
+        }
+    }
+}
+
+/// Sums of the spent fractions over y and z for eight voxels along x, by the powers of u_y and u_z.
+///
+/// Loops and not closures over arrays, which the compiler does not always make part of code for vector instructions.
+struct Sums {
+    by_y: [[[f64; BLOCK_EDGE]; 3]; 3],
+}
+
+impl Sums {
+    const NOTHING: Self = Self { by_y: [[[0.0; BLOCK_EDGE]; 3]; 3] };
+
+    /// `blocks` by z and y; the first voxel's y and z within the first of them.
+    #[inline(always)]
+    fn add(&mut self, blocks: &[[Option<Block>; 2]; 2], [y, z]: [usize; 2]) {
+        let mut by_y = [[[0.0; BLOCK_EDGE]; SPLINE_VOXELS]; 3];
+        let mut any = false;
+        for slice in 0..SPLINE_VOXELS {
+            let z = z + slice;
+            let [first, second] = &blocks[z / BLOCK_EDGE % 2];
+            if is_cut(first, second, y, z) {
                 any = true;
-                let [one, two, three] = &mut slices;
-                combine_rows(&spent_rows, [&mut one[slice], &mut two[slice], &mut three[slice]]);
+                let mut rows = [&[0.0; BLOCK_EDGE]; SPLINE_VOXELS];
+                for (row, spent) in rows.iter_mut().enumerate() {
+                    if let Some(block) = if y + row < BLOCK_EDGE { first } else { second } {
+                        *spent = block.row(y + row, z);
+                    }
+                }
+                let [one, u, u2] = &mut by_y;
+                for lane in 0..BLOCK_EDGE {
+                    let row = |row: usize| bone_spent(rows[row][lane]);
+                    let column = [row(0), row(1), row(2), row(3), row(4), row(5), row(6)];
+                    [one[slice][lane], u[slice][lane], u2[slice][lane]] = combine(column);
+                }
             }
         }
         if any {
-            for (y_power, slices) in slices.iter().enumerate() {
-                let [mut one, mut two, mut three] = [[0.0; BLOCK_EDGE]; 3];
-                combine_rows(slices, [&mut one, &mut two, &mut three]);
-                cell.take_rows(y_power, &[one, two, three]);
+            for (slices, [one, u, u2]) in by_y.iter().zip(&mut self.by_y) {
+                for lane in 0..BLOCK_EDGE {
+                    let slice = |slice: usize| slices[slice][lane];
+                    let column = [slice(0), slice(1), slice(2), slice(3), slice(4), slice(5), slice(6)];
+                    [one[lane], u[lane], u2[lane]] = combine(column);
+                }
             }
         }
     }
 }
 
-/// The spent fractions of those voxels of a row that are bone, from up to two blocks; the first voxel is at (x, y, z) within the first
-/// block. False if there are none.
+/// Subtracts sums along x.
 #[inline(always)]
-fn spent_in_row(
-    pair: &[Option<Block>; 2],
-    [x, y, z]: [usize; 3],
-    bones: u8,
-    out: &mut [f64; BLOCK_EDGE],
-) -> bool {
-    let bones = u16::from(bones) << x;
-    let mut both = [0.0; 2 * BLOCK_EDGE];
-    let mut any = 0;
-    for (side, block) in pair.iter().enumerate() {
-        let Some(block) = block else { continue };
-        let (partial, spent) = block.row(y, z);
-        let counted = (bones >> (BLOCK_EDGE * side)) as u8 & partial;
-        if counted != 0 {
-            any |= counted;
-            set_where(counted, spent, &mut both, BLOCK_EDGE * side);
+fn take_rows(by_x: &mut [f64; 3], sums: &[f64]) {
+    let [one, u, u2] = *by_x;
+    let mut along_x = [one, u, u2, 0.0];
+    for (weights, sum) in WEIGHT_18_F64.iter().zip(sums) {
+        for lane in 0..4 {
+            along_x[lane] -= weights[lane] * sum;
         }
     }
-    if any != 0
-        && let Some(spent) = both.get(x..).and_then(|spent| spent.first_chunk())
-    {
-        *out = *spent;
-    }
-    any != 0
+    let [one, u, u2, _] = along_x;
+    *by_x = [one, u, u2];
 }
 
-/// The values whose bit is set, 0 for the others, from a place on.
+/// Whether one of the seven rows from row `y` on may have a spent fraction, in slice `z` of two blocks.
 #[inline(always)]
-fn set_where(bits: u8, numbers: &[f64; BLOCK_EDGE], out: &mut [f64; 2 * BLOCK_EDGE], first: usize) {
-    for lane in 0..BLOCK_EDGE {
-        out[first + lane] = if u64::from(bits) & (1 << lane) != 0 { numbers[lane] } else { 0.0 };
-    }
+fn is_cut(first: &Option<Block>, second: &Option<Block>, y: usize, z: usize) -> bool {
+    let rows = |block: &Option<Block>| block.map_or(0, |block| block.partial_rows(z));
+    let both = u128::from(rows(first)) | u128::from(rows(second)) << u64::BITS;
+    const UNUSED: usize = BLOCK_EDGE * (BLOCK_EDGE - SPLINE_VOXELS);
+    ((both >> (BLOCK_EDGE * y)) as u64) << UNUSED != 0
 }
 
-/// [`combine`] for eight voxels of each row at a time.
+/// The spent fraction of a voxel that is still bone: one that is wholly spent is not among the whole voxels from which this is subtracted.
 #[inline(always)]
-fn combine_rows(p: &[[f64; BLOCK_EDGE]; SPLINE_VOXELS], [one, u, u2]: [&mut [f64; BLOCK_EDGE]; 3]) {
-    for lane in 0..BLOCK_EDGE {
-        [one[lane], u[lane], u2[lane]] =
-            combine([p[0][lane], p[1][lane], p[2][lane], p[3][lane], p[4][lane], p[5][lane], p[6][lane]]);
-    }
+fn bone_spent(spent: f64) -> f64 {
+    if spent < 1.0 { spent } else { 0.0 }
 }
 
 #[cfg(test)]

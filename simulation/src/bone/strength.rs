@@ -53,13 +53,19 @@ pub(super) struct Block<'p> {
 }
 
 impl<'p> Block<'p> {
-    /// The row at (y, z), counted within the block or from the start of it and its neighbours: which voxels may have a spent fraction
-    /// above 0, and the fractions.
+    /// The fractions of the row at (y, z), counted within the block or from the start of it and its neighbours.
     #[inline(always)]
-    pub fn row(&self, y: usize, z: usize) -> (u8, &'p [f64; BLOCK_EDGE]) {
+    pub fn row(&self, y: usize, z: usize) -> &'p [f64; BLOCK_EDGE] {
         let row = ((z % BLOCK_EDGE) << BLOCK_SHIFT) + y % BLOCK_EDGE;
         // A row of the block, which always exists.
-        (self.partial[row], self.spent[row * BLOCK_EDGE..].first_chunk().unwrap_or(&[0.0; BLOCK_EDGE]))
+        self.spent[row * BLOCK_EDGE..].first_chunk().unwrap_or(&[0.0; BLOCK_EDGE])
+    }
+
+    /// Which voxels of slice z may have a spent fraction above 0: a byte a row, the first row lowest.
+    #[inline(always)]
+    pub fn partial_rows(&self, z: usize) -> u64 {
+        let rows = self.partial[(z % BLOCK_EDGE) << BLOCK_SHIFT..].first_chunk();
+        u64::from_le_bytes(*rows.unwrap_or(&[0; BLOCK_EDGE]))
     }
 }
 

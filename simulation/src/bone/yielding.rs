@@ -18,7 +18,7 @@
 //! A burr that turns does not crush: it cuts with whatever force it has. The published removal rules know no strength, and neither does
 //! the contact with balls ([`Voxels::yields`]).
 
-use nalgebra::Vector3;
+use nalgebra::{Unit, Vector3};
 
 use super::gather::outside;
 use super::grid::VoxelIndex;
@@ -34,6 +34,8 @@ use crate::contact_plane::ContactPlane;
 pub const SHELL_M: f64 = 50.0e-6;
 /// Planes of a sphere: those of four places.
 pub const MOST_PLANES: usize = 4 * MAX_PLANES;
+/// Voxels about a sphere before the list of them grows.
+pub(super) const FIRST_NEAR: usize = 4096;
 /// Bone belongs to a plane if it is seen within this angle of its normal (cosine; 60 degrees), as in the search for planes.
 const SIDE_COSINE: f64 = 0.5;
 
@@ -47,7 +49,7 @@ pub struct Indentation {
     /// m.
     pub radius_m: f64,
     /// From the bone to the sphere, world, unit length.
-    pub normal: Vector3<f64>,
+    pub normal: Unit<Vector3<f64>>,
     /// How far the surface must recede, m.
     pub depth_m: f64,
 }
@@ -72,8 +74,9 @@ impl core::ops::AddAssign for CrushReport {
 }
 
 /// Bone near a sphere's centre.
-struct Near {
-    voxel: [usize; 3],
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Near {
+    voxel: VoxelIndex,
     /// From the centre to the voxel's surface, m.
     surface_m: f64,
     /// The voxel's width toward the centre, m.
@@ -83,18 +86,81 @@ struct Near {
     spent: f64,
 }
 
-impl Near {
-    /// The plane on whose side the voxel is, and the cosine between them.
-    fn side(&self, normals: &[Vector3<f64>]) -> Option<(usize, f64)> {
-        let mut best = None;
-        let mut best_cosine = SIDE_COSINE;
-        for (plane, normal) in normals.iter().enumerate() {
-            let cosine = self.direction.dot(normal);
-            if cosine > best_cosine {
-                (best, best_cosine) = (Some(plane), cosine);
+/// Vector lanes for which the list of normals is padded.
+const LANES: usize = 8;
+/// Normals of a sphere's planes, padded.
+const MOST_NORMALS: usize = MOST_PLANES.next_multiple_of(LANES);
+
+/// Normals of planes in the grid's frame, stored as arrays for branch-free loops over the planes; padded with zeros.
+struct Normals {
+    along: [[f64; MOST_NORMALS]; 3],
+    count: usize,
+}
+
+impl Normals {
+    fn of<'n>(normals: impl Iterator<Item = &'n Unit<Vector3<f64>>>, voxels: &Voxels) -> Self {
+        let mut all = Self { along: [[0.0; MOST_NORMALS]; 3], count: 0 };
+        for normal in normals.take(MOST_PLANES) {
+            let normal = voxels.geometry().direction_world_grid.tr_mul(normal.as_ref());
+            for (along, normal) in all.along.iter_mut().zip(&normal) {
+                along[all.count] = *normal;
+            }
+            all.count += 1;
+        }
+        all
+    }
+
+    /// The plane on whose side bone in this direction is, and the cosine between them; the first one in case of a tie.
+    #[inline(always)]
+    fn side(&self, direction: &Vector3<f64>) -> Option<(usize, f64)> {
+        let count = self.count.next_multiple_of(LANES);
+        let [x, y, z] = self.along.each_ref().map(|along| &along[..count]);
+        let mut cosines = [0.0; MOST_NORMALS];
+        let mut high = [SIDE_COSINE; LANES];
+        let lanes = x.chunks_exact(LANES).zip(y.chunks_exact(LANES)).zip(z.chunks_exact(LANES));
+        for (((x, y), z), cosines) in lanes.zip(cosines.chunks_exact_mut(LANES)) {
+            for lane in 0..LANES {
+                let cosine = direction.x * x[lane] + direction.y * y[lane] + direction.z * z[lane];
+                cosines[lane] = cosine;
+                high[lane] = if cosine > high[lane] { cosine } else { high[lane] };
             }
         }
-        best.map(|plane| (plane, best_cosine))
+        let best = high.iter().fold(SIDE_COSINE, |best, cosine| if *cosine > best { *cosine } else { best });
+        if best <= SIDE_COSINE {
+            return None;
+        }
+        cosines[..count].iter().position(|cosine| *cosine == best).map(|plane| (plane, best))
+    }
+}
+
+/// A sphere's contacts of which the strength is asked for.
+#[derive(Debug, Clone, Copy)]
+pub struct Pressing<'a> {
+    /// The sphere's centre after the step, world, m.
+    pub centre_m: Vector3<f64>,
+    /// The sphere's radius, m.
+    pub radius_m: f64,
+    /// The sphere's planes, as found by [`Voxels::contact_planes`]; at most [`MOST_PLANES`].
+    pub planes: &'a [ContactPlane],
+    /// How far the surface on the side of each will have receded, m.
+    pub depth_m: [f64; MOST_PLANES],
+}
+
+/// Finds the strengths, compiled for each instruction set; the same bits.
+pub(super) struct FindStrengths<'a> {
+    pub voxels: &'a Voxels,
+    pub hu: &'a [i16],
+    pub pressing: &'a Pressing<'a>,
+    /// Working memory.
+    pub near: &'a mut Vec<Near>,
+}
+
+impl pulp::WithSimd for FindStrengths<'_> {
+    type Output = [f64; MOST_PLANES];
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Self::Output {
+        self.voxels.strengths_n(self.hu, self.pressing, self.near)
     }
 }
 
@@ -114,67 +180,43 @@ impl Voxels {
         self.material().least_strength_pa() * edge_m * edge_m
     }
 
-    /// Strength of the contact with each of a sphere's planes, as found by [`Self::contact_planes`], at most [`MOST_PLANES`], once the surface on its
-    /// side has receded by `depth_m`, N. `hu` is the field's CT.
-    pub fn strengths_n(
-        &self,
-        hu: &[i16],
-        centre_world_m: &Vector3<f64>,
-        radius_m: f64,
-        planes: &[ContactPlane],
-        depth_m: [f64; MOST_PLANES],
-    ) -> [f64; MOST_PLANES] {
-        let (normals, count) = self.normals(planes);
-        let normals = &normals[..count];
-        let centre = self.geometry().point_to_grid(centre_world_m);
-        let nearest_m = self.nearest_surfaces(&centre, radius_m + SHELL_M, normals);
+    /// Strength of each contact, N. `hu` is the field's CT.
+    #[inline(always)]
+    fn strengths_n(&self, hu: &[i16], pressing: &Pressing, near: &mut Vec<Near>) -> [f64; MOST_PLANES] {
+        let normals = Normals::of(pressing.planes.iter().map(|plane| &plane.normal), self);
+        let centre = self.geometry().point_to_grid(&pressing.centre_m);
+        let (reach_m, depth_m) = (pressing.radius_m + SHELL_M, &pressing.depth_m);
+        // Mostly all that is needed: the surfaces of planes that carry something lie within the sphere.
+        let listed_m = reach_m + depth_m.iter().fold(0.0, |most: f64, depth| most.max(*depth));
+        self.list_near(&centre, listed_m, near);
+        let nearest_m = nearest_surfaces(near, reach_m, &normals);
         let end_m: [f64; MOST_PLANES] =
             core::array::from_fn(|plane| nearest_m[plane] + depth_m[plane] + SHELL_M);
         let farthest_m = end_m.iter().filter(|end| end.is_finite()).fold(0.0, |far: f64, end| far.max(*end));
+        if farthest_m > listed_m {
+            self.list_near(&centre, farthest_m, near);
+        }
         let mut strength_n = [0.0; MOST_PLANES];
         let voxel_m3 = self.geometry().voxel_volume_m3();
-        self.visit_near(&centre, farthest_m, |near| {
-            let Some((plane, cosine)) = near.side(normals) else { return };
+        for near in near.iter().filter(|near| near.surface_m < farthest_m) {
+            let Some((plane, cosine)) = normals.side(&near.direction) else { continue };
             // What the shell holds of the voxel's remaining width.
             let far_m = (near.surface_m + (1.0 - near.spent) * near.width_m).min(end_m[plane]);
             let deep_m = far_m - near.surface_m.max(end_m[plane] - SHELL_M);
             if deep_m > 0.0 {
                 let share = deep_m / near.width_m;
-                let hu = hu[self.geometry().linear_index(near.voxel[0], near.voxel[1], near.voxel[2])];
-                strength_n[plane] += self.material().strength_pa(hu) * share * cosine * voxel_m3 / SHELL_M;
+                let strength_pa = self.material().strength_pa(hu[near.voxel.at()]);
+                strength_n[plane] += strength_pa * share * cosine * voxel_m3 / SHELL_M;
             }
-        });
+        }
         let least_n = self.least_strength_n();
         strength_n.map(|strength_n| strength_n.max(least_n))
     }
 
-    /// Normals of the planes in the grid's frame.
-    fn normals(&self, planes: &[ContactPlane]) -> ([Vector3<f64>; MOST_PLANES], usize) {
-        let mut normals = [Vector3::zeros(); MOST_PLANES];
-        for (normal, plane) in normals.iter_mut().zip(planes) {
-            *normal = self.geometry().direction_world_grid.tr_mul(plane.normal.as_ref());
-        }
-        (normals, planes.len().min(MOST_PLANES))
-    }
-
-    /// Distance of the nearest surface on the side of each plane, m; infinite if there is none within `reach_m`.
-    fn nearest_surfaces(
-        &self,
-        centre: &Vector3<f64>,
-        reach_m: f64,
-        normals: &[Vector3<f64>],
-    ) -> [f64; MOST_PLANES] {
-        let mut nearest_m = [f64::INFINITY; MOST_PLANES];
-        self.visit_near(centre, reach_m, |near| {
-            if let Some((plane, _)) = near.side(normals) {
-                nearest_m[plane] = nearest_m[plane].min(near.surface_m);
-            }
-        });
-        nearest_m
-    }
-
-    /// Calls `visit` with every voxel of bone whose surface lies within `reach_m` of a centre in the grid's metric frame, in grid order.
-    fn visit_near(&self, centre: &Vector3<f64>, reach_m: f64, mut visit: impl FnMut(&Near)) {
+    /// Lists every voxel of bone whose surface lies within `reach_m` of a centre in the grid's metric frame, in grid order.
+    #[inline(always)]
+    fn list_near(&self, centre: &Vector3<f64>, reach_m: f64, list: &mut Vec<Near>) {
+        list.clear();
         let (occupancy, geometry) = (self.occupancy(), self.geometry());
         let spacing = geometry.spacing_m;
         let Some(around) = occupancy.voxels_around((*centre).into(), reach_m, spacing) else { return };
@@ -195,11 +237,8 @@ impl Voxels {
                     while bits != 0 {
                         let i = start + i64::from(bits.trailing_zeros());
                         bits &= bits - 1;
-                        if let Some(near) = self.near(centre, [i, j, k])
-                            && near.surface_m < reach_m
-                        {
-                            visit(&near);
-                        }
+                        let near = self.near(centre, [i, j, k]);
+                        list.extend(near.filter(|near| near.surface_m < reach_m));
                     }
                 }
             }
@@ -207,7 +246,7 @@ impl Voxels {
     }
 
     /// A voxel of bone seen from a centre; `None` if all of it is spent, or the centre is the voxel's.
-    #[inline]
+    #[inline(always)]
     fn near(&self, centre: &Vector3<f64>, voxel: [i64; 3]) -> Option<Near> {
         let geometry = self.geometry();
         let position = geometry.voxel_position(voxel);
@@ -220,42 +259,47 @@ impl Voxels {
         }
         let surface_m = end.cut_distance.max(end.box2.sqrt());
         let direction = Vector3::from(from) / end.length2.sqrt();
-        Some(Near { voxel, surface_m, width_m: end.width, direction, spent })
+        Some(Near { voxel: geometry.index(voxel), surface_m, width_m: end.width, direction, spent })
     }
 }
 
+/// Distance of the nearest surface on the side of each plane, m; infinite if there is none within `reach_m`.
+#[inline(always)]
+fn nearest_surfaces(near: &[Near], reach_m: f64, normals: &Normals) -> [f64; MOST_PLANES] {
+    let mut nearest_m = [f64::INFINITY; MOST_PLANES];
+    for near in near.iter().filter(|near| near.surface_m < reach_m) {
+        if let Some((plane, _)) = normals.side(&near.direction) {
+            nearest_m[plane] = nearest_m[plane].min(near.surface_m);
+        }
+    }
+    nearest_m
+}
+
 impl Drilling<'_> {
-    /// Lets the bone under an indentation recede.
+    /// Lets the bone under an indentation recede. `near` is working memory.
     pub(super) fn indent(
         &mut self,
         hu: &[i16],
         indentation: &Indentation,
-        list: &mut Vec<(VoxelIndex, f64)>,
+        near: &mut Vec<Near>,
     ) -> CrushReport {
         let mut report = CrushReport::default();
-        list.clear();
-        let normals = [self.geometry().direction_world_grid.tr_mul(&indentation.normal)];
+        let normals = Normals::of([&indentation.normal].into_iter(), self);
         let centre = self.geometry().point_to_grid(&indentation.centre_m);
-        let [nearest_m, ..] = self.nearest_surfaces(&centre, indentation.radius_m, &normals);
+        self.list_near(&centre, indentation.radius_m, near);
+        let [nearest_m, ..] = nearest_surfaces(near, indentation.radius_m, &normals);
         let end_m = nearest_m + indentation.depth_m;
         if !end_m.is_finite() {
             return report;
         }
-        self.visit_near(&centre, end_m, |near| {
-            if near.side(&normals).is_some() {
-                let spent = near.spent + (end_m - near.surface_m) / near.width_m;
-                let [i, j, k] = near.voxel;
-                list.push((self.geometry().index([i, j, k]), spent.min(1.0)));
-            }
-        });
+        self.list_near(&centre, end_m, near);
         let voxel_m3 = self.geometry().voxel_volume_m3();
-        for (voxel, spent) in list.iter() {
-            let [i, j, k] = self.geometry().voxel(*voxel);
-            let before = self.pool().spent(i, j, k);
-            let strength_pa = self.material().strength_pa(hu[voxel.at()]);
-            if self.crush(*voxel, *spent) {
+        for near in near.iter().filter(|near| normals.side(&near.direction).is_some()) {
+            let spent = (near.spent + (end_m - near.surface_m) / near.width_m).min(1.0);
+            let strength_pa = self.material().strength_pa(hu[near.voxel.at()]);
+            if self.crush(near.voxel, spent) {
                 report.crushed_count += 1;
-                report.energy_j += strength_pa * voxel_m3 * (spent - before);
+                report.energy_j += strength_pa * voxel_m3 * (spent - near.spent);
             } else {
                 report.refused_count += 1;
             }

@@ -6,10 +6,10 @@
 
 use nalgebra::Vector3;
 
-use super::{Simulation, SimulationError};
+use super::{Bone, Simulation, SimulationError};
 use crate::bone::query::MAX_PLANES;
 use crate::bone::yielding::{MOST_PLANES, SHELL_M};
-use crate::bone::{Indentation, Voxels};
+use crate::bone::{Indentation, Pressing};
 use crate::contact_plane::ContactPlane;
 use crate::manipulator::{ContactResult, ManipulatorModel, SphereKind, StepInput, StepReport};
 use crate::rigid::ToolDrive;
@@ -172,7 +172,7 @@ impl Simulation<'_> {
     /// Notes how far the spheres went that pressed beyond their strength; true if the bone there bears more than was assumed.
     fn note_depth(&mut self) -> bool {
         self.find_indentations();
-        let Some(bone) = &self.bone else { return false };
+        let Some(bone) = &mut self.bone else { return false };
         let mut any = false;
         for indentation in self.indentations.iter().filter(|indentation| indentation.depth_m > SHELL_M) {
             let Some(reach) = self.reach.get_mut(indentation.sphere_index) else { continue };
@@ -181,9 +181,9 @@ impl Simulation<'_> {
             let mut spheres = self.planes.chunk_by(|a, b| a.sphere_index == b.sphere_index);
             let own = |planes: &&[ContactPlane]| planes[0].sphere_index == indentation.sphere_index;
             let planes = spheres.find(own).unwrap_or_default();
-            let strengths_n = strengths_n(bone.field.voxels(), &bone.hu, indentation.radius_m, way, planes);
+            let strengths_n = strengths_n(bone, indentation.radius_m, way, planes);
             any |= planes.iter().zip(strengths_n).any(|(plane, strength_n)| {
-                *plane.normal == indentation.normal && strength_n > STRONGER * plane.strength_n
+                plane.normal == indentation.normal && strength_n > STRONGER * plane.strength_n
             });
             // Half the way: the stronger the bone, the less deep the sphere goes.
             reach.expected_m += 0.5 * (moved_m - reach.expected_m);
@@ -211,7 +211,7 @@ impl Simulation<'_> {
                     sphere_index: result.sphere_index,
                     centre_m: sphere.centre_m,
                     radius_m: sphere.radius_m,
-                    normal: plane.normal.into_inner(),
+                    normal: plane.normal,
                     depth_m,
                 });
             }
@@ -264,8 +264,7 @@ impl Simulation<'_> {
                 let (sphere, reach) = (&self.manipulator.proxy_spheres()[index], &self.reach[index]);
                 if reach.presses {
                     let way = (&sphere.centre_m, &reach.expected_m);
-                    let voxels = bone.field.voxels();
-                    let strengths_n = strengths_n(voxels, &bone.hu, sphere.radius_m, way, planes);
+                    let strengths_n = strengths_n(bone, sphere.radius_m, way, planes);
                     for (plane, strength_n) in planes.iter_mut().zip(strengths_n) {
                         plane.strength_n = strength_n;
                     }
@@ -280,8 +279,7 @@ impl Simulation<'_> {
 
 /// Strength of a sphere's planes after a motion from a centre, N.
 fn strengths_n(
-    voxels: &Voxels,
-    hu: &[i16],
+    bone: &mut Bone,
     radius_m: f64,
     (from_m, moved_m): (&Vector3<f64>, &Vector3<f64>),
     planes: &[ContactPlane],
@@ -290,5 +288,5 @@ fn strengths_n(
     for (depth_m, plane) in depth_m.iter_mut().zip(planes) {
         *depth_m = (-(plane.gap_m + plane.normal.dot(moved_m))).max(0.0);
     }
-    voxels.strengths_n(hu, &(from_m + moved_m), radius_m, planes, depth_m)
+    bone.field.strengths_n(&bone.hu, &Pressing { centre_m: from_m + moved_m, radius_m, planes, depth_m })
 }
