@@ -88,6 +88,7 @@ const EXAMPLES: &[Examples] = &[
     ("bench memory", &["trabecula bench memory"]),
     ("bench drr", &["trabecula bench drr", "trabecula bench drr --poses 64"]),
     ("bench latency", &["trabecula bench latency --turns 5"]),
+    ("bench lateness", &["trabecula bench lateness", "trabecula bench lateness --load none --rounds 5"]),
     ("bench viewer", &["trabecula bench viewer"]),
     (
         "bench bridge",

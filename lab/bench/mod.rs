@@ -8,6 +8,7 @@ pub mod drr_poses;
 mod growth;
 pub mod instructions;
 pub mod latency;
+pub mod lateness;
 pub mod log;
 pub mod memory;
 pub mod overhead;

@@ -8,12 +8,15 @@ use ipc_types::scene::Policy;
 use crate::bench::ping_pong::Wait;
 use crate::bench::start::CacheState;
 use crate::bench::{
-    bridge, drr, drr_poses, instructions, latency, log, memory, overhead, ping_pong, readings, recorder,
-    soak, start, step, tools, viewer, xray,
+    bridge, drr, drr_poses, instructions, latency, lateness, log, memory, overhead, ping_pong, readings,
+    recorder, soak, start, step, tools, viewer, xray,
 };
+use crate::commands::stress::refuse_cores;
 use crate::sheet::Sheet;
+use crate::stress::plan::Load;
 use trabecula::commands::run::PolicyArgument;
 use trabecula::failure::Failure;
+use trabecula::machine::allowed;
 use trabecula::say::Figures;
 use trabecula::scenes::{BuiltIn, SceneSource};
 /// Real-time runs of a scene, alternating without and with the measured part.
@@ -36,6 +39,55 @@ impl InTurn {
     fn checked(&self) -> Result<(SceneSource, f64, usize), Failure> {
         in_range("--seconds", self.seconds, 1.0, 3600.0)?;
         Ok((femur_or(self.scene.as_deref()), self.seconds, self.rounds as usize))
+    }
+}
+
+/// Arguments of `lateness`.
+#[derive(Debug, Args)]
+pub struct LatenessArguments {
+    /// Scene file, run unrecorded; default: the built-in free-space scene.
+    scene: Option<PathBuf>,
+    /// Numbers of cores; the hub and the competing load share them. Default: all, then 1.
+    #[arg(long, value_delimiter = ',')]
+    cores: Vec<usize>,
+    /// Competing load: none, spin, memory, disk or fork; spin:2 starts two.
+    #[arg(long, value_delimiter = ',', default_value = "none,spin:2")]
+    load: Vec<Load>,
+    /// Scheduling policy of the physics and of `cyclictest`.
+    #[arg(long, value_enum, default_value = "fifo")]
+    policy: PolicyArgument,
+    /// Length of each run in seconds, 1 to 3600.
+    #[arg(long, default_value_t = 5.0)]
+    seconds: f64,
+    /// Number of rounds, 1 to 1000.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=1000))]
+    rounds: u64,
+    /// Seed for the load.
+    #[arg(long, default_value_t = 7)]
+    seed: u64,
+    #[command(flatten)]
+    figures: Figures,
+}
+
+impl LatenessArguments {
+    fn plan(&self) -> Result<lateness::Plan, Failure> {
+        in_range("--seconds", self.seconds, 1.0, 3600.0)?;
+        let most = allowed().map_or(1, |cores| cores.len());
+        let cores = match self.cores.as_slice() {
+            [] if most > 1 => vec![most, 1],
+            [] => vec![1],
+            given => given.to_vec(),
+        };
+        refuse_cores(&cores, most)?;
+        Ok(lateness::Plan {
+            scene: SceneSource::new(self.scene.as_deref(), BuiltIn::FreeSpace),
+            cores,
+            loads: self.load.clone(),
+            policy: self.policy.into(),
+            seconds: self.seconds,
+            rounds: self.rounds as usize,
+            seed: self.seed,
+        })
     }
 }
 
@@ -165,6 +217,8 @@ pub enum BenchCommand {
         #[command(flatten)]
         figures: Figures,
     },
+    /// Measure how late real-time ticks start, in turn with `cyclictest` of the same period and priority on the same cores.
+    Lateness(LatenessArguments),
     /// Measure how much the recorder slows the physics: real-time runs, alternating without and with it.
     Recorder(InTurn),
     /// Measure how much the viewer slows the physics: real-time runs, alternating without and with it.
@@ -229,6 +283,7 @@ impl BenchCommand {
             | BenchCommand::Latency { figures, .. }
             | BenchCommand::Readings { figures, .. }
             | BenchCommand::Soak { figures, .. } => *figures,
+            BenchCommand::Lateness(plan) => plan.figures,
             BenchCommand::Recorder(plan)
             | BenchCommand::Viewer(plan)
             | BenchCommand::Bridge { in_turn: plan, .. }
@@ -294,6 +349,7 @@ fn measure(command: &BenchCommand, sheet: &mut Sheet) -> Result<(), Failure> {
             readings::run(*ticks, sheet);
             Ok(())
         }
+        BenchCommand::Lateness(arguments) => lateness::run(&arguments.plan()?, sheet),
         BenchCommand::Recorder(plan) => {
             let (scene, seconds, rounds) = plan.checked()?;
             recorder::run(&scene, seconds, rounds, sheet)

@@ -106,15 +106,23 @@ fn told(report: &StressReport, compare: Option<&StressReport>, page: &Path) -> S
     lines.join("\n")
 }
 
+/// Refuses numbers of cores of which the machine gives `most`.
+///
+/// # Errors
+/// A number out of range (2).
+pub fn refuse_cores(given: &[usize], most: usize) -> Result<(), Failure> {
+    match given.iter().find(|cores| !(1..=most).contains(*cores)) {
+        None => Ok(()),
+        Some(cores) => {
+            Err(Failure::bad_input(format!("--cores is {cores}, allowed on this machine is 1 to {most}")))
+        }
+    }
+}
+
 fn plan_of(arguments: &StressArguments) -> Result<StressPlan, Failure> {
     let source = SceneSource::new(arguments.scene.as_deref(), BuiltIn::Femur);
     let scene = source.load()?;
-    let most = allowed().map_or(1, |cores| cores.len());
-    if let Some(cores) = arguments.cores.iter().find(|cores| !(1..=most).contains(*cores)) {
-        return Err(Failure::bad_input(format!(
-            "--cores is {cores}, allowed on this machine is 1 to {most}"
-        )));
-    }
+    refuse_cores(&arguments.cores, allowed().map_or(1, |cores| cores.len()))?;
     if !(0.1..=3600.0).contains(&arguments.seconds) {
         return Err(Failure::bad_input(format!(
             "--seconds is {}, allowed is 0.1 to 3600",

@@ -8,7 +8,6 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc;
 use std::time::Duration;
 
-use ipc_types::layout::Message as _;
 use ipc_types::messages::{Part, State, Tick, TickTiming};
 use ipc_types::scene::{Policy, Scene, Wait};
 use ipc_types::session::{SessionHost, SessionPlan};
