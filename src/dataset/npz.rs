@@ -9,16 +9,17 @@ use serde_json::{Value, json};
 use xray::Class;
 use zerocopy::{Immutable, IntoBytes};
 
-use super::{Dataset, DatasetFile, Sample};
+use super::{Dataset, DatasetFile, Entry, Part, Sample, list};
 
 impl Dataset {
     pub(super) fn add_npz(&mut self, sample: &Sample) -> Result<Vec<DatasetFile>, String> {
-        let name = format!("{}.npz", sample.name());
-        let mut entry = json!({"file": name});
+        let (name, part) = (format!("{}.npz", self.name(sample)), self.part(sample));
+        let name = part.map_or(name.clone(), |part| format!("{}/{name}", part.name()));
+        let mut entry = json!({"file": name, "run": sample.run + 1, "part": part.map(Part::name)});
         if let (Value::Object(entry), Value::Object(pose)) = (&mut entry, sample.pose()) {
             entry.extend(pose);
         }
-        self.images.push(entry.to_string());
+        self.images.push(Entry { part: None, json: entry.to_string() });
         Ok(vec![(PathBuf::from(name), archive(sample)?)])
     }
 
@@ -26,11 +27,12 @@ impl Dataset {
         let classes: serde_json::Map<String, Value> =
             Class::ALL.iter().map(|class| (class.name().to_owned(), json!(class.bit()))).collect();
         let text = format!(
-            "{{\"bone_from_hu\":{},\n\"classes\":{},\n\"keypoints\":{},\n\"frames\":[\n{}\n]}}\n",
+            "{{\"bone_from_hu\":{},\n\"runs\":{},\n\"classes\":{},\n\"keypoints\":{},\n\"frames\":[\n{}\n]}}\n",
             self.bone_from_hu,
+            self.runs_json(),
             Value::Object(classes),
             json!(self.keypoints),
-            self.images.join(",\n")
+            list(&self.images, None)
         );
         (PathBuf::from("dataset.json"), text.into_bytes())
     }
