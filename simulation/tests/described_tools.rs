@@ -299,3 +299,48 @@ fn a_tendon_with_friction_and_stiffness_of_its_own_pulls_as_if_all_had_them() {
     assert_eq!(over.tendon.friction_coefficient, 0.1);
     assert_eq!(over.tendon_routes.unwrap()[0].friction_coefficient, None);
 }
+
+/// The steerable drill with this text in front of its burr.
+fn steerable(more: &str) -> ManipulatorParameters {
+    let text = std::fs::read_to_string(folder().join("steerable_drill.toml")).unwrap();
+    let text = text.replacen("[burr]", &format!("{more}\n[burr]"), 1);
+    let file = "name = \"tools\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\n[manipulator]\nfile = \"drill.toml\"\n";
+    let scene =
+        Scene::parse_with(&format!("{file}{TOOL}"), &folder().join("scene.toml"), &|_| Ok(text.clone()))
+            .unwrap();
+    manipulator_parameters(&scene).unwrap()
+}
+
+/// Springs in parallel: `E I` of the shaft over the pitch beside `E I` of the tube over the pitch, in both planes; and a straight shaft
+/// straightens the tube to the circle whose curvature is the tube's share of the stiffness. Stretch, shear and torsion stay the tube's.
+#[test]
+fn a_drive_shaft_stiffens_the_tool_and_straightens_a_pre_curved_tube() {
+    let bare = steerable("");
+    assert_eq!(bare, described("steerable_drill.toml"));
+    let driven = steerable("[drive_shaft]\nbending_stiffness_n_mm2 = 20000.0");
+    let tube_n_m2 = 15e9 * 0.25 * std::f64::consts::PI * (1.8e-3_f64.powi(4) - 1.55e-3_f64.powi(4));
+    let share = tube_n_m2 / (tube_n_m2 + 0.02);
+    let rest_rad = share * 1.25 / 50.0;
+    for (index, k) in driven.joint_stiffness_nm_per_rad.iter().enumerate() {
+        let ratios = driven.stiffness_ratios(index);
+        let expected = (tube_n_m2 + 0.02) / 1.25e-3;
+        assert!((k / expected - 1.0).abs() < 1e-12, "{index}: {k} N m/rad, {expected}");
+        assert!((driven.joint_rest_rad[index] - rest_rad).abs() < 1e-15);
+        assert!((ratios.lateral - 1.0).abs() < 1e-12, "a round tube and shaft are alike in both planes");
+        let (tube, own) = (bare.joint_stiffness_nm_per_rad[index], bare.stiffness_ratios(index));
+        for (with, without) in [
+            (ratios.torsion, own.torsion),
+            (ratios.axial_per_m2, own.axial_per_m2),
+            (ratios.shear_toward_per_m2, own.shear_toward_per_m2),
+            (ratios.shear_across_per_m2, own.shear_across_per_m2),
+        ] {
+            assert!((with * k / (without * tube) - 1.0).abs() < 1e-12, "{index}: {with} {without}");
+        }
+    }
+    let tip_m = arcs(0.04, &[[0.04, 32.0 * rest_rad]], driven.tip_offset_m - 0.625e-3);
+    for rung in Rung::ALL {
+        let off_m = distance_m(&settled(rung, driven.clone(), [0.0; 4]), tip_m);
+        println!("{}: {:.2} µm", rung.name(), off_m * 1e6);
+        assert!(off_m < 10e-6, "{rung:?}: {off_m}");
+    }
+}
