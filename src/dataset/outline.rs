@@ -217,7 +217,7 @@ mod tests {
     fn parts_that_touch_at_a_corner_are_two_and_a_hole_in_a_hole_is_another() {
         assert_eq!(outlines(&[true, false, false, true], 2).len(), 2);
         let rings: Vec<bool> = (0..49)
-            .map(|i| [i % 7, i / 7].map(|x| (x as i32 - 3).abs()).into_iter().max() != Some(2))
+            .map(|i| [i % 7, i / 7].map(|x: i32| (x - 3).abs()).into_iter().max() != Some(2))
             .collect();
         let found = outlines(&rings, 7);
         assert_eq!(found.len(), 2, "the outer ring and the square in its hole");
