@@ -61,6 +61,7 @@ pub mod frame;
 pub mod from_scene;
 pub mod grid;
 pub mod joseph;
+mod label_walk;
 pub mod labels;
 pub mod ladder;
 pub mod lane_math;

@@ -1,5 +1,6 @@
 //! Labels of a frame: one walk through the voxels a pixel.
 
+use pulp::Arch;
 use rayon::prelude::*;
 use smallvec::SmallVec;
 
@@ -8,9 +9,11 @@ use crate::attenuation::Material;
 use crate::carm::{CArm, PixelBox};
 use crate::error::DrrError;
 use crate::grid::VolumeView;
+use crate::label_walk::{Piece, SlabWalk, Visit};
 use crate::labels::{Class, LabelRequest, Labels, keypoints};
-use crate::ray::{RayFan, WorldRay};
-use crate::removal::AttenuationField;
+use crate::lanes::lanes;
+use crate::ray::{IndexRay, RayFan, WorldRay};
+use crate::removal::{AttenuationField, is_drilled, is_occupied};
 use crate::siddon;
 use crate::tool::{PreparedPart, SeenPart, join_intervals};
 
@@ -40,12 +43,15 @@ impl DrrRenderer {
             fan: RayFan::new(&self.grid, c_arm),
             parts: self.parts_in_view(&prepared, c_arm, request.burr)?,
             bone_from_hu: request.bone_from_hu,
+            bone_attenuates: self.bone_attenuates(request.bone_from_hu),
             source_detector_m: c_arm.sight().1,
         };
         let columns = c_arm.columns as usize;
-        let pixels: Vec<PixelLabel> = self.pool.install(|| {
-            let pixels = (0..c_arm.pixels()).into_par_iter().with_min_len(columns);
-            pixels.map(|i| labeller.label((i % columns) as u32, (i / columns) as u32)).collect()
+        let mut pixels = vec![PixelLabel::default(); c_arm.pixels()];
+        self.pool.install(|| {
+            pixels.par_chunks_mut(columns).enumerate().for_each(|(row, pixels)| {
+                Arch::new().dispatch(RowOfLabels { labeller: &labeller, row: row as u32, pixels });
+            });
         });
         let image = |of: fn(&PixelLabel) -> f32| pixels.iter().map(of).collect();
         Ok(Labels {
@@ -60,6 +66,12 @@ impl DrrRenderer {
             bone_depth_m: image(|pixel| pixel.bone_depth_m),
             keypoints: keypoints(c_arm, request.tool, &prepared, request.points_m),
         })
+    }
+
+    /// True if every voxel that counts as bone attenuates, so that none is in an empty block.
+    fn bone_attenuates(&self, bone_from_hu: i16) -> bool {
+        let layers = || core::iter::once(&self.tissue).chain(&self.bone);
+        (bone_from_hu..=i16::MAX).all(|hu| layers().any(|layer| layer.attenuates(hu)))
     }
 
     fn parts_in_view(
@@ -102,7 +114,8 @@ impl PartInView {
 }
 
 /// The labels of a pixel, as in [`Labels`].
-struct PixelLabel {
+#[derive(Debug, Clone, Default)]
+pub(crate) struct PixelLabel {
     mask: u8,
     anatomy: f32,
     metal: f32,
@@ -124,6 +137,30 @@ struct AlongVoxels {
     bone_at: Option<f64>,
 }
 
+/// Hounsfield values of the voxels of a slab; `None`, which would be a bug, if one is outside.
+#[inline(always)]
+fn hu_of(hu: &[i16], pieces: &[Piece; 3]) -> Option<[i16; 3]> {
+    let of = |piece: &Piece| hu.get(piece.linear).copied();
+    Some([of(&pieces[0])?, of(&pieces[1])?, of(&pieces[2])?])
+}
+
+/// Integral over a slab; the sum of its own first, so that no addition waits for the slab before it.
+#[inline(always)]
+fn integral(field: &AttenuationField<'_>, pieces: &[Piece; 3], hu: [i16; 3], gone: [bool; 3]) -> f64 {
+    let part = |i: usize| {
+        let intact = field.table.mu_per_m(hu[i]);
+        pieces[i].length * if gone[i] { field.fill_mu_per_m } else { intact }
+    };
+    part(0) + part(1) + part(2)
+}
+
+/// Total length of the pieces of a slab that count.
+#[inline(always)]
+fn total(pieces: &[Piece; 3], counts: [bool; 3]) -> f64 {
+    let part = |i: usize| if counts[i] { pieces[i].length } else { 0.0 };
+    part(0) + part(1) + part(2)
+}
+
 /// The tool on a ray.
 #[derive(Default)]
 struct AlongTool {
@@ -137,22 +174,34 @@ struct AlongTool {
     metal_at: Option<f64>,
 }
 
-struct Labeller<'a> {
+pub(crate) struct Labeller<'a> {
     renderer: &'a DrrRenderer,
     tissue: AttenuationField<'a>,
     bone: Option<AttenuationField<'a>>,
     fan: RayFan,
     parts: Vec<PartInView>,
     bone_from_hu: i16,
+    bone_attenuates: bool,
     source_detector_m: f64,
 }
 
+lanes! {
+    /// Labels a row of pixels.
+    RowOfLabels { labeller: &'a Labeller<'a>, row: u32, pixels: &'a mut [PixelLabel] } -> () {
+        for (column, pixel) in pixels.iter_mut().enumerate() {
+            *pixel = labeller.label(column as u32, row);
+        }
+    }
+}
+
 impl Labeller<'_> {
+    #[inline(always)]
     fn label(&self, column: u32, row: u32) -> PixelLabel {
         let ray = self.fan.world_ray(column, row);
-        let voxels = self.along_voxels(column, row);
+        let index_ray = self.fan.index_ray_of(column, row, &ray);
+        let voxels = self.along_voxels(&index_ray);
         let mut tool = self.along_tool(column, row, &ray);
-        let (anatomy, metal) = self.attenuations(column, row, &voxels, &mut tool);
+        let (anatomy, metal) = self.attenuations(&index_ray, &voxels, &mut tool);
         let bit = |there: bool, class: Class| if there { class.bit() } else { 0 };
         let depth_m = |at: Option<f64>| at.map_or(f32::NAN, |at| (at * self.source_detector_m) as f32);
         PixelLabel {
@@ -168,25 +217,49 @@ impl Labeller<'_> {
         }
     }
 
-    fn along_voxels(&self, column: u32, row: u32) -> AlongVoxels {
+    #[inline(always)]
+    fn along_voxels(&self, ray: &IndexRay) -> AlongVoxels {
         let mut along = AlongVoxels::default();
-        let (grid, ray) = (self.tissue.view.grid(), self.fan.index_ray(column, row));
-        siddon::walk(grid, &ray, (0.0, 1.0), |linear, from, to| {
-            along.tissue += self.tissue.mu_per_m(linear) * (to - from);
-            if let Some(bone) = &self.bone {
-                along.cortical += bone.mu_per_m(linear) * (to - from);
-            }
-            if self.tissue.removed.contains(linear) {
-                along.tunnel_m += to - from;
-            } else if self.tissue.view.hu().get(linear).is_some_and(|hu| *hu >= self.bone_from_hu) {
-                along.bone_m += to - from;
-                along.bone_at.get_or_insert(from);
-            }
-        });
+        let (grid, strides) = (self.tissue.view.grid(), self.tissue.blocks.strides());
+        let Some(walk) = SlabWalk::new(grid, strides, ray) else { return along };
+        let hu = self.tissue.view.hu();
+        walk.walk(
+            |block| self.visit(block),
+            |drilled, pieces| {
+                let Some(hu) = hu_of(hu, &pieces) else { return };
+                let gone = pieces.map(|piece| drilled && self.tissue.removed.contains(piece.linear));
+                along.tissue += integral(&self.tissue, &pieces, hu, gone);
+                if let Some(bone) = &self.bone {
+                    along.cortical += integral(bone, &pieces, hu, gone);
+                }
+                let is_bone = [0, 1, 2].map(|i| hu[i] >= self.bone_from_hu && !gone[i]);
+                if is_bone != [false; 3] {
+                    let in_bone = |i: &usize| is_bone[*i] && pieces[*i].length > 0.0;
+                    along.bone_at = along.bone_at.or_else(|| (0..3).find(in_bone).map(|i| pieces[i].from));
+                    along.bone_m += total(&pieces, is_bone);
+                }
+                if drilled {
+                    along.tunnel_m += total(&pieces, gone);
+                }
+            },
+        );
         for length in [&mut along.tissue, &mut along.cortical, &mut along.bone_m, &mut along.tunnel_m] {
             *length *= ray.length_m;
         }
         along
+    }
+
+    /// What a block needs, by the flags of both layers.
+    #[inline(always)]
+    fn visit(&self, block: usize) -> Visit {
+        // A missing block would be a bug; it must not hide anything.
+        let flags = |field: &AttenuationField<'_>| field.blocks.flags().get(block).copied().unwrap_or(u8::MAX);
+        let flags = flags(&self.tissue) | self.bone.as_ref().map_or(0, flags);
+        match (is_drilled(flags), is_occupied(flags) || !self.bone_attenuates) {
+            (true, _) => Visit::Drilled,
+            (false, true) => Visit::Intact,
+            (false, false) => Visit::Skip,
+        }
     }
 
     fn along_tool(&self, column: u32, row: u32, ray: &WorldRay) -> AlongTool {
@@ -206,13 +279,12 @@ impl Labeller<'_> {
     }
 
     /// Attenuation of the anatomy around the tool, and what the metal adds: as the renderer computes them with Siddon's projector.
-    fn attenuations(&self, column: u32, row: u32, voxels: &AlongVoxels, tool: &mut AlongTool) -> (f64, f64) {
+    fn attenuations(&self, ray: &IndexRay, voxels: &AlongVoxels, tool: &mut AlongTool) -> (f64, f64) {
         let (mut tissue, mut cortical) = (voxels.tissue, voxels.cortical);
         if !tool.envelopes.is_empty() {
             let joined = join_intervals(&mut tool.envelopes);
-            let ray = self.fan.index_ray(column, row);
             let displaced = |field: &AttenuationField<'_>| -> f64 {
-                tool.envelopes[..joined].iter().map(|&range| siddon::line_integral(field, &ray, range)).sum()
+                tool.envelopes[..joined].iter().map(|&range| siddon::line_integral(field, ray, range)).sum()
             };
             // What is left of fully displaced anatomy may be slightly negative from rounding.
             tissue = (tissue - displaced(&self.tissue)).max(0.0);

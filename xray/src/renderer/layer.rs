@@ -60,6 +60,11 @@ impl Layer {
         }
     }
 
+    /// True if voxels of this value are not empty.
+    pub fn attenuates(&self, hu: i16) -> bool {
+        self.table.mu_per_m(hu) > 0.0
+    }
+
     /// Removes a voxel; returns true if that changes the quantity there.
     pub fn remove(
         &mut self,

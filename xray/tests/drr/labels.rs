@@ -175,3 +175,20 @@ fn labels_of_another_grid_or_an_impossible_tool_are_refused() {
     let request = LabelRequest { tool: &tool, ..request };
     assert_eq!(renderer.labels(&other, &c_arm, &request), Err(DrrError::GridChanged));
 }
+
+/// Air attenuates nothing, so its blocks are skipped, unless it counts as bone.
+#[test]
+fn air_is_bone_if_asked_for() {
+    let grid = Grid::centred([40, 40, 40], [1e-3; 3]).unwrap();
+    let hu = vec![-1000; grid.voxels()];
+    let view = VolumeView::new(grid, &hu).unwrap();
+    let renderer = DrrRenderer::new(&view, DrrParameters::default(), &Desk).unwrap();
+    let c_arm = c_arm(0.0, 0.0, 9, 0.009);
+    let tool = Tool::default();
+    let length_m = |bone_from_hu| {
+        let request = LabelRequest { tool: &tool, burr: 0, points_m: &[], bone_from_hu };
+        renderer.labels(&view, &c_arm, &request).unwrap().bone_m[4 * 9 + 4]
+    };
+    assert!((length_m(-1000) - 0.04).abs() < 1e-9, "{}", length_m(-1000));
+    assert_eq!(length_m(-999), 0.0);
+}
