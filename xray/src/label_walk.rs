@@ -72,7 +72,7 @@ impl SlabWalk {
         };
         for axis in 0..3 {
             let high = walk.size[axis] as f64 - 0.5;
-            if direction[axis] == 0.0 {
+            if walk.direction[axis] == 0.0 {
                 // On a plane, the ray is in the voxel above.
                 if walk.origin[axis] < -0.5 || walk.origin[axis] >= high {
                     return None;
@@ -141,7 +141,11 @@ impl SlabWalk {
         };
         let ([u0, u1], [v0, v1]) = (blocks(0), blocks(1));
         let base = (k as usize >> BLOCK_SHIFT) * self.block_stride[K];
-        [u0 + v0, u1 + v0, u0 + v1, u1 + v1].into_iter().map(|at| what(base + at)).max().unwrap_or(Visit::Drilled)
+        [u0 + v0, u1 + v0, u0 + v1, u1 + v1]
+            .into_iter()
+            .map(|at| what(base + at))
+            .max()
+            .unwrap_or(Visit::Drilled)
     }
 
     /// Visits the slabs from `first` to `last`, at most a run.
@@ -166,7 +170,8 @@ impl SlabWalk {
                 // One plane is crossed at most; another is crossed by rounding only.
                 let (from, to) = (cell[i], cell[i + 1].clamp(cell[i] - 1, cell[i] + 1));
                 let plane = self.at_plane(axis, f64::from(from.max(to)) - 0.5);
-                crossing[axis][i] = if from == to { at[i + 1] } else { lesser(greater(plane, at[i]), at[i + 1]) };
+                crossing[axis][i] =
+                    if from == to { at[i + 1] } else { lesser(greater(plane, at[i]), at[i + 1]) };
                 (here[axis][i], next[axis][i]) = (i64::from(from) * stride, i64::from(to) * stride);
             }
         }
@@ -252,7 +257,8 @@ mod tests {
             siddon::walk(&grid, &ray, (0.0, 1.0), |linear, a, b| {
                 *wanted.entry(linear).or_insert(0.0) += b - a;
             });
-            let unseen = |linear: &usize| what(block_of(*linear)) == Visit::Skip && !found.contains_key(linear);
+            let unseen =
+                |linear: &usize| what(block_of(*linear)) == Visit::Skip && !found.contains_key(linear);
             let all = wanted.len();
             wanted.retain(|linear, _| !unseen(linear));
             skipped += all - wanted.len();
@@ -260,7 +266,10 @@ mod tests {
             for (linear, length) in wanted.iter().chain(&found) {
                 let of = |lengths: &BTreeMap<usize, f64>| lengths.get(linear).copied().unwrap_or(0.0);
                 let (got, want) = (of(&found), of(&wanted));
-                assert!((got - want).abs() < 1e-13, "round {round}, voxel {linear}: {got}, not {want} ({length})");
+                assert!(
+                    (got - want).abs() < 1e-13,
+                    "round {round}, voxel {linear}: {got}, not {want} ({length})"
+                );
             }
         }
         assert!(visited > 10_000 && skipped > 5_000, "{visited} visited, {skipped} skipped");

@@ -253,7 +253,8 @@ impl Labeller<'_> {
     #[inline(always)]
     fn visit(&self, block: usize) -> Visit {
         // A missing block would be a bug; it must not hide anything.
-        let flags = |field: &AttenuationField<'_>| field.blocks.flags().get(block).copied().unwrap_or(u8::MAX);
+        let flags =
+            |field: &AttenuationField<'_>| field.blocks.flags().get(block).copied().unwrap_or(u8::MAX);
         let flags = flags(&self.tissue) | self.bone.as_ref().map_or(0, flags);
         match (is_drilled(flags), is_occupied(flags) || !self.bone_attenuates) {
             (true, _) => Visit::Drilled,
