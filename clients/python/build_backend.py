@@ -10,6 +10,7 @@ import base64
 import gzip
 import hashlib
 import io
+import json
 import os
 import re
 import subprocess
@@ -32,6 +33,8 @@ TAG = "cp39-abi3"
 #: Longest time for a build from nothing, which takes 20 minutes on two cores, and for any other program, s. Then it says which one.
 BUILD_LIMIT_S = 4 * 3600
 LIMIT_S = 120
+#: Licences of what is linked in, beside the wheel's own; made for each wheel, so not in the source distribution.
+THIRD_PARTY = "THIRD_PARTY"
 #: Zip files know no time before; a fixed one makes the same wheel of the same files.
 EPOCH = (1980, 1, 1, 0, 0, 0)
 
@@ -86,7 +89,7 @@ def _stripped(path: Path) -> bytes:
         return small.read_bytes()
 
 
-def _metadata() -> str:
+def _metadata(licences: list[str]) -> str:
     project = _project()
     lines = [
         "Metadata-Version: 2.4",
@@ -94,7 +97,7 @@ def _metadata() -> str:
         f"Version: {_version()}",
         f"Summary: {project['description']}",
         f"License-Expression: {project['license']}",
-        *(f"License-File: {file}" for file in project["license-files"]),
+        *(f"License-File: {file}" for file in licences),
         *(f"Classifier: {classifier}" for classifier in project["classifiers"]),
         f"Requires-Python: {project['requires-python']}",
         *(f"Requires-Dist: {requirement}" for requirement in project["dependencies"]),
@@ -103,6 +106,48 @@ def _metadata() -> str:
         lines += [f"Provides-Extra: {extra}", *(f"Requires-Dist: {wanted}; extra == '{extra}'" for wanted in requirements)]
     lines += ["Description-Content-Type: text/markdown", "", (ROOT / project["readme"]).read_text()]
     return "\n".join(lines)
+
+
+#: Beginnings of the names of files with a licence or a notice, in lower case.
+NOTICES = ("license", "licence", "copying", "copyright", "notice", "unlicense", "ofl", "ufl")
+
+
+def _third_party() -> str:
+    """Licences and notices of every crate that is linked into the binaries, as its package holds them; each text once.
+
+    By `cargo metadata` for this machine's kind: what the three packages need when they run, on no other system, neither for tests nor for
+    building alone. A crate without a file of its own is named with its licence, its authors and where it comes from.
+    """
+    line = ["cargo", "metadata", "--locked", "--format-version=1", f"--filter-platform={os.uname().machine}-unknown-linux-gnu"]
+    said = json.loads(subprocess.run(line, cwd=ROOT, check=True, capture_output=True, timeout=LIMIT_S).stdout)
+    packages = {package["id"]: package for package in said["packages"]}
+    needs = {
+        node["id"]: [other["pkg"] for other in node["deps"] if any(kind["kind"] is None for kind in other["dep_kinds"])]
+        for node in said["resolve"]["nodes"]
+    }
+    own = {binary.package for binary in [*LIBRARIES, PROGRAM]}
+    linked, new = set(), [package["id"] for package in said["packages"] if package["name"] in own]
+    while new:
+        if (crate := new.pop()) not in linked:
+            linked.add(crate)
+            new += needs[crate]
+    crates = sorted((packages[crate] for crate in linked if packages[crate]["source"]), key=lambda crate: (crate["name"], crate["version"]))
+    texts: dict[str, list[str]] = {}
+    lines = ["Other people's work in the binaries of Trabecula: crate, licence, authors, source. The texts follow.", ""]
+    for crate in crates:
+        licence = crate["license"] or (crate["license_file"] and "see below")
+        if not licence:
+            raise ValueError(f"crate {crate['name']} {crate['version']} states no licence")
+        named = f"{crate['name']} {crate['version']}"
+        lines.append(f"{named}: {licence}; {', '.join(crate['authors']) or 'authors not stated'}; {crate['repository'] or 'crates.io'}")
+        folder = Path(crate["manifest_path"]).parent
+        for file in sorted([*folder.glob("*"), *folder.glob("*/*")]):
+            if file.name.lower().startswith(NOTICES) and file.suffix.lower() in ("", ".md", ".txt", ".apache", ".mit") and file.is_file():
+                text = file.read_text(errors="replace").strip()
+                texts.setdefault(text, []).append(f"{named}, {file.relative_to(folder)}")
+    for text, places in texts.items():
+        lines += ["", "=" * 100, *places, "", text]
+    return "\n".join(lines) + "\n"
 
 
 def _write_wheel(path: Path, files: dict[str, tuple[bytes, int]], record: str) -> None:
@@ -127,10 +172,11 @@ def build_wheel(wheel_directory, config_settings=None, metadata_directory=None):
     for binary, path in _binaries().items():
         files[binary.place.format(data=data)] = (_stripped(path), binary.mode)
     wheel = f"Wheel-Version: 1.0\nGenerator: trabecula\nRoot-Is-Purelib: false\nTag: {TAG}-{platform}\n"
-    files[f"{info}/METADATA"] = (_metadata().encode(), 0o644)
+    files[f"{info}/METADATA"] = (_metadata([*_project()["license-files"], THIRD_PARTY]).encode(), 0o644)
     files[f"{info}/WHEEL"] = (wheel.encode(), 0o644)
     for file in _project()["license-files"]:
         files[f"{info}/licenses/{file}"] = ((ROOT / file).read_bytes(), 0o644)
+    files[f"{info}/licenses/{THIRD_PARTY}"] = (_third_party().encode(), 0o644)
     file = f"{name}-{TAG}-{platform}.whl"
     _write_wheel(Path(wheel_directory) / file, files, f"{info}/RECORD")
     return file
@@ -152,7 +198,7 @@ def build_sdist(sdist_directory, config_settings=None):
     """PEP 517: the whole workspace, because program and libraries are built from it."""
     name = f"trabecula-{_version()}"
     path = Path(sdist_directory) / f"{name}.tar.gz"
-    contents = [("PKG-INFO", _metadata().encode(), 0o644)]
+    contents = [("PKG-INFO", _metadata(_project()["license-files"]).encode(), 0o644)]
     contents += [(file, (ROOT / file).read_bytes(), 0o755 if os.access(ROOT / file, os.X_OK) else 0o644) for file in _source_files()]
     # Fixed times, so that the same sources make the same file.
     with open(path, "wb") as raw, gzip.GzipFile("", "wb", mtime=0, fileobj=raw) as packed:

@@ -6,6 +6,7 @@ The default scene, its replay, a controller, a simulation, the viewer. Prints `d
 
 from __future__ import annotations
 
+import importlib.metadata
 import os
 import select
 import shutil
@@ -35,6 +36,19 @@ def nothing_else_is_there() -> None:
     assert shutil.which("cargo") is None
     package = Path(trabecula.__file__).resolve()
     assert package.is_relative_to(Path(sys.prefix).resolve()), package
+
+
+def notices_of_what_is_linked_in_are_there() -> None:
+    files = [file for file in importlib.metadata.files("trabecula") or [] if file.parent.name == "licenses"]
+    assert {file.name for file in files} == {"LICENSE-APACHE", "LICENSE-MIT", "THIRD_PARTY"}, files
+    metadata = importlib.metadata.metadata("trabecula")
+    assert set(metadata.get_all("License-File") or []) == {file.name for file in files}
+    (notices,) = [file.read_text() for file in files if file.name == "THIRD_PARTY"]
+    for crate in ("iceoryx2 ", "mcap ", "nalgebra ", "rapier3d-f64 ", "pyo3 ", "epaint_default_fonts "):
+        assert f"\n{crate}" in notices, crate
+    # A font's licence, and one text for each of the two that most crates have.
+    assert "SIL OPEN FONT LICENSE" in notices and "Apache License" in notices and "Permission is hereby granted" in notices
+    assert "\ntrabecula " not in notices and "\nwinapi " not in notices
 
 
 def the_default_scene_runs_and_replays() -> Path:
@@ -81,6 +95,7 @@ def the_viewer_shows_a_log(run: Path) -> None:
 
 
 nothing_else_is_there()
+notices_of_what_is_linked_in_are_there()
 default_run = the_default_scene_runs_and_replays()
 a_simulation_has_the_hash_of_the_run(default_run)
 a_controller_commands_its_run()
