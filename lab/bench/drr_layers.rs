@@ -2,8 +2,8 @@
 
 use drr_proc::ThisMachine;
 use xray::{
-    DetectorParameters, DisplayParameters, DrrParameters, DrrRenderer, FrameSeed, Material, Tool, ToolPart,
-    VolumeView, Window,
+    DetectorParameters, DisplayParameters, DrrParameters, DrrRenderer, FrameSeed, LabelRequest, Material,
+    Projector, Tool, ToolPart, VolumeView, Window,
 };
 
 use super::drr::{Times, pose};
@@ -109,5 +109,28 @@ pub(super) fn run(view: &VolumeView<'_>, rounds: usize, sheet: &mut Sheet) -> Re
             sheet.row(name, &format!("{tool_ms:8.3}"), key, json!(tool_ms));
         }
     }
+    labels(view, rounds.min(5), sheet)
+}
+
+/// Labels of a frame against the frame by Siddon's walk, which goes through the same voxels; both on one thread, in turn.
+fn labels(view: &VolumeView<'_>, rounds: usize, sheet: &mut Sheet) -> Result<(), Failure> {
+    let c_arm = pose(37.0, 18.0, 256).map_err(failed)?;
+    let parameters = DrrParameters { projector: Projector::Siddon, threads: 1, ..DrrParameters::default() };
+    let mut renderer = DrrRenderer::new(view, parameters, &ThisMachine).map_err(failed)?;
+    let tool = tool(Ends::Mitred);
+    let request = LabelRequest { tool: &tool, burr: tool.parts.len() - 1, points_m: &[], bone_from_hu: 300 };
+    let mut image = vec![0; c_arm.pixels()];
+    let (mut frames, mut labels) = (Times::default(), Times::default());
+    for _ in 0..rounds {
+        // Without its cache, so that the anatomy is computed.
+        renderer.restore_all(view).map_err(failed)?;
+        let frame = frames.add(|| renderer.render(view, &c_arm, &tool, FrameSeed::default(), &mut image));
+        frame.map_err(failed)?;
+        labels.add(|| renderer.labels(view, &c_arm, &request)).map_err(failed)?;
+    }
+    let ratio = labels.ratio_to(&frames);
+    let text = format!("{}; {ratio:.3} of a frame by Siddon's walk", labels.text());
+    sheet.line(&format!("{:<46} {text}", "labels, ms (256, 1 thread)"));
+    sheet.push("labels", json!({"times": labels.figures(), "siddon": frames.figures(), "ratio": ratio}));
     Ok(())
 }
