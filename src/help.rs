@@ -91,7 +91,6 @@ pub const EXAMPLES: &[Examples] = &[
             "trabecula log export out/run -o pictures --frames",
             "trabecula log export out/run -o tunnel.stl --geometry tunnel",
             "trabecula log export out/run -o dataset --dataset coco",
-            "trabecula log export out/study/runs/* -o dataset --dataset yolo-seg --split train=0.8,val=0.2",
             "trabecula log export out/run -o deviation.vtp --geometry deviation",
         ],
     ),

@@ -6,12 +6,12 @@ use std::path::PathBuf;
 use serde_json::{Value, json};
 use xray::{Class, Visibility};
 
-use super::{Dataset, DatasetFile, Entry, Part, Sample, bounds, grey16, list};
+use super::{Dataset, DatasetFile, Sample, bounds, grey16};
 
 impl Dataset {
     pub(super) fn add_coco(&mut self, sample: &Sample) -> Result<Vec<DatasetFile>, String> {
         let labels = &sample.labels;
-        let (file_name, part) = (format!("{}.png", self.name(sample)), self.part(sample));
+        let file_name = format!("{}.png", sample.name());
         let png = grey16(labels.columns, labels.rows, sample.greys.iter().copied())?;
         let image_id = self.images.len() + 1;
         let mut image = sample.pose();
@@ -19,36 +19,27 @@ impl Dataset {
         image["file_name"] = json!(file_name);
         image["width"] = json!(labels.columns);
         image["height"] = json!(labels.rows);
-        image["run"] = json!(sample.run + 1);
-        self.images.push(Entry { part, json: image.to_string() });
+        self.images.push(image.to_string());
         for class in Class::ALL {
             if let Some(mut annotation) = annotation(sample, class) {
                 annotation["id"] = json!(self.annotations.len() + 1);
                 annotation["image_id"] = json!(image_id);
-                self.annotations.push(Entry { part, json: annotation.to_string() });
+                self.annotations.push(annotation.to_string());
             }
         }
         Ok(vec![(PathBuf::from("images").join(file_name), png)])
     }
 
-    pub(super) fn end_coco(self) -> Vec<DatasetFile> {
-        self.parts().into_iter().map(|part| self.annotations_of(part)).collect()
-    }
-
-    fn annotations_of(&self, part: Option<Part>) -> DatasetFile {
-        let name =
-            part.map_or("annotations.json".to_owned(), |part| format!("annotations_{}.json", part.name()));
-        let info = json!({
-            "description": "X-ray frames of Trabecula", "bone_from_hu": self.bone_from_hu, "runs": self.runs_json(),
-        });
+    pub(super) fn end_coco(self) -> DatasetFile {
+        let info = json!({"description": "X-ray frames of Trabecula", "bone_from_hu": self.bone_from_hu});
         let categories: Vec<Value> = Class::ALL.map(|class| category(class, &self.keypoints)).to_vec();
-        let (images, annotations) = (list(&self.images, part), list(&self.annotations, part));
+        let (images, annotations) = (self.images.join(",\n"), self.annotations.join(",\n"));
         // The parts are JSON already.
         let text = format!(
             "{{\"info\":{info},\n\"categories\":{},\n\"images\":[\n{images}\n],\n\"annotations\":[\n{annotations}\n]}}\n",
             json!(categories)
         );
-        (PathBuf::from(name), text.into_bytes())
+        (PathBuf::from("annotations.json"), text.into_bytes())
     }
 }
 

@@ -9,17 +9,16 @@ use serde_json::{Value, json};
 use xray::Class;
 use zerocopy::{Immutable, IntoBytes};
 
-use super::{Dataset, DatasetFile, Entry, Part, Sample, list};
+use super::{Dataset, DatasetFile, Sample};
 
 impl Dataset {
     pub(super) fn add_npz(&mut self, sample: &Sample) -> Result<Vec<DatasetFile>, String> {
-        let (name, part) = (format!("{}.npz", self.name(sample)), self.part(sample));
-        let name = part.map_or(name.clone(), |part| format!("{}/{name}", part.name()));
-        let mut entry = json!({"file": name, "run": sample.run + 1, "part": part.map(Part::name)});
+        let name = format!("{}.npz", sample.name());
+        let mut entry = json!({"file": name});
         if let (Value::Object(entry), Value::Object(pose)) = (&mut entry, sample.pose()) {
             entry.extend(pose);
         }
-        self.images.push(Entry { part: None, json: entry.to_string() });
+        self.images.push(entry.to_string());
         Ok(vec![(PathBuf::from(name), archive(sample)?)])
     }
 
@@ -27,12 +26,11 @@ impl Dataset {
         let classes: serde_json::Map<String, Value> =
             Class::ALL.iter().map(|class| (class.name().to_owned(), json!(class.bit()))).collect();
         let text = format!(
-            "{{\"bone_from_hu\":{},\n\"runs\":{},\n\"classes\":{},\n\"keypoints\":{},\n\"frames\":[\n{}\n]}}\n",
+            "{{\"bone_from_hu\":{},\n\"classes\":{},\n\"keypoints\":{},\n\"frames\":[\n{}\n]}}\n",
             self.bone_from_hu,
-            self.runs_json(),
             Value::Object(classes),
             json!(self.keypoints),
-            list(&self.images, None)
+            self.images.join(",\n")
         );
         (PathBuf::from("dataset.json"), text.into_bytes())
     }

@@ -1,4 +1,4 @@
-"""Data sets of `trabecula log export --dataset`, as others read them: `datasets.py FOLDER`, which holds `run`, `coco`, `yolo`, `yolo-seg` and `npz`.
+"""Data sets of `trabecula log export --dataset`, as others read them: `datasets.py FOLDER`, which holds `run`, `coco`, `yolo` and `npz`.
 
 The program is `TRABECULA_PROGRAM`. With `PICTURE` set, a picture of a frame with its labels is written there. Prints `done` at the end.
 """
@@ -16,7 +16,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from pycocotools import mask as coco_mask
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
@@ -137,35 +136,6 @@ def yolo(folder: Path) -> None:
                 assert not points.any()
 
 
-def segments(folder: Path) -> None:
-    """Ultralytics' rules for segmentation: class and corners in each line, fractions of the image. pycocotools fills the outlines of a class
-    with exactly its mask, OpenCV, which draws the outline too, with at most a rim more."""
-    folder_of = folder / "yolo-seg"
-    assert "kpt_shape" not in (folder_of / "data.yaml").read_text()
-    parts = 0
-    for entry, frame in arrays(folder / "npz"):
-        rows, columns = frame["mask"].shape
-        found = {number: [] for number in range(4)}
-        for line in (folder_of / f"labels/{entry['file'][:-4]}.txt").read_text().splitlines():
-            number, *places = line.split()
-            corners = np.array(places, float).reshape(-1, 2)
-            assert len(corners) >= 4 and corners.min() >= 0.0 and corners.max() <= 1.0
-            found[int(number)].append(corners * [columns, rows])
-        for number, bit in enumerate(CLASSES.values()):
-            wanted = frame["mask"] & bit != 0
-            parts += len(found[number])
-            count, _ = cv2.connectedComponents(wanted.astype(np.uint8), connectivity=4)
-            assert len(found[number]) == count - 1
-            filled, drawn = np.zeros_like(wanted), np.zeros(wanted.shape, np.uint8)
-            for corners in found[number]:
-                filled |= coco_mask.decode(coco_mask.frPyObjects([corners.ravel().tolist()], rows, columns))[..., 0] != 0
-                cv2.fillPoly(drawn, [np.round(corners - 0.5).astype(np.int32)], 1)
-            assert np.array_equal(filled, wanted), (entry["file"], number, int((filled != wanted).sum()))
-            rim = cv2.dilate(wanted.astype(np.uint8), np.ones((3, 3), np.uint8))
-            assert not (drawn & ~rim & 1).any()
-    assert parts > 10, parts
-
-
 def picture(folder: Path, path: str) -> None:
     """A frame with outlines of its masks and its keypoints, beside the attenuation of the metal."""
     _, frame = arrays(folder / "npz")[-1]
@@ -192,7 +162,6 @@ if __name__ == "__main__":
     projected(given)
     coco(given)
     yolo(given)
-    segments(given)
     if "PICTURE" in os.environ:
         picture(given, os.environ["PICTURE"])
     print("done")

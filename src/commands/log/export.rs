@@ -16,7 +16,7 @@ use run_log::{FrameRecord, LogError, ReadOptions, Topic, Verdict, frames};
 
 use super::geometry::{self, Geometry};
 use super::{Out, concluded, dataset, foxglove, json};
-use crate::dataset::{Format, Shares, grey16};
+use crate::dataset::{Format, grey16};
 use crate::failure::Failure;
 use crate::launcher::volume_source::VolumeFiles;
 use crate::output::refuse_existing;
@@ -27,9 +27,6 @@ use crate::say::Figures;
 pub struct ExportArguments {
     /// Log file, or the folder of a run.
     pub(super) log: PathBuf,
-    /// With `--dataset`: further logs whose frames the data set has.
-    #[arg(value_name = "LOG", requires = "dataset")]
-    pub(super) more: Vec<PathBuf>,
     /// New `.csv` or `.parquet` file; with `--frames`, a folder for the images; with `--dataset`, a new or empty folder; with `--geometry`, a file of a format that it has.
     #[arg(short, long)]
     pub(super) output: PathBuf,
@@ -65,12 +62,6 @@ pub struct ExportArguments {
     /// With `--dataset`: voxels at or above this are bone; default: `volume.bone_threshold_hu` of the scene.
     #[arg(long, value_name = "HU", requires = "dataset", allow_negative_numbers = true)]
     pub(super) bone_from_hu: Option<i16>,
-    /// With `--dataset`: parts of it, as `train=0.8,val=0.1,test=0.1`. Runs are split and not frames, which look alike within a run.
-    #[arg(long, value_name = "NAME=SHARE,...", requires = "dataset")]
-    pub(super) split: Option<Shares>,
-    /// With `--split`: another choice of runs.
-    #[arg(long, default_value_t = 0, requires = "split")]
-    pub(super) seed: u64,
     /// With `--geometry tunnel` or `--dataset`: current path of the log's CT file.
     #[arg(long, value_name = "PATH")]
     pub(super) volume: Option<PathBuf>,
