@@ -59,6 +59,11 @@ fn a_range_that_another_key_narrows_is_said_as_it_holds_in_this_scene() {
             format!("{DRR}source_isocentre_mm = 900\nsource_detector_mm = 800\n"),
             "drr.source_detector_mm` is 800, allowed is 900 to 3000",
         ),
+        (
+            format!("{DRR}labels = {{ bone_from_hu = 3000 }}\n"),
+            format!("{DRR}labels = {{ bone_from_hu = 3001 }}\n"),
+            "drr.labels.bone_from_hu` is 3001, allowed is -1000 to 3000",
+        ),
     ];
     for (allowed, refused, words) in cases {
         assert_eq!(parsed(&allowed).err(), None);

@@ -276,7 +276,7 @@ impl Sim {
     }
 
     /// The X-ray of the present state as [`Sim::render`] gives it, and its labels. Voxels at or above `bone_from_hu` are bone; without it,
-    /// at or above the scene's `volume.bone_threshold_hu`.
+    /// at or above the scene's `drr.labels.bone_from_hu`, or else its `volume.bone_threshold_hu`.
     ///
     /// # Errors
     /// As [`Sim::render`].

@@ -6,40 +6,46 @@ use std::path::PathBuf;
 use serde_json::{Value, json};
 use xray::{Class, Visibility};
 
-use super::{Dataset, DatasetFile, Sample, bounds, grey16};
+use super::{Dataset, DatasetFile, Part, Run, Sample, bounds, grey16};
 
 impl Dataset {
-    pub(super) fn add_coco(&mut self, sample: &Sample) -> Result<Vec<DatasetFile>, String> {
+    pub(super) fn add_coco(&mut self, sample: &Sample, run: &Run) -> Result<Vec<DatasetFile>, String> {
         let labels = &sample.labels;
-        let file_name = format!("{}.png", sample.name());
+        let file_name = format!("{}.png", run.name_of(sample));
         let png = grey16(labels.columns, labels.rows, sample.greys.iter().copied())?;
-        let image_id = self.images.len() + 1;
-        let mut image = sample.pose();
+        let part = &mut self.parts[run.part];
+        let image_id = part.images.len() + 1;
+        let mut image = sample.pose(run);
         image["id"] = json!(image_id);
         image["file_name"] = json!(file_name);
         image["width"] = json!(labels.columns);
         image["height"] = json!(labels.rows);
-        self.images.push(image.to_string());
+        part.images.push(image.to_string());
         for class in Class::ALL {
             if let Some(mut annotation) = annotation(sample, class) {
-                annotation["id"] = json!(self.annotations.len() + 1);
+                annotation["id"] = json!(part.annotations.len() + 1);
                 annotation["image_id"] = json!(image_id);
-                self.annotations.push(annotation.to_string());
+                part.annotations.push(annotation.to_string());
             }
         }
         Ok(vec![(PathBuf::from("images").join(file_name), png)])
     }
 
-    pub(super) fn end_coco(self) -> DatasetFile {
+    /// A file for each part.
+    pub(super) fn end_coco(self) -> Vec<DatasetFile> {
         let info = json!({"description": "X-ray frames of Trabecula", "bone_from_hu": self.bone_from_hu});
-        let categories: Vec<Value> = Class::ALL.map(|class| category(class, &self.keypoints)).to_vec();
-        let (images, annotations) = (self.images.join(",\n"), self.annotations.join(",\n"));
-        // The parts are JSON already.
-        let text = format!(
-            "{{\"info\":{info},\n\"categories\":{},\n\"images\":[\n{images}\n],\n\"annotations\":[\n{annotations}\n]}}\n",
-            json!(categories)
-        );
-        (PathBuf::from("annotations.json"), text.into_bytes())
+        let categories = json!(Class::ALL.map(|class| category(class, &self.keypoints)));
+        let file = |part: Part| {
+            let (images, annotations) = (part.images.join(",\n"), part.annotations.join(",\n"));
+            // The parts are JSON already.
+            let text = format!(
+                "{{\"info\":{info},\n\"categories\":{categories},\n\"images\":[\n{images}\n],\n\"annotations\":[\n{annotations}\n]}}\n"
+            );
+            let name =
+                part.name.map_or("annotations.json".to_owned(), |name| format!("annotations_{name}.json"));
+            (PathBuf::from(name), text.into_bytes())
+        };
+        self.parts.into_iter().map(file).collect()
     }
 }
 

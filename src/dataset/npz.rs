@@ -5,38 +5,44 @@ use std::io::Write as _;
 use std::path::PathBuf;
 
 use flate2::{Compression, Crc, write::DeflateEncoder};
+use ipc_types::scene::LabelImage;
 use serde_json::{Value, json};
 use xray::Class;
 use zerocopy::{Immutable, IntoBytes};
 
-use super::{Dataset, DatasetFile, Sample};
+use super::{Dataset, DatasetFile, Run, Sample};
 
 impl Dataset {
-    pub(super) fn add_npz(&mut self, sample: &Sample) -> Result<Vec<DatasetFile>, String> {
-        let name = format!("{}.npz", sample.name());
-        let mut entry = json!({"file": name});
-        if let (Value::Object(entry), Value::Object(pose)) = (&mut entry, sample.pose()) {
+    pub(super) fn add_npz(&mut self, sample: &Sample, run: &Run) -> Result<Vec<DatasetFile>, String> {
+        let part = &mut self.parts[run.part];
+        let file = part.folder("").join(format!("{}.npz", run.name_of(sample)));
+        let mut entry = json!({"file": file});
+        if let Some(name) = part.name {
+            entry["split"] = json!(name);
+        }
+        if let (Value::Object(entry), Value::Object(pose)) = (&mut entry, sample.pose(run)) {
             entry.extend(pose);
         }
-        self.images.push(entry.to_string());
-        Ok(vec![(PathBuf::from(name), archive(sample)?)])
+        part.images.push(entry.to_string());
+        Ok(vec![(file, archive(sample, &run.images)?)])
     }
 
     pub(super) fn end_npz(self) -> DatasetFile {
         let classes: serde_json::Map<String, Value> =
             Class::ALL.iter().map(|class| (class.name().to_owned(), json!(class.bit()))).collect();
+        let frames: Vec<String> = self.parts.into_iter().flat_map(|part| part.images).collect();
         let text = format!(
             "{{\"bone_from_hu\":{},\n\"classes\":{},\n\"keypoints\":{},\n\"frames\":[\n{}\n]}}\n",
             self.bone_from_hu,
             Value::Object(classes),
             json!(self.keypoints),
-            self.images.join(",\n")
+            frames.join(",\n")
         );
         (PathBuf::from("dataset.json"), text.into_bytes())
     }
 }
 
-fn archive(sample: &Sample) -> Result<Vec<u8>, String> {
+fn archive(sample: &Sample, images: &[LabelImage]) -> Result<Vec<u8>, String> {
     let labels = &sample.labels;
     let image = [labels.rows as usize, labels.columns as usize];
     let points: Vec<[f64; 3]> = labels.keypoints.iter().map(|p| [p.column, p.row, p.depth_m]).collect();
@@ -45,14 +51,15 @@ fn archive(sample: &Sample) -> Result<Vec<u8>, String> {
     let mut zip = Zip::default();
     zip.array("image", "<u2", &image, &sample.greys[..])?;
     zip.array("mask", "|u1", &image, &labels.mask[..])?;
-    for (name, values) in [
-        ("anatomy", &labels.anatomy),
-        ("metal", &labels.metal),
-        ("bone_m", &labels.bone_m),
-        ("tunnel_m", &labels.tunnel_m),
-        ("tool_depth_m", &labels.tool_depth_m),
-        ("bone_depth_m", &labels.bone_depth_m),
-    ] {
+    for wanted in LabelImage::ALL.iter().filter(|wanted| images.contains(wanted)) {
+        let (name, values) = match wanted {
+            LabelImage::Anatomy => ("anatomy", &labels.anatomy),
+            LabelImage::Metal => ("metal", &labels.metal),
+            LabelImage::BoneM => ("bone_m", &labels.bone_m),
+            LabelImage::TunnelM => ("tunnel_m", &labels.tunnel_m),
+            LabelImage::ToolDepthM => ("tool_depth_m", &labels.tool_depth_m),
+            LabelImage::BoneDepthM => ("bone_depth_m", &labels.bone_depth_m),
+        };
         zip.array(name, "<f4", &image, &values[..])?;
     }
     zip.array("keypoints", "<f8", &[points.len(), 3], &points[..])?;

@@ -1,40 +1,75 @@
-//! The pose format of Ultralytics: <https://docs.ultralytics.com/datasets/pose/>. A line for each class in a frame: class, box and keypoints,
-//! as fractions of the image's width and height from its upper left edge. Only the tool has keypoints; those of the others are 0.
+//! The formats of Ultralytics, which reads one kind of label from a file: for pose (<https://docs.ultralytics.com/datasets/pose/>) a line for
+//! each class in a frame with class, box and keypoints; for segmentation (<https://docs.ultralytics.com/datasets/segment/>) a line for each
+//! connected part of a class with the corners of its polygon. All are fractions of the image's width and height from its upper left edge.
+//! Only the tool has keypoints; those of the others are 0.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use xray::{Class, Visibility};
 
-use super::{Dataset, DatasetFile, Sample, bounds, grey8};
+use super::outline::polygons;
+use super::{Dataset, DatasetFile, Format, Part, Run, Sample, bounds, grey8};
 
 impl Dataset {
-    pub(super) fn add_yolo(&mut self, sample: &Sample) -> Result<Vec<DatasetFile>, String> {
-        let (labels, name) = (&sample.labels, sample.name());
+    pub(super) fn add_yolo(&mut self, sample: &Sample, run: &Run) -> Result<Vec<DatasetFile>, String> {
+        let (labels, name) = (&sample.labels, run.name_of(sample));
         let png = grey8(labels.columns, labels.rows, sample.greys.iter().copied())?;
-        let text: String = Class::ALL.into_iter().filter_map(|class| line(sample, class)).collect();
-        self.images.push(name.clone());
+        let text: String = match self.format {
+            Format::YoloSegment => Class::ALL.into_iter().map(|class| outlines(sample, class)).collect(),
+            _ => Class::ALL.into_iter().filter_map(|class| line(sample, class)).collect(),
+        };
+        let part = &mut self.parts[run.part];
+        part.images.push(name.clone());
         Ok(vec![
-            (PathBuf::from("images").join(format!("{name}.png")), png),
-            (PathBuf::from("labels").join(format!("{name}.txt")), text.into_bytes()),
+            (part.folder("images").join(format!("{name}.png")), png),
+            (part.folder("labels").join(format!("{name}.txt")), text.into_bytes()),
         ])
     }
 
     pub(super) fn end_yolo(self) -> DatasetFile {
         let count = self.keypoints.len();
-        let same: Vec<usize> = (0..count).collect();
-        let mut text = format!(
-            "# X-ray frames of Trabecula; bone from {} HU. Keypoints: {}\ntrain: images\nval: images\n\
-             kpt_shape: [{count}, 3]\n# A mirrored tool keeps the order of its joints.\nflip_idx: {same:?}\nnames:\n",
-            self.bone_from_hu,
-            self.keypoints.join(", ")
-        );
+        let mut text = format!("# X-ray frames of Trabecula; bone from {} HU.\n", self.bone_from_hu);
+        // Writing to a string cannot fail.
+        match self.parts.as_slice() {
+            [Part { name: None, .. }] => text.push_str("train: images\nval: images\n"),
+            parts => parts.iter().filter_map(|part| part.name).for_each(|name| {
+                let _ = writeln!(text, "{name}: images/{name}");
+            }),
+        }
+        if self.format == Format::Yolo {
+            let same: Vec<usize> = (0..count).collect();
+            let names = self.keypoints.join(", ");
+            let _ = write!(
+                text,
+                "# Keypoints: {names}\nkpt_shape: [{count}, 3]\n# A mirrored tool keeps the order of its joints.\nflip_idx: {same:?}\n"
+            );
+        }
+        text.push_str("names:\n");
         for class in Class::ALL {
-            // Writing to a string cannot fail.
             let _ = writeln!(text, "  {}: {}", class as u8, class.name());
         }
         (PathBuf::from("data.yaml"), text.into_bytes())
     }
+}
+
+/// The lines of a class: a polygon each.
+fn outlines(sample: &Sample, class: Class) -> String {
+    let (columns, rows) = (f64::from(sample.labels.columns), f64::from(sample.labels.rows));
+    let mut lines = String::new();
+    for mut polygon in polygons(sample.labels.of(class), sample.labels.columns as usize) {
+        // A line with fewer than three corners is taken for a box.
+        while polygon.len() < 3 {
+            polygon.extend(polygon.last().copied());
+        }
+        let _ = write!(lines, "{}", class as u8);
+        for (column, row) in polygon {
+            let [x, y] = [(f64::from(column) + 0.5) / columns, (f64::from(row) + 0.5) / rows];
+            let _ = write!(lines, " {x:.6} {y:.6}");
+        }
+        lines.push('\n');
+    }
+    lines
 }
 
 /// The line of a class; `None` if it is not in the frame.

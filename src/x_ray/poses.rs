@@ -128,6 +128,7 @@ impl Pose {
             detector: Default::default(),
             spectrum: None,
             carm,
+            labels: None,
             notch: None,
             projector: Projector::SliceOrdered,
             oversampling: 1.0,

@@ -9,7 +9,7 @@ use crate::common::program::{Place, trabecula};
 use crate::common::scenes;
 use crate::languages::{clients, output_of};
 
-const FORMATS: [&str; 3] = ["coco", "yolo", "npz"];
+const FORMATS: [&str; 4] = ["coco", "yolo", "yolo-segment", "npz"];
 
 /// A recorded run of the block in `run`.
 fn recorded() -> Place {
@@ -52,11 +52,17 @@ fn a_data_set_takes_an_empty_folder_and_a_threshold_and_refuses_what_it_cannot_m
         );
         assert_eq!(fs::read_dir(&output).unwrap().count(), 0, "{words:?} has written something");
     };
-    refused(&["--dataset", "voc"], "[possible values: coco, yolo, npz]");
+    refused(&["--dataset", "voc"], "[possible values: coco, yolo, yolo-segment, npz]");
     refused(&["--dataset", "npz", "--frames"], "cannot be used with");
     refused(&["--bone-from-hu", "200"], "--dataset <FORMAT>");
     refused(&["--dataset", "npz", "--bone-from-hu", "40000"], "40000");
     refused(&["--dataset", "npz", "--from", "999999"], "no frames for these ticks");
+    refused(&["--dataset", "npz", "--split", "train=0.8,val=0.1"], "the shares make 0.9");
+    refused(&["--dataset", "npz", "--split", "dev=1"], "`dev` is no part");
+    refused(&["--split", "train=1"], "--dataset <FORMAT>");
+    refused(&["--frames", "--split", "train=1"], "cannot be used with");
+    refused(&["--dataset", "npz", "--seed", "1"], "--split <NAME=SHARE,...>");
+    refused(&["--frames", "another"], "another: expected one log; --dataset alone takes several");
     let npz = |more: &[&str]| {
         let mut all: Vec<&dyn AsRef<std::ffi::OsStr>> =
             vec![&"log", &"export", &log, &"-o", &output, &"--dataset", &"npz"];
@@ -71,4 +77,77 @@ fn a_data_set_takes_an_empty_folder_and_a_threshold_and_refuses_what_it_cannot_m
     assert!(about["frames"].as_array().unwrap().iter().all(|frame| frame["tick"].as_u64().unwrap() <= 100));
     let done = npz(&[]);
     assert!(done.code == Some(2) && done.err.contains("already exists"), "{}", done.err);
+}
+
+/// Runs of two scenes, and one of them again: runs that look alike are in one part, whatever their order.
+#[test]
+fn a_data_set_of_several_runs_is_split_by_run() {
+    let place = Place::new();
+    let labels = "[drr.labels]\nbone_from_hu = 200\nimages = [\"bone_m\"]\n";
+    let scenes = [(0.31, 'a'), (0.32, 'b'), (0.31, 'c'), (0.33, 'd'), (0.34, 'e'), (0.35, 'f')];
+    for (duration_s, name) in scenes {
+        let folder = place.complete(&(scenes::drill("lockstep", duration_s) + labels)).folder;
+        fs::rename(folder, place.path(&name.to_string())).unwrap();
+    }
+    let export = |names: &str, set: &str, more: &[&str]| {
+        let logs: Vec<_> = names.chars().map(|name| place.path(&name.to_string())).collect();
+        let output = place.path(set);
+        let mut all: Vec<&dyn AsRef<std::ffi::OsStr>> = vec![&"log", &"export", &"-o", &output];
+        all.extend(logs.iter().map(|log| log as &dyn AsRef<std::ffi::OsStr>));
+        all.extend(more.iter().map(|word| word as &dyn AsRef<std::ffi::OsStr>));
+        let done = trabecula(&all);
+        assert_eq!(done.code, Some(0), "{}{}", done.out, done.err);
+        output
+    };
+    let split = ["--split", "train=0.5,val=0.5", "--seed", "5"];
+    let parts_of = |set: &std::path::Path| -> std::collections::BTreeMap<String, Vec<String>> {
+        let text = fs::read(set.join("dataset.json")).unwrap();
+        let about: serde_json::Value = serde_json::from_slice(&text).unwrap();
+        assert_eq!(about["bone_from_hu"], 200);
+        let mut parts = std::collections::BTreeMap::<String, Vec<String>>::new();
+        for frame in about["frames"].as_array().unwrap() {
+            let of = |key: &str| frame[key].as_str().unwrap().to_owned();
+            assert!(of("file").starts_with(&of("split")) && set.join(of("file")).is_file());
+            let of_run = parts.entry(of("run")).or_default();
+            of_run.push(of("split"));
+            of_run.dedup();
+        }
+        parts
+    };
+    let npz = [&["--dataset", "npz"], &split[..]].concat();
+    let (some, all) = (parts_of(&export("abc", "some", &npz)), parts_of(&export("fedcab", "all", &npz)));
+    // Two of three scenes, five of six, each in one part that others do not change.
+    assert_eq!((some.len(), all.len()), (2, 5));
+    assert!(all.values().all(|parts| parts.len() == 1), "{all:?}");
+    assert!(some.iter().all(|(run, part)| all[run] == *part), "{some:?} {all:?}");
+    for name in ["train", "val"] {
+        assert!(all.values().any(|parts| parts == &[name]), "seed 5 leaves {name} empty: {all:?}");
+    }
+    // The same bytes again, with the scene's images of labels and no others.
+    let again = export("fedcab", "again", &npz);
+    let file = "dataset.json";
+    let bytes = |set: &std::path::Path, file: &str| fs::read(set.join(file)).unwrap();
+    assert_eq!(bytes(&again, file), bytes(&place.path("all"), file));
+    let frame: serde_json::Value = serde_json::from_slice(&bytes(&again, file)).unwrap();
+    let first = frame["frames"][0]["file"].as_str().unwrap();
+    let archive = bytes(&again, first);
+    assert_eq!(archive, bytes(&place.path("all"), first));
+    let holds = |name: &[u8]| archive.windows(name.len()).any(|window| window == name);
+    assert!(holds(b"bone_m.npy") && !holds(b"tunnel_m.npy"));
+    // A file for each part; COCO's numbers begin anew in each.
+    let coco = export("ab", "coco", &[&["--dataset", "coco"], &split[..]].concat());
+    for name in ["train", "val"] {
+        let text = bytes(&coco, &format!("annotations_{name}.json"));
+        let about: serde_json::Value = serde_json::from_slice(&text).unwrap();
+        for (index, image) in about["images"].as_array().unwrap().iter().enumerate() {
+            assert_eq!(image["id"], index + 1);
+            assert!(coco.join("images").join(image["file_name"].as_str().unwrap()).is_file());
+        }
+    }
+    let yolo = export("ab", "yolo", &[&["--dataset", "yolo-segment"], &split[..]].concat());
+    let about = String::from_utf8(bytes(&yolo, "data.yaml")).unwrap();
+    assert!(
+        about.contains("train: images/train\nval: images/val\n") && !about.contains("kpt_shape"),
+        "{about}"
+    );
 }

@@ -94,6 +94,7 @@ fn table(place: &Place) -> Vec<Row> {
         row("log export @log -o @view.mcap --foxglove", &["view.mcap"]),
         row("log export @log -o @coco --dataset coco", &["coco/annotations.json"]),
         row("log export @log -o @yolo --dataset yolo", &["yolo/data.yaml"]),
+        row("log export @log -o @segments --dataset yolo-segment", &["segments/data.yaml"]),
         row("log export @log -o @npz --dataset npz", &["npz/dataset.json"]),
         row("scene init -o @scenes", &["scenes/femur_curved_drilling.toml"]),
         row("bench soak @scene.toml --minutes 0.1 --output @soak", &["soak/run.mcap", "soak/summary.json"]),

@@ -1,4 +1,4 @@
-"""Data sets of `trabecula log export --dataset`, as others read them: `datasets.py FOLDER`, which holds `run`, `coco`, `yolo` and `npz`.
+"""Data sets of `trabecula log export --dataset`, as others read them: `datasets.py FOLDER`, which holds `run`, `coco`, `yolo`, `yolo-segment` and `npz`.
 
 The program is `TRABECULA_PROGRAM`. With `PICTURE` set, a picture of a frame with its labels is written there. Prints `done` at the end.
 """
@@ -136,6 +136,31 @@ def yolo(folder: Path) -> None:
                 assert not points.any()
 
 
+def segments(folder: Path) -> None:
+    """Polygons filled as `ultralytics.data.utils.polygon2mask` fills them are the masks; a line with more than six columns is a polygon there."""
+    about = (folder / "yolo-segment/data.yaml").read_text()
+    assert "kpt_shape" not in about and "train: images\nval: images\n" in about
+    parts, most = 0, 0
+    for entry, frame in arrays(folder / "npz"):
+        rows, columns = frame["image"].shape
+        found = {bit: np.zeros((rows, columns), np.uint8) for bit in CLASSES.values()}
+        for line in (folder / f"yolo-segment/labels/{entry['file'][:-4]}.txt").read_text().splitlines():
+            number, *numbers = line.split()
+            assert len(numbers) >= 6 and len(numbers) % 2 == 0, line
+            corners = np.array(numbers, np.float32).reshape(-1, 2)
+            assert corners.min() >= 0.0 and corners.max() <= 1.0
+            polygon = (corners * np.array([columns, rows], np.float32)).astype(np.int32)
+            cv2.fillPoly(one := np.zeros((rows, columns), np.uint8), polygon[None], 1)
+            bit = list(CLASSES.values())[int(number)]
+            # Parts of a class do not touch.
+            assert one.any() and not (found[bit] & one).any()
+            found[bit] |= one
+            parts, most = parts + 1, max(most, len(corners))
+        for name, bit in CLASSES.items():
+            assert np.array_equal(found[bit] != 0, frame["mask"] & bit != 0), (name, entry["file"])
+    assert parts > 8 and most > 12, (parts, most)
+
+
 def picture(folder: Path, path: str) -> None:
     """A frame with outlines of its masks and its keypoints, beside the attenuation of the metal."""
     _, frame = arrays(folder / "npz")[-1]
@@ -162,6 +187,7 @@ if __name__ == "__main__":
     projected(given)
     coco(given)
     yolo(given)
+    segments(given)
     if "PICTURE" in os.environ:
         picture(given, os.environ["PICTURE"])
     print("done")

@@ -255,7 +255,7 @@ class Sim:
 
         Args:
             c_arm: As in `render`.
-            bone_from_hu: Voxels at or above this are bone; None: the scene's `volume.bone_threshold_hu`.
+            bone_from_hu: Voxels at or above this are bone; None: the scene's `drr.labels.bone_from_hu`, or else its `volume.bone_threshold_hu`.
 
         Raises:
             ArgumentError: The C-arm or `bone_from_hu` is refused.

@@ -121,6 +121,48 @@ pub struct Notch {
     pub depth_mm: f64,
 }
 
+/// An image of the labels of a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum LabelImage {
+    /// Attenuation of the anatomy.
+    Anatomy,
+    /// Attenuation of the metal.
+    Metal,
+    /// Length in bone.
+    BoneM,
+    /// Length in drilled voxels.
+    TunnelM,
+    /// Depth of the tool.
+    ToolDepthM,
+    /// Depth of the bone.
+    BoneDepthM,
+}
+
+impl LabelImage {
+    /// All images.
+    pub const ALL: [Self; 6] =
+        [Self::Anatomy, Self::Metal, Self::BoneM, Self::TunnelM, Self::ToolDepthM, Self::BoneDepthM];
+}
+
+/// What the labels of the frames are, which the log of a run makes bit for bit (`trabecula log export --dataset`): the mask, keypoints, camera
+/// and pose always, and these.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct DrrLabels {
+    /// Voxels at or above this are bone in the labels; absent: `volume.bone_threshold_hu`, which decides what is drilled.
+    #[schemars(range(min = -1000, max = 3000))]
+    pub bone_from_hu: Option<i16>,
+    /// Images in the files of `--dataset npz`.
+    pub images: Vec<LabelImage>,
+}
+
+impl Default for DrrLabels {
+    fn default() -> Self {
+        DrrLabels { bone_from_hu: None, images: LabelImage::ALL.to_vec() }
+    }
+}
+
 /// X-ray frames.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -180,6 +222,8 @@ pub struct Drr {
     pub carm: Option<CArm>,
     /// Notches of the links; absent: whole tubes.
     pub notch: Option<Notch>,
+    /// Labels of the frames; absent: all, by the volume's threshold.
+    pub labels: Option<DrrLabels>,
     /// Line integral: `siddon` is exact for constant voxels and slow, `joseph` is bilinear, `slice_ordered` is bilinear in the
     /// volume's own order and the quickest of full resolution, `preview` is that with voxels joined. `tolerance.drr_rel` chooses instead
     /// of it.
@@ -201,6 +245,11 @@ pub struct Drr {
 }
 
 impl Drr {
+    /// What its labels are.
+    pub fn labels(&self) -> DrrLabels {
+        self.labels.clone().unwrap_or_default()
+    }
+
     fn default_source_isocentre_mm() -> f64 {
         700.0
     }

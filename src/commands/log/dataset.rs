@@ -6,74 +6,138 @@ use std::path::Path;
 
 use foreign_text::foreign_path;
 use ipc_types::messages::Tick;
+use ipc_types::messages::layout::hex;
+use ipc_types::scene::Drr;
 use recorder_proc::exit_code::exit_code;
+use recorder_proc::log_file::log_path;
+use run_log::Verdict;
 use serde_json::json;
 use zerocopy::FromBytes;
 
 use super::export::ExportArguments;
 use super::{Out, concluded, json};
-use crate::dataset::{Dataset, DatasetFile, Format, Sample};
+use crate::dataset::{Dataset, DatasetFile, Format, Run, Sample};
 use crate::failure::Failure;
 use crate::replay::{FrameReplay, OpenedLog, Overrides, compare};
 
 /// Exports it.
 ///
 /// # Errors
-/// Not a log of this build, no frames for these ticks, a folder that holds something (2); a frame that this build renders differently, a
-/// damaged log, a full disk (1); a log that has a gap, is cut or was not ended (3).
+/// Not a log of this build, no frames for these ticks, runs that do not go together, a folder that holds something (2); a frame that this
+/// build renders differently, a damaged log, a full disk (1); a log that has a gap, is cut or was not ended (3).
 pub fn export(format: Format, arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Failure> {
+    refuse_used(&arguments.output)?;
+    let mut export = Export { arguments, format, dataset: None, in_gaps: 0 };
+    let mut verdicts = Vec::with_capacity(arguments.logs.len());
+    for (index, log) in arguments.logs.iter().enumerate() {
+        verdicts.push(export.take(log, index)?);
+    }
+    let Export { dataset: Some(dataset), in_gaps, .. } = export else {
+        return Err(Failure::bad_input("--dataset: no log was given"));
+    };
+    let (frames, parts) = (dataset.len(), dataset.lengths());
     let folder = &arguments.output;
-    refuse_used(folder)?;
-    let overrides = Overrides {
-        volume: arguments.volume.clone(),
-        volume_files: arguments.volume_files,
-        ..Overrides::default()
-    };
-    let log = OpenedLog::open(&arguments.log, &overrides)?;
-    let nothing = |what: &str| Failure::bad_input(format!("--dataset: {}: {what}", foreign_path(&log.path)));
-    let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let (Some(mut replay), Some(volume)) = (FrameReplay::new(&log, threads)?, &log.scene.volume) else {
-        return Err(nothing("the scene has no X-ray"));
-    };
-    let bone_from_hu = arguments.bone_from_hu.unwrap_or(volume.bone_threshold_hu);
-    let (mut dataset, mut in_gaps) = (Dataset::new(format, bone_from_hu), 0_u64);
-    while let Some(recorded) = replay.next_recorded()? {
-        if !arguments.ticks().contains(Tick(recorded.frame.tick)) {
-            continue;
-        }
-        let Some((rendered, labels)) = replay.label(&recorded.frame, bone_from_hu)? else {
-            in_gaps += 1;
-            continue;
-        };
-        // Labels of another picture would be worse than none.
-        if let Some(difference) = compare(&recorded, &rendered) {
-            return Err(Failure::failed(format!("frame {}: {difference}", recorded.frame.sequence)));
-        }
-        let greys = rendered.pixels.chunks_exact(2).filter_map(|grey| u16::read_from_bytes(grey).ok());
-        let sample = Sample { frame: rendered.frame, greys: greys.collect(), labels };
-        let files = dataset.add(&sample).map_err(Failure::failed)?;
-        files.into_iter().try_for_each(|file| write(folder, file))?;
-    }
-    if dataset.is_empty() {
-        return Err(nothing("the log has no frames for these ticks"));
-    }
-    let frames = dataset.len();
-    write(folder, dataset.end())?;
-    let verdict = replay.verdict();
-    let said = format!("{frames} frames with labels, {in_gaps} in gaps of the log");
+    dataset.end().into_iter().try_for_each(|file| write(folder, file))?;
+    let shares: Vec<String> = parts.iter().map(|(name, frames)| format!("{name} {frames}")).collect();
+    let shares = if shares.is_empty() { String::new() } else { format!(" ({})", shares.join(", ")) };
+    let said = format!("{frames} frames with labels{shares}, {in_gaps} in gaps of the log");
+    // The worst decides the exit code.
+    let badness = |verdict: &&Verdict| (!verdict.is_intact(), verdict.is_stopped_by_damage());
+    let worst = verdicts.iter().max_by_key(badness);
     // Output errors are reported when the command ends.
     let _ = match arguments.figures.json {
         true => {
-            let verdict = json::of_verdict(&verdict);
-            let answer = json!({"output": folder, "exported": said, "frames": frames, "verdict": verdict});
+            let mut answer = json!({"output": folder, "exported": said, "frames": frames});
+            answer["verdict"] = worst.map(json::of_verdict).into();
+            if !parts.is_empty() {
+                answer["split"] = parts.iter().map(|(name, n)| ((*name).to_owned(), json!(n))).collect();
+            }
             writeln!(out, "{answer}")
         }
-        false => writeln!(out, "{}: {said}\n{}", folder.display(), verdict.ending.describe()),
+        false => {
+            let ending = worst.map(|verdict| verdict.ending.describe()).unwrap_or_default();
+            writeln!(out, "{}: {said}\n{ending}", folder.display())
+        }
     };
-    if !verdict.is_intact() {
-        tell!("trabecula: {}: {verdict}", log.path.display());
+    for (name, _) in parts.iter().filter(|(_, frames)| *frames == 0) {
+        tell!("trabecula: --split: `{name}` has no run; more runs or another --seed give it some");
     }
-    concluded(out, exit_code(&verdict))
+    for (log, verdict) in arguments.logs.iter().zip(&verdicts).filter(|(_, verdict)| !verdict.is_intact()) {
+        tell!("trabecula: {}: {verdict}", log_path(log).display());
+    }
+    concluded(out, worst.map_or(0, exit_code))
+}
+
+/// An export under way.
+struct Export<'a> {
+    arguments: &'a ExportArguments,
+    format: Format,
+    /// Begun with the first log.
+    dataset: Option<Dataset>,
+    in_gaps: u64,
+}
+
+impl Export<'_> {
+    /// Takes the frames of a log.
+    fn take(&mut self, log: &Path, index: usize) -> Result<Verdict, Failure> {
+        let arguments = self.arguments;
+        let overrides = Overrides {
+            volume: arguments.volume.clone(),
+            volume_files: arguments.volume_files,
+            ..Overrides::default()
+        };
+        let log = OpenedLog::open(log, &overrides)?;
+        let refused =
+            |what: String| Failure::bad_input(format!("--dataset: {}: {what}", foreign_path(&log.path)));
+        let threads = std::thread::available_parallelism().map_or(1, usize::from);
+        let (Some(mut replay), Some(volume)) = (FrameReplay::new(&log, threads)?, &log.scene.volume) else {
+            return Err(refused("the scene has no X-ray".to_owned()));
+        };
+        let labels = log.scene.drr.as_ref().map(Drr::labels).unwrap_or_default();
+        let threshold_hu = labels.bone_from_hu.unwrap_or(volume.bone_threshold_hu);
+        let bone_from_hu = arguments.bone_from_hu.unwrap_or(threshold_hu);
+        let new = || Dataset::new(self.format, bone_from_hu, arguments.split.as_ref());
+        let dataset = self.dataset.get_or_insert_with(new);
+        if dataset.bone_from_hu() != bone_from_hu {
+            let before = dataset.bone_from_hu();
+            return Err(refused(format!(
+                "bone is from {bone_from_hu} HU, and from {before} HU in the logs before; give one with --bone-from-hu"
+            )));
+        }
+        let run = Run { images: labels.images, ..run(&log, arguments, index)? };
+        let before = dataset.len();
+        while let Some(recorded) = replay.next_recorded()? {
+            if !arguments.ticks().contains(Tick(recorded.frame.tick)) {
+                continue;
+            }
+            let Some((rendered, labels)) = replay.label(&recorded.frame, bone_from_hu)? else {
+                self.in_gaps += 1;
+                continue;
+            };
+            // Labels of another picture would be worse than none.
+            if let Some(difference) = compare(&recorded, &rendered) {
+                return Err(Failure::failed(format!("frame {}: {difference}", recorded.frame.sequence)));
+            }
+            let greys = rendered.pixels.chunks_exact(2).filter_map(|grey| u16::read_from_bytes(grey).ok());
+            let sample = Sample { frame: rendered.frame, greys: greys.collect(), labels };
+            let files = dataset.add(&sample, &run).map_err(refused)?;
+            files.into_iter().try_for_each(|file| write(&arguments.output, file))?;
+        }
+        if dataset.len() == before {
+            return Err(refused("the log has no frames for these ticks".to_owned()));
+        }
+        Ok(replay.verdict())
+    }
+}
+
+/// The run of a log, the `index`th of all.
+fn run(log: &OpenedLog, arguments: &ExportArguments, index: usize) -> Result<Run, Failure> {
+    let reader = log.reader()?;
+    let header = reader.header();
+    let volume = header.volume_sha256.map(|digest| hex(&digest)).unwrap_or_default();
+    let id = format!("{} {volume}", header.scene_sha256());
+    let part = arguments.split.as_ref().map_or(0, |split| split.part_of(arguments.seed, &id));
+    Ok(Run { number: (arguments.logs.len() > 1).then_some(index + 1), id, part, images: Vec::new() })
 }
 
 /// Refuses a folder that holds something, and what is no folder.

@@ -4,6 +4,7 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use foreign_text::foreign_path;
 use ipc_types::messages::{Tick, TickRange};
 use output_file::{OutputError, OutputFile};
 use recorder_proc::exit_code::exit_code;
@@ -16,7 +17,7 @@ use run_log::{FrameRecord, LogError, ReadOptions, Topic, Verdict, frames};
 
 use super::geometry::{self, Geometry};
 use super::{Out, concluded, dataset, foxglove, json};
-use crate::dataset::{Format, grey16};
+use crate::dataset::{Format, Split, grey16};
 use crate::failure::Failure;
 use crate::launcher::volume_source::VolumeFiles;
 use crate::output::refuse_existing;
@@ -25,8 +26,9 @@ use crate::say::Figures;
 /// Arguments of `log export`.
 #[derive(Debug, Args)]
 pub struct ExportArguments {
-    /// Log file, or the folder of a run.
-    pub(super) log: PathBuf,
+    /// Log file, or the folder of a run; with `--dataset`, one or more.
+    #[arg(required = true)]
+    pub(super) logs: Vec<PathBuf>,
     /// New `.csv` or `.parquet` file; with `--frames`, a folder for the images; with `--dataset`, a new or empty folder; with `--geometry`, a file of a format that it has.
     #[arg(short, long)]
     pub(super) output: PathBuf,
@@ -59,9 +61,16 @@ pub struct ExportArguments {
     /// of the tool, camera and pose.
     #[arg(long, value_enum, value_name = "FORMAT", conflicts_with_all = ["fields", "frames", "topic", "geometry", "foxglove"])]
     dataset: Option<Format>,
-    /// With `--dataset`: voxels at or above this are bone; default: `volume.bone_threshold_hu` of the scene.
+    /// With `--dataset`: voxels at or above this are bone; default: `drr.labels.bone_from_hu` of the scene, or else its `volume.bone_threshold_hu`.
     #[arg(long, value_name = "HU", requires = "dataset", allow_negative_numbers = true)]
     pub(super) bone_from_hu: Option<i16>,
+    /// With `--dataset`: parts of the data set and their shares of the runs, of `train`, `val` and `test`; the frames of a run, and of all
+    /// with its scene and volume, are in one part.
+    #[arg(long, value_name = "NAME=SHARE,...", requires = "dataset", conflicts_with_all = ["frames", "geometry", "foxglove"], value_parser = Split::parse)]
+    pub(super) split: Option<Split>,
+    /// With `--split`: another seed gives the runs other parts.
+    #[arg(long, default_value_t = 0, requires = "split")]
+    pub(super) seed: u64,
     /// With `--geometry tunnel` or `--dataset`: current path of the log's CT file.
     #[arg(long, value_name = "PATH")]
     pub(super) volume: Option<PathBuf>,
@@ -76,6 +85,11 @@ impl ExportArguments {
     pub(super) fn ticks(&self) -> TickRange {
         TickRange { first: Tick(self.from), last: self.to.map(Tick) }
     }
+
+    /// The log of an export of one; [`run`] refuses several.
+    pub(super) fn log(&self) -> &Path {
+        self.logs.first().map_or(Path::new(""), PathBuf::as_path)
+    }
 }
 
 /// Runs the command.
@@ -84,16 +98,20 @@ impl ExportArguments {
 /// Not a log, no such topic or field, an unknown file extension, an output that already exists (2); a damaged log,
 /// after writing the rows before the damage, or a full disk (1); a log that has a gap, is cut or was not ended (3).
 pub fn run(arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Failure> {
-    if let Some(what) = arguments.geometry {
-        return geometry::export(what, arguments);
-    }
     if let Some(format) = arguments.dataset {
         return dataset::export(format, arguments, out);
+    }
+    if let [_, second, ..] = arguments.logs.as_slice() {
+        let second = foreign_path(second);
+        return Err(Failure::bad_input(format!("{second}: expected one log; --dataset alone takes several")));
+    }
+    if let Some(what) = arguments.geometry {
+        return geometry::export(what, arguments);
     }
     if arguments.foxglove {
         return foxglove::export(arguments, out);
     }
-    let log = log_path(&arguments.log);
+    let log = log_path(arguments.log());
     let (what, verdict) = match arguments.frames {
         true => pictures(&log, arguments)?,
         false => table(&log, arguments)?,

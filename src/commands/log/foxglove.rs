@@ -43,7 +43,7 @@ pub fn export(arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Fail
         return Err(Failure::bad_input(format!("--rate is {}, allowed is 1 to 1000", arguments.rate)));
     }
     refuse_existing(&[output])?;
-    let log = log_path(&arguments.log);
+    let log = log_path(arguments.log());
     let stream = MessageStream::open(&LogFile::at(&log), ReadOptions::default())?;
     let scene = Scene::parse(&stream.header().scene_toml, &log).map_err(Failure::bad_input)?;
     let file = OutputFile::create(output)?;

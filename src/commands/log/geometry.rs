@@ -84,7 +84,7 @@ pub fn export(what: Geometry, arguments: &ExportArguments) -> Result<(), Failure
             curve("burr", format, arguments, &places.iter().map(|place| place.burr_mm).collect::<Vec<_>>())?
         }
         Geometry::PlannedPath => {
-            let log = log_path(&arguments.log);
+            let log = log_path(arguments.log());
             let reader = LogReader::open(&LogFile::at(&log))?;
             curve("plan", format, arguments, &planned(&log, &scene_of(&reader, &log)?)?)?
         }
@@ -110,7 +110,7 @@ fn of_tunnel(format: &str, arguments: &ExportArguments) -> Result<(String, Value
         volume_files: arguments.volume_files,
         ..Overrides::default()
     };
-    let log = OpenedLog::open(&arguments.log, &overrides)?;
+    let log = OpenedLog::open(arguments.log(), &overrides)?;
     let gone = Gone::of(&log, arguments.ticks().last.map(|tick| tick.0))?;
     let Some((volume, _)) = &log.volume else {
         return Err(Failure::bad_input(format!("{}: this run has no volume", log.path.display())));
@@ -147,7 +147,7 @@ fn of_tool(format: &str, arguments: &ExportArguments) -> Result<(String, Value),
 }
 
 fn of_deviation(format: &str, arguments: &ExportArguments) -> Result<(String, Value), Failure> {
-    let log = log_path(&arguments.log);
+    let log = log_path(arguments.log());
     let seen = Seen::of(arguments, TABLE_STEP_MM)?;
     let found = deviations(&planned(&log, &seen.scene)?, &seen.places);
     let at = |of: fn(&Deviation) -> f64| found.iter().map(of).collect::<Vec<f64>>();
@@ -185,7 +185,7 @@ struct Seen {
 
 impl Seen {
     fn of(arguments: &ExportArguments, step_mm: f64) -> Result<Seen, Failure> {
-        let log = log_path(&arguments.log);
+        let log = log_path(arguments.log());
         let reader = LogReader::open(&LogFile::at(&log))?;
         let scene = scene_of(&reader, &log)?;
         let range = arguments.ticks();
