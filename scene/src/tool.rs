@@ -122,12 +122,6 @@ impl ToolDescription {
         (to > from).then(|| length_mm / (to - from) as f64)
     }
 
-    /// Length of the drive shaft that a flexure bends, mm: half way to either neighbour, since it lies free between them. `None` for an only
-    /// flexure without length.
-    pub fn shaft_length_mm(places: &[FlexurePlace], index: usize) -> Option<f64> {
-        ToolDescription::pitch_mm(places, index).or_else(|| places.get(index)?.flexure.length_mm)
-    }
-
     /// Length of tube that a flexure bends, mm: its own, or half way to either neighbour. `None` for an only one without length.
     pub fn length_mm(places: &[FlexurePlace], index: usize) -> Option<f64> {
         places.get(index)?.flexure.length_mm.or_else(|| ToolDescription::pitch_mm(places, index))

@@ -170,29 +170,3 @@ fn a_motor_slows_stands_and_turns_again() {
     assert_eq!(whole.state().hash, other.state().hash);
     assert!(whole.state().burr_speed_rad_per_s < SPEED_RAD_S);
 }
-
-/// The stall torque of a tool's drive shaft holds for its burr, unless the scene gives one.
-#[test]
-fn the_stall_torque_of_a_drive_shaft_is_its_tools() {
-    let (geometry, hu) = wall();
-    let tool = "[manipulator.tool]\nname = \"driven\"\n[manipulator.tool.tube]\nouter_diameter_mm = 6.0\ninner_diameter_mm = 4.0\n\
-                linear_density_kg_per_m = 0.1\n[manipulator.tool.drive_shaft]\nbending_stiffness_n_mm2 = 10.0\nstall_torque_nmm = 0.6\n\
-                [manipulator.tool.burr]\ndiameter_mm = 6.5\noffset_mm = 4.0\nmass_g = 1.0\n[[manipulator.tool.tendon]]\ntoward_mm = 2.5\n\
-                [[manipulator.tool.flexure]]\nat_mm = 36.0\ncount = 16\npitch_mm = 2.0\nstiffness_nm_per_deg = 0.01\n";
-    let slowest = |key: &str| {
-        let scene = scene("", &format!("{key}{tool}"));
-        let mut simulation = Simulation::new(&scene, Some(CtView { geometry, hu: &hu })).unwrap();
-        let mut slowest = SPEED_RAD_S;
-        for tick in 0..1000 {
-            simulation.step(&latched(tick, 5.0, SPEED_RAD_S)).unwrap();
-            if tick > 10 {
-                slowest = simulation.state().burr_speed_rad_per_s.min(slowest);
-            }
-        }
-        slowest / SPEED_RAD_S
-    };
-    let own = slowest("");
-    assert!(own < 0.9, "{own}");
-    let of_scene = slowest("burr_stall_torque_nmm = 600.0\n");
-    assert!(of_scene > 0.99, "{of_scene}");
-}

@@ -87,20 +87,6 @@ pub fn dimensions(scene: &Scene) -> Result<Vec<Dimension>, Failure> {
             "distance of the standard pair of tendons from the axis",
         ));
     }
-    if let Some(shaft) = scene.manipulator.tool.as_ref().and_then(|tool| tool.drive_shaft.as_ref()) {
-        all.push(dimension(
-            "drive_shaft_n_mm2",
-            shaft.bending_stiffness_n_mm2,
-            "bending stiffness E I of the drive shaft, which is added to that of the tube",
-        ));
-        if let Some(torsional_n_mm2) = shaft.torsional_stiffness_n_mm2 {
-            all.push(dimension(
-                "wind_up_deg_per_nmm",
-                (1e3 * burr_m / torsional_n_mm2).to_degrees(),
-                "angle by which the burr lags behind the motor under a torque of 1 N mm, from the flange on",
-            ));
-        }
-    }
     Ok(all)
 }
 

@@ -29,7 +29,6 @@ pub(crate) fn tool(tool: &ToolDescription, above: &str, checker: &Checker) -> Re
         check.stiffness(&places, index, place)?;
     }
     check.shaft(places[0].at_mm)?;
-    check.drive_shaft(&places)?;
     check.burr(&places)?;
     tool.tendon.iter().enumerate().try_for_each(|(index, tendon)| check.tendon(index, tendon, &places))
 }
@@ -137,23 +136,6 @@ impl Check<'_> {
         let to_mm = shaft.contact_to_mm.unwrap_or(first_mm);
         self.range("shaft.contact_to_mm", to_mm, 0.0, first_mm)?;
         self.range("shaft.contact_from_mm", shaft.contact_from_mm.unwrap_or(0.0), 0.0, to_mm)
-    }
-
-    /// It needs a lumen, and flexures between which it bends.
-    fn drive_shaft(&self, places: &[FlexurePlace]) -> Result<(), SceneError> {
-        if self.tool.drive_shaft.is_none() {
-            return Ok(());
-        }
-        if self.tool.tube.inner_diameter_mm <= 0.0 {
-            let problem = "is 0; a tool with a `drive_shaft` has a lumen in which it lies";
-            return Err(self.invalid("tube.inner_diameter_mm", problem));
-        }
-        if ToolDescription::shaft_length_mm(places, 0).is_none() {
-            let entry = places[0].entry;
-            let problem = "is missing; the only flexure has no neighbours from which the length follows that a `drive_shaft` bends";
-            return Err(self.invalid(&format!("flexure[{entry}].length_mm"), problem));
-        }
-        Ok(())
     }
 
     /// The centre of the cutter's last ball is ahead of the tube's end, half a pitch behind which the last flexure sits.
@@ -272,13 +254,6 @@ fn one_arc(tool: &ToolDescription, checker: &Checker) -> Result<(), SceneError> 
     };
     if let Some(index) = tool.tendon.iter().position(|tendon| along(&tendon)) {
         return refused(format!("tendon {} of `{}` bends only part of the tool", index + 1, tool.name));
-    }
-    if tool.drive_shaft.is_some() && tool.flexure.len() > 1 && tool.flexure.iter().any(|f| f.rest_deg != 0.0)
-    {
-        return refused(format!(
-            "the drive shaft of `{}` straightens each of its kinds of flexures by another part",
-            tool.name
-        ));
     }
     let curvature = |index: usize| {
         let length_mm = ToolDescription::pitch_mm(&places, index).unwrap_or(1.0);

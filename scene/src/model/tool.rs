@@ -35,8 +35,6 @@ pub struct ToolDescription {
     /// How far a flexure bends.
     #[serde(default)]
     pub stop: FlexureStop,
-    /// The shaft in the lumen that turns the burr. Absent: it bends with the tube without a stiffness of its own.
-    pub drive_shaft: Option<DriveShaft>,
     /// The cutter.
     pub burr: ToolBurr,
     /// The tendons, in the order of the commands.
@@ -155,21 +153,6 @@ impl Default for FlexureStop {
     fn default() -> Self {
         Self { angle_deg: 5.0, stiffness_nm_per_rad: 100.0 }
     }
-}
-
-/// The flexible shaft that turns the burr. It lies in the lumen, straight without load, and slides there without friction.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct DriveShaft {
-    /// E I, which is added to that of the tube: so much over the distance of two flexures to each of them.
-    #[schemars(range(min = 0.0, max = 1e7))]
-    pub bending_stiffness_n_mm2: f64,
-    /// G J: by how much the shaft winds up under the burr's torque, which `tool show` tells.
-    #[schemars(range(min = 1e-3, max = 1e7))]
-    pub torsional_stiffness_n_mm2: Option<f64>,
-    /// Torque at which the motor stands; `manipulator.burr_stall_torque_nmm` of a scene stands in its place.
-    #[schemars(range(min = 0.01, max = 10_000.0))]
-    pub stall_torque_nmm: Option<f64>,
 }
 
 /// The cutter of a tool: a body of revolution about the tool's axis, with round ends.

@@ -129,7 +129,7 @@ impl Simulation<'_> {
             let (torque_nmm, stall_nmm) =
                 (drive.state.torque_nm * 1e3, drive.stall_torque_nm.unwrap_or(f64::INFINITY) * 1e3);
             let reason = format!(
-                "burr: its motor stands: bone takes {torque_nmm:.3} N mm, its stall torque is {stall_nmm} N mm"
+                "burr: its motor stands: bone takes {torque_nmm:.3} N mm, `manipulator.burr_stall_torque_nmm` is {stall_nmm}"
             );
             self.tell_burr_driver(reason);
         }

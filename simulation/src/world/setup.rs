@@ -95,17 +95,11 @@ pub(super) fn build<'v>(
 fn burr_drive(scene: &Scene) -> BurrDrive {
     let standard = CuttingLaw::default().cutting_friction;
     BurrDrive {
-        stall_torque_nm: stall_torque_nmm(scene).map(|torque| torque * 1e-3),
+        stall_torque_nm: scene.manipulator.burr_stall_torque_nmm.map(|torque| torque * 1e-3),
         side_force: scene.drilling.side_force.unwrap_or(false),
         cutting_coefficient: cutting_coefficient(scene).unwrap_or(standard),
         state: BurrDriveState::default(),
     }
-}
-
-/// The scene's own stall torque, or that of its tool's drive shaft.
-fn stall_torque_nmm(scene: &Scene) -> Option<f64> {
-    let of_tool = || scene.manipulator.tool.as_ref()?.drive_shaft.as_ref()?.stall_torque_nmm;
-    scene.manipulator.burr_stall_torque_nmm.or_else(of_tool)
 }
 
 /// The scene's own cutting coefficient, or that of its tool's burr.

@@ -2,7 +2,7 @@
 
 use core::f64::consts::PI;
 
-use scene::{DriveShaft, FlexurePlace, ToolDescription, ToolFlexure};
+use scene::{FlexurePlace, ToolDescription, ToolFlexure};
 
 use crate::manipulator::{
     MAX_SHAFT_SPHERES, ManipulatorParameters, Notch, Section, StiffnessRatios, TendonParameters, TendonReach,
@@ -13,7 +13,7 @@ use crate::manipulator::{
 ///
 /// The bending stiffness of a flexure is, in this order: its own; that of its notches, `E` times [`Notch::unit_stiffness`]; that of a piece
 /// of round tube, `k = E I / length` with `I = pi/4 (r_o^4 - r_i^4)`. The other freedoms follow from the notches or the tube by
-/// [`StiffnessRatios`]. A drive shaft adds to it ([`Flexure::with_shaft`]).
+/// [`StiffnessRatios`].
 pub(super) fn described(tool: &ToolDescription) -> ManipulatorParameters {
     let places = tool.flexures();
     let radii = tool.radii();
@@ -26,17 +26,9 @@ pub(super) fn described(tool: &ToolDescription) -> ManipulatorParameters {
         youngs_modulus_pa: tool.tube.youngs_modulus_gpa.map_or(0.0, |modulus| modulus * 1e9),
     };
     let density = tool.tube.linear_density_kg_per_m;
-    let shaft = tool.drive_shaft.as_ref();
-    let flexures: Vec<_> = (0..places.len())
-        .map(|index| {
-            let shaft_nm_per_rad =
-                shaft.map_or(0.0, |shaft| shaft_stiffness_nm_per_rad(shaft, &places, index));
-            material.flexure(&places, &joints_m, index).with_shaft(shaft_nm_per_rad)
-        })
-        .collect();
-    let rest: Vec<f64> = flexures.iter().map(|flexure| flexure.rest_rad).collect();
-    let joint_stiffness_nm_per_rad = flexures.iter().map(|flexure| flexure.stiffness_nm_per_rad).collect();
-    let ratios = flexures.iter().map(|flexure| flexure.ratios).collect();
+    let rest: Vec<f64> = places.iter().map(|place| place.flexure.rest_deg * PI / 180.0).collect();
+    let (joint_stiffness_nm_per_rad, ratios) =
+        (0..places.len()).map(|index| material.flexure(&places, &joints_m, index)).unzip();
     let spheres = shaft_spheres(tool, first_m);
     ManipulatorParameters {
         joint_stiffness_nm_per_rad,
@@ -114,8 +106,8 @@ impl Material {
         Some(Notch { width_m: width_mm * 1e-3, past_axis_m: past_axis_mm * 1e-3 })
     }
 
-    /// A flexure of the tube alone.
-    fn flexure(&self, places: &[FlexurePlace], joints_m: &[f64], index: usize) -> Flexure {
+    /// Bending stiffness of a flexure, N m/rad, and the ratios of its other freedoms to it.
+    fn flexure(&self, places: &[FlexurePlace], joints_m: &[f64], index: usize) -> (f64, StiffnessRatios) {
         let flexure = places[index].flexure;
         let notched = Material::notch(flexure).map(|notch| {
             notch.unit_stiffness(pitch_m(joints_m, index), self.tube_radii_m, self.poisson_ratio)
@@ -130,48 +122,6 @@ impl Material {
             }
         };
         let tube = || StiffnessRatios::tube(self.tube_radii_m, self.poisson_ratio);
-        Flexure {
-            stiffness_nm_per_rad,
-            rest_rad: flexure.rest_deg * PI / 180.0,
-            ratios: notched.map_or_else(tube, |unit| unit.ratios()),
-        }
+        (stiffness_nm_per_rad, notched.map_or_else(tube, |unit| unit.ratios()))
     }
-}
-
-/// A flexure's spring.
-struct Flexure {
-    stiffness_nm_per_rad: f64,
-    rest_rad: f64,
-    ratios: StiffnessRatios,
-}
-
-impl Flexure {
-    /// The flexure with a straight shaft of stiffness `k_s` in it, which bends with it in both planes and otherwise slides: springs in
-    /// parallel, `k_t (q - q_0) + k_s q = (k_t + k_s) (q - q_0 k_t / (k_t + k_s))`. So it straightens a pre-curved tube. Stretch, shear and
-    /// torsion stay those of the tube.
-    fn with_shaft(self, shaft_nm_per_rad: f64) -> Flexure {
-        if shaft_nm_per_rad == 0.0 {
-            return self;
-        }
-        let stiffness_nm_per_rad = self.stiffness_nm_per_rad + shaft_nm_per_rad;
-        let share = self.stiffness_nm_per_rad / stiffness_nm_per_rad;
-        let tube = self.ratios;
-        Flexure {
-            stiffness_nm_per_rad,
-            rest_rad: self.rest_rad * share,
-            ratios: StiffnessRatios {
-                lateral: tube.lateral * share + (1.0 - share),
-                torsion: tube.torsion * share,
-                axial_per_m2: tube.axial_per_m2 * share,
-                shear_toward_per_m2: tube.shear_toward_per_m2 * share,
-                shear_across_per_m2: tube.shear_across_per_m2 * share,
-            },
-        }
-    }
-}
-
-/// What the drive shaft adds to a flexure: `E I` over the length of shaft that it bends, N m/rad.
-fn shaft_stiffness_nm_per_rad(shaft: &DriveShaft, places: &[FlexurePlace], index: usize) -> f64 {
-    let length_mm = ToolDescription::shaft_length_mm(places, index).unwrap_or(f64::INFINITY);
-    shaft.bending_stiffness_n_mm2 / length_mm / 1e3
 }
