@@ -108,7 +108,7 @@ fn unit_of(name: &str) -> Option<String> {
 }
 
 fn symbol(word: &str) -> Option<&'static str> {
-    const SYMBOLS: [(&str, &str); 25] = [
+    const SYMBOLS: [(&str, &str); 26] = [
         ("mm", "mm"),
         ("mm3", "mm³"),
         ("m", "m"),
@@ -123,6 +123,7 @@ fn symbol(word: &str) -> Option<&'static str> {
         ("rpm", "rpm"),
         ("n", "N"),
         ("nm", "N m"),
+        ("nm2", "N m²"),
         ("nmm", "N mm"),
         ("nms", "N m s"),
         ("j", "J"),

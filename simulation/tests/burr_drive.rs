@@ -21,14 +21,17 @@ const VOXEL_M: f64 = 0.5e-3;
 
 /// The burr's side against a wall of bone that is too hard to cut in a second.
 fn scene(keys: &str, tool: &str) -> Scene {
-    let text = format!(
+    Scene::parse(&scene_text(keys, tool), Path::new("side.toml")).unwrap()
+}
+
+fn scene_text(keys: &str, tool: &str) -> String {
+    format!(
         "name = \"side\"\n[run]\nmode = \"lockstep\"\nduration_s = 60.0\n[volume]\nphantom = \"block\"\n\
          [manipulator]\nmodel = \"spatial\"\nlateral_stiffness_ratio = 1.0\ntorsion_stiffness_ratio = 1.0\ndamping_ratio = 1.0\n{tool}\
          [drilling]\nspecific_energy_j_per_mm3 = 10.0\ndensity_exponent = 0.0\ncutting_coefficient = {COEFFICIENT:?}\n{keys}\
          [tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
          [[controller]]\nname = \"feed\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nexternal = true\n"
-    );
-    Scene::parse(&text, Path::new("side.toml")).unwrap()
+    )
 }
 
 fn latched(tick: u64, tension_n: f64, speed_rad_per_s: f64) -> Latched {
@@ -169,4 +172,73 @@ fn a_motor_slows_stands_and_turns_again() {
     }
     assert_eq!(whole.state().hash, other.state().hash);
     assert!(whole.state().burr_speed_rad_per_s < SPEED_RAD_S);
+}
+
+/// The standard tool from its file, with a drive shaft.
+fn scene_with_shaft(keys: &str) -> Scene {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/tools/jhu_27.toml");
+    let read = |_: &Path| Ok(std::fs::read_to_string(&file)? + "\n[drive_shaft]\n" + keys);
+    let text = scene_text("", "").replace("[manipulator]\n", "[manipulator]\nfile = \"tool.toml\"\n");
+    Scene::parse_with(&text, Path::new("side.toml"), &read).unwrap()
+}
+
+/// A shaft winds up by `M L / (G J)` under what bone and friction take; its burr stands from the stall torque on, is told so once, and the
+/// event names the key; a keyframe continues bit for bit.
+#[test]
+fn a_burr_on_a_shaft_lags_stands_and_continues() {
+    let (geometry, hu) = wall();
+    let (stall_nmm, friction_nmm, torsional_nm2, length_m) = (0.9, 0.1, 2e-3, 0.3);
+    let scene = scene_with_shaft(&format!(
+        "torsional_stiffness_nm2 = {torsional_nm2:?}\nlength_mm = {:?}\ntorsional_damping_ratio = 0.3\n\
+         stall_torque_nmm = {stall_nmm:?}\nfriction_torque_nmm = {friction_nmm:?}\n",
+        length_m * 1e3
+    ));
+    let new = || Simulation::new(&scene, Some(CtView { geometry, hu: &hu })).unwrap();
+    let (mut simulation, mut told) = (new(), Vec::new());
+    // Pressed steadily, for the wind-up; then more and more.
+    let mut pressed = 0.0;
+    for tick in 0..5000 {
+        let tension_n = 3.0 + (tick as f64 - 1500.0).max(0.0) / 500.0;
+        // What the burr's contacts of the tick before ask of this one.
+        let brake_nm = COEFFICIENT * burr_contacts(simulation.state()).2 + friction_nmm * 1e-3;
+        simulation.step(&latched(tick, tension_n, SPEED_RAD_S)).unwrap();
+        let stalls = brake_nm >= stall_nmm * 1e-3;
+        told.extend(simulation.refusals().iter().map(|refusal| (tick, stalls, refusal.reason.clone())));
+        if tick == 1499 {
+            let expected_rad = brake_nm * length_m / torsional_nm2;
+            let wind_up_rad = simulation.drive_shaft_wind_up_rad();
+            let speed = SPEED_RAD_S * (1.0 - brake_nm / (stall_nmm * 1e-3));
+            println!(
+                "{:.4} N mm: wound up by {wind_up_rad:.6} rad, M L/GJ {expected_rad:.6} rad",
+                brake_nm * 1e3
+            );
+            println!("{:.2} rad/s, on the line {speed:.2}", simulation.state().burr_speed_rad_per_s);
+            assert!(brake_nm > 1.5e-3 * friction_nmm, "it cuts");
+            assert!((wind_up_rad / expected_rad - 1.0).abs() < 0.01);
+            assert!((simulation.state().burr_speed_rad_per_s / speed - 1.0).abs() < 0.01);
+        }
+        if stalls {
+            pressed += 1.0;
+        }
+    }
+    assert_eq!(simulation.state().burr_speed_rad_per_s, 0.0);
+    assert!(pressed > 100.0 && !told.is_empty(), "{pressed} ticks");
+    // Told in the very tick that asks for the stall torque.
+    for (tick, stalls, reason) in &told {
+        assert!(*stalls, "{tick}: {reason}");
+        assert!(reason.contains("`drive_shaft.stall_torque_nmm` is 0.9"), "{reason}");
+    }
+    println!("told in tick {}: {}", told[0].0, told[0].2);
+
+    let mut bytes = vec![0; 1 << 20];
+    let (mut whole, mut other) = (new(), new());
+    (0..800).for_each(|tick| whole.step(&latched(tick, 3.0, SPEED_RAD_S)).unwrap());
+    let length = whole.write_keyframe(&mut bytes).unwrap();
+    other.restore_keyframe(&bytes[..length]).unwrap();
+    for tick in 800..900 {
+        whole.step(&latched(tick, 3.0, SPEED_RAD_S)).unwrap();
+        other.step(&latched(tick, 3.0, SPEED_RAD_S)).unwrap();
+    }
+    assert_eq!(whole.state().hash, other.state().hash);
+    assert!(whole.drive_shaft_wind_up_rad() != 0.0);
 }

@@ -7,8 +7,8 @@ use messages::{BURR_SPEED, Command, Latched, LatchedCommand, SOURCE_FRESH, SOURC
 use nalgebra::{Isometry3, Vector3};
 use scene::{Manipulator, Scene, ToolDescription};
 use simulation::manipulator::{
-    AnyManipulator, BaseMotion, ManipulatorModel, ManipulatorParameters, Rung, StepInput, TendonCommand,
-    Wrench,
+    AnyManipulator, BaseMotion, ManipulatorModel, ManipulatorParameters, Rung, Section, StepInput,
+    TendonCommand, Wrench,
 };
 use simulation::{Simulation, manipulator_parameters};
 use test_support::scenes::TOOL;
@@ -27,6 +27,16 @@ fn scene(manipulator: &str) -> Scene {
 
 fn described(file: &str) -> ManipulatorParameters {
     manipulator_parameters(&scene(&format!("file = \"{file}\""))).unwrap()
+}
+
+/// The tool of a file with more keys at its end.
+fn described_with(file: &str, keys: &str) -> ManipulatorParameters {
+    let text = format!(
+        "name = \"tools\"\nrun = {{ mode = \"lockstep\", duration_s = 1.0 }}\n[manipulator]\nfile = \"{file}\"\n{TOOL}"
+    );
+    let read = |file: &Path| Ok(std::fs::read_to_string(file)? + keys);
+    let scene = Scene::parse_with(&text, &folder().join("scene.toml"), &read).unwrap();
+    manipulator_parameters(&scene).unwrap()
 }
 
 #[test]
@@ -164,6 +174,76 @@ fn two_segments_come_to_two_arcs() {
             assert!(off_m < 10e-6, "{tension_n:?}, {rung:?}: {off_m}");
         }
     }
+}
+
+/// The same tool with a drive shaft of E I = 3.181e-4 N m^2: `(k + E I / L) q = d T cos(q/2)`.
+#[test]
+fn a_drive_shaft_stiffens_each_flexure_by_ei_over_its_length() {
+    let (bending_nm2, pitch_m, d) = (3.181e-4, 1.3e-3, 2.5e-3);
+    let keys = format!("[drive_shaft]\nbending_stiffness_nm2 = {bending_nm2:e}\n");
+    let (tube, p) = (described("two_segments.toml"), described_with("two_segments.toml", &keys));
+    let (Section::Ratios(without), Section::Ratios(with)) = (&tube.section, &p.section) else { panic!() };
+    for flexure in 0..24 {
+        let [own, whole] = [&tube, &p].map(|p| p.joint_stiffness_nm_per_rad[flexure]);
+        assert!((whole / (own + bending_nm2 / pitch_m) - 1.0).abs() < 1e-12, "{flexure}");
+        let across = own * without[flexure].lateral + bending_nm2 / pitch_m;
+        assert!((whole * with[flexure].lateral / across - 1.0).abs() < 1e-12, "{flexure}");
+        // It turns and slides in the tube.
+        assert!((whole * with[flexure].torsion / (own * without[flexure].torsion) - 1.0).abs() < 1e-12);
+        let [a, b] = [own * without[flexure].axial_per_m2, whole * with[flexure].axial_per_m2];
+        assert!((a / b - 1.0).abs() < 1e-12);
+    }
+    let k = tube.joint_stiffness_nm_per_rad[11] + bending_nm2 / pitch_m;
+    for tension_n in [2.0, 5.0, 8.0] {
+        let bend = (0..50).fold(0.0_f64, |q, _| d * tension_n / k * (0.5 * q).cos());
+        let tip_m =
+            arcs(36.0e-3 - 0.5 * pitch_m, &[[24.0 * pitch_m, 24.0 * bend]], p.tip_offset_m - 0.5 * pitch_m);
+        for rung in Rung::ALL.into_iter().filter(|rung| *rung != Rung::ConstantCurvature) {
+            let mut p = p.clone();
+            // As in `two_segments_come_to_two_arcs`; the flexures keep what the shaft gave them.
+            p.joint_stiffness_nm_per_rad = vec![p.joint_stiffness_nm_per_rad[11]; 24];
+            p.section = Section::Tube;
+            p.tube_radii_m = [1e-5, 0.0];
+            let off_m = distance_m(&settled(rung, p, [tension_n, 0.0, 0.0, 0.0]), tip_m);
+            let whole_deg = 24.0 * bend.to_degrees();
+            println!("{tension_n} N, {}: {whole_deg:.2} degrees, off {:.2} µm", rung.name(), off_m * 1e6);
+            assert!(off_m < 10e-6, "{tension_n} N, {rung:?}: {off_m}");
+        }
+    }
+}
+
+/// A straight shaft in a pre-curved tube: they rest where their moments cancel, on a wider circle.
+#[test]
+fn a_drive_shaft_straightens_a_pre_curved_tool() {
+    let (bending_nm2, length_m) = (2e-2, 1.25e-3);
+    let keys = format!("[drive_shaft]\nbending_stiffness_nm2 = {bending_nm2:?}\n");
+    let own = described("steerable_drill.toml").joint_stiffness_nm_per_rad[0];
+    let bend = length_m / 0.05 * own / (own + bending_nm2 / length_m);
+    let p = described_with("steerable_drill.toml", &keys);
+    let tip_m = arcs(0.04, &[[0.04, 32.0 * bend]], p.tip_offset_m - 0.5 * length_m);
+    for rung in Rung::ALL {
+        let off_m = distance_m(&settled(rung, p.clone(), [0.0; 4]), tip_m);
+        println!("radius {:.2} mm, {}: {:.2} µm", 1e3 * length_m / bend, rung.name(), off_m * 1e6);
+        assert!(off_m < 10e-6, "{rung:?}: {off_m}");
+    }
+}
+
+#[test]
+fn a_drive_shaft_that_cannot_be_is_refused_by_its_key() {
+    let text = std::fs::read_to_string(folder().join("two_segments.toml")).unwrap();
+    for (keys, key) in [
+        ("friction_torque_nmm = 5.0\nstall_torque_nmm = 5.0", "drive_shaft.friction_torque_nmm"),
+        ("torsional_stiffness_nm2 = 1e-9", "drive_shaft.torsional_stiffness_nm2"),
+        ("bending_stiffness_nm2 = -1.0", "drive_shaft.bending_stiffness_nm2"),
+    ] {
+        let text = format!("{text}\n[drive_shaft]\n{keys}\n");
+        let said = ToolDescription::parse(&text, Path::new("shaft.toml")).unwrap_err().to_string();
+        assert!(said.contains(&format!("`{key}`")), "{said}");
+    }
+    let solid = text.replace("inner_diameter_mm = 4.0", "inner_diameter_mm = 0.0");
+    let solid = solid.replace("drive_cable_diameter_mm = 2.0", "") + "\n[drive_shaft]\n";
+    let said = ToolDescription::parse(&solid, Path::new("shaft.toml")).unwrap_err().to_string();
+    assert!(said.contains("`drive_shaft`") && said.contains("lumen"), "{said}");
 }
 
 #[test]

@@ -5,8 +5,9 @@ pub mod source;
 
 use std::fmt::Write;
 
-use ipc_types::scene::{Cutter, Scene};
+use ipc_types::scene::{Cutter, Scene, ToolDriveShaft};
 use serde::Serialize;
+use simulation::manipulator::ManipulatorParameters;
 use simulation::manipulator_parameters;
 
 use crate::failure::Failure;
@@ -87,7 +88,44 @@ pub fn dimensions(scene: &Scene) -> Result<Vec<Dimension>, Failure> {
             "distance of the standard pair of tendons from the axis",
         ));
     }
+    if let Some(shaft) = scene.manipulator.tool.as_ref().and_then(|tool| tool.drive_shaft.as_ref()) {
+        all.extend(drive_shaft(shaft, &tool, scene.manipulator.burr_stall_torque_nmm));
+    }
     Ok(all)
+}
+
+/// What of a drive shaft its tool has, and what follows for its burr.
+fn drive_shaft(
+    shaft: &ToolDriveShaft,
+    tool: &ManipulatorParameters,
+    scene_stall_nmm: Option<f64>,
+) -> Vec<Dimension> {
+    let dimension = |name, value: f64, text| Dimension { name, value, text };
+    let mut all = Vec::new();
+    if shaft.bending_stiffness_nm2 > 0.0 {
+        let text = "bending stiffness E I of the drive shaft, which each flexure has besides its own";
+        all.push(dimension("shaft_bending_nmm2", 1e6 * shaft.bending_stiffness_nm2, text));
+    }
+    if let Some(torsional_nm2) = shaft.torsional_stiffness_nm2 {
+        let length_m = shaft.length_mm.map_or(tool.burr_centre_m(), |mm| mm * 1e-3);
+        let inertia_kg_m2 = tool.burr_mass_kg * tool.cutter.solid().along_m2;
+        let frequency_hz = (torsional_nm2 / length_m / inertia_kg_m2).sqrt() / core::f64::consts::TAU;
+        let wind_up_deg = (1e-3 * length_m / torsional_nm2).to_degrees();
+        all.push(dimension("shaft_wind_up_deg", wind_up_deg, "wind-up of the drive shaft under 1 N mm"));
+        all.push(dimension(
+            "shaft_torsion_hz",
+            frequency_hz,
+            "torsional oscillation of the burr on the shaft",
+        ));
+    }
+    if let Some(stall_nmm) = scene_stall_nmm.or(shaft.stall_torque_nmm) {
+        all.push(dimension("stall_torque_nmm", stall_nmm, "torque at which the burr's motor stands"));
+    }
+    if shaft.friction_torque_nmm > 0.0 {
+        let text = "torque of the drive shaft's friction against the tube";
+        all.push(dimension("shaft_friction_nmm", shaft.friction_torque_nmm, text));
+    }
+    all
 }
 
 /// The dimensions as a section of the scene reference.

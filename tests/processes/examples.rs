@@ -7,7 +7,7 @@ use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Place, Run, assert_nothing_left, trabecula};
 
 /// Each scene, and the line by which it shows its feature.
-const GALLERY: [(&str, &str); 21] = [
+const GALLERY: [(&str, &str); 22] = [
     ("arm_compliance.toml", "[arm.compliance]"),
     ("arm_joints.toml", "[[arm.joint]]"),
     ("arm_model.toml", "model = \"ur10e\""),
@@ -25,6 +25,7 @@ const GALLERY: [(&str, &str); 21] = [
     ("tendons.toml", "[[tendon]]"),
     ("tolerance.toml", "[tolerance]"),
     ("tool_drill_bit.toml", "shape = \"bit\""),
+    ("tool_drive_shaft.toml", "[manipulator.tool.drive_shaft]"),
     ("tool_pre_curved.toml", "start_shape = \"straight\""),
     ("tool_rigid.toml", "file = \"../tools/rigid_drill.toml\""),
     ("tool_two_segments.toml", "file = \"../tools/two_segments.toml\""),

@@ -30,6 +30,7 @@ pub(crate) fn tool(tool: &ToolDescription, above: &str, checker: &Checker) -> Re
     }
     check.shaft(places[0].at_mm)?;
     check.burr(&places)?;
+    check.drive_shaft(&places)?;
     tool.tendon.iter().enumerate().try_for_each(|(index, tendon)| check.tendon(index, tendon, &places))
 }
 
@@ -151,6 +152,33 @@ impl Check<'_> {
             return Err(self.invalid("burr.offset_mm", problem));
         }
         Ok(())
+    }
+
+    /// A shaft bends over a length, runs in a lumen, and turns a cutter that has mass. What rubs can be overcome.
+    fn drive_shaft(&self, places: &[FlexurePlace]) -> Result<(), SceneError> {
+        let Some(shaft) = &self.tool.drive_shaft else { return Ok(()) };
+        if self.tool.tube.inner_diameter_mm == 0.0 {
+            return Err(self.invalid("drive_shaft", "needs a lumen; `tube.inner_diameter_mm` is 0"));
+        }
+        let has_length = (0..places.len()).all(|index| ToolDescription::length_mm(places, index).is_some());
+        if shaft.bending_stiffness_nm2 > 0.0 && !has_length {
+            let problem = "is missing; the shaft's bending stiffness acts over this length";
+            return Err(self.invalid("flexure[0].length_mm", problem));
+        }
+        if shaft.torsional_stiffness_nm2.is_some() && self.tool.burr.mass_g == 0.0 {
+            let problem = "is 0; expected more: the burr turns on a shaft that twists";
+            return Err(self.invalid("burr.mass_g", problem));
+        }
+        match shaft.stall_torque_nmm {
+            Some(stall_nmm) if shaft.friction_torque_nmm >= stall_nmm => {
+                let problem = format!(
+                    "is {}, expected less than `drive_shaft.stall_torque_nmm`, which is {stall_nmm}: the burr would never turn",
+                    shaft.friction_torque_nmm
+                );
+                Err(self.invalid("drive_shaft.friction_torque_nmm", problem))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Which keys a shape has, and that they give a body whose balls stand apart.

@@ -37,6 +37,8 @@ pub struct ToolDescription {
     pub stop: FlexureStop,
     /// The cutter.
     pub burr: ToolBurr,
+    /// The flexible shaft in the tube that turns the cutter. Absent: it bends with the tube for nothing, and does not twist.
+    pub drive_shaft: Option<ToolDriveShaft>,
     /// The tendons, in the order of the commands.
     #[serde(default)]
     #[schemars(length(max = MAX_TENDONS))]
@@ -202,6 +204,33 @@ pub enum CutterShape {
     Cone,
     /// A drill bit: a conical point with a round tip, and the cylinder behind it.
     Bit,
+}
+
+/// The flexible shaft that carries the motor's torque through the tube to the cutter.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ToolDriveShaft {
+    /// Its bending stiffness E I: each flexure is stiffer by E I over its length. The shaft is straight by itself.
+    #[serde(default)]
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub bending_stiffness_nm2: f64,
+    /// Its torsional stiffness G J: a torque T winds it up by T `length_mm` / (G J). Absent: it does not twist.
+    #[schemars(range(min = 1e-7, max = 100.0), extend("x-absent" = "rigid"))]
+    pub torsional_stiffness_nm2: Option<f64>,
+    /// From the motor to the cutter.
+    #[schemars(range(min = 1.0, max = 5000.0), extend("x-absent" = "from the flange to the burr"))]
+    pub length_mm: Option<f64>,
+    /// Damping ratio of the cutter's torsional oscillation on the shaft.
+    #[serde(default = "standard_damping")]
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub torsional_damping_ratio: f64,
+    /// Torque at which the motor stands; `manipulator.burr_stall_torque_nmm` of a scene stands in its place.
+    #[schemars(range(min = 0.01, max = 1e4), extend("x-absent" = "none"))]
+    pub stall_torque_nmm: Option<f64>,
+    /// Torque of the shaft's friction against the tube, which the motor bears beside the cutter's.
+    #[serde(default)]
+    #[schemars(range(min = 0.0, max = 1e4))]
+    pub friction_torque_nmm: f64,
 }
 
 /// A tendon of a tool.

@@ -7,12 +7,14 @@
 //! forces on the balls behind its front one.
 //!
 //! A motor with a stall torque M_s turns at `(1 - M/M_s)` times the commanded speed: the line of a DC motor at a constant voltage. At M_s
-//! it stands, and its burr rubs and cuts nothing until it is pressed less.
+//! it stands, and its burr rubs and cuts nothing until it is pressed less. The friction of a drive shaft adds to M, and one that twists lets
+//! the burr lag behind the motor: [`super::drive_shaft`].
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::Simulation;
+use super::drive_shaft::{Load, Torsion, TorsionState};
 use crate::bone::cutting::lever_share;
 use crate::bone::{Ball, BurrContact};
 use crate::manipulator::{ManipulatorModel, ProxySphere, Wrench};
@@ -22,6 +24,12 @@ use crate::manipulator::{ManipulatorModel, ProxySphere, Wrench};
 pub(super) struct BurrDrive {
     /// Torque at which the motor stands, N m; `None`: any torque is borne.
     pub stall_torque_nm: Option<f64>,
+    /// The key that says so.
+    pub stall_key: &'static str,
+    /// Torque of the drive shaft's friction against the tube, N m.
+    pub friction_torque_nm: f64,
+    /// A drive shaft that twists.
+    pub torsion: Option<Torsion>,
     /// Whether cutting pushes the burr aside.
     pub side_force: bool,
     /// Cutting over normal force.
@@ -42,6 +50,9 @@ pub(super) struct BurrDriveState {
     /// it beside this, and only for a longer cutter.
     #[serde(skip)]
     pub side_torque_nm: [f64; 3],
+    /// Of a shaft that twists; a keyframe holds it beside this, and only there.
+    #[serde(skip)]
+    pub shaft: TorsionState,
 }
 
 /// At which distance from the spin axis contacts cut.
@@ -56,15 +67,25 @@ enum Lever {
 impl BurrDrive {
     /// Whether there is anything to compute, and to save.
     pub fn is_modelled(&self) -> bool {
-        self.side_force || self.stall_torque_nm.is_some()
+        self.side_force || self.stall_torque_nm.is_some() || self.torsion.is_some()
     }
 
-    /// Speed under the last tick's torque, rad/s.
-    fn speed_rad_per_s(&self) -> f64 {
+    /// Torque that the last tick's contacts and the shaft's friction ask of the motor, N m.
+    fn brake_nm(&self) -> f64 {
+        self.state.torque_nm + self.friction_torque_nm
+    }
+
+    /// Speed under the last tick's torque, rad/s; of a burr on a shaft that twists, its mean over the tick.
+    fn turn(&mut self, dt_s: f64) -> f64 {
         let command = self.state.command_rad_per_s;
-        match self.stall_torque_nm {
-            None => command,
-            Some(stall_nm) => command * (1.0 - self.state.torque_nm / stall_nm).max(0.0),
+        let (stall_torque_nm, brake_nm) = (self.stall_torque_nm, self.brake_nm());
+        match (&self.torsion, stall_torque_nm) {
+            (Some(torsion), _) => {
+                let load = Load { command_rad_per_s: command, stall_torque_nm, brake_nm };
+                torsion.turn(&mut self.state.shaft, &load, dt_s)
+            }
+            (None, None) => command,
+            (None, Some(stall_nm)) => command * (1.0 - brake_nm / stall_nm).max(0.0),
         }
     }
 
@@ -122,18 +143,36 @@ impl Simulation<'_> {
 
     /// Sets the burr's speed for the tick; a motor that comes to stand is told to whoever drives the burr.
     pub(super) fn turn_burr(&mut self) {
-        let (before, drive) = (self.burr_speed_rad_per_s, &self.burr_drive);
-        self.burr_speed_rad_per_s = drive.speed_rad_per_s();
-        let stands = self.burr_speed_rad_per_s == 0.0 && drive.state.command_rad_per_s != 0.0;
-        if stands && before != 0.0 {
+        let (before, stalled_before) = (self.burr_speed_rad_per_s, self.burr_drive.state.shaft.is_stalled);
+        self.burr_speed_rad_per_s = self.burr_drive.turn(self.dt_s);
+        let drive = &self.burr_drive;
+        // A shaft that winds up holds the burr for a while; that is no stall.
+        let comes_to_stand = match drive.torsion {
+            Some(_) => drive.state.shaft.is_stalled && !stalled_before,
+            None => {
+                let stands = self.burr_speed_rad_per_s == 0.0 && drive.state.command_rad_per_s != 0.0;
+                stands && before != 0.0
+            }
+        };
+        if comes_to_stand {
             let (torque_nmm, stall_nmm) =
                 (drive.state.torque_nm * 1e3, drive.stall_torque_nm.unwrap_or(f64::INFINITY) * 1e3);
+            let friction = match drive.friction_torque_nm {
+                0.0 => String::new(),
+                nm => format!(", the shaft's friction {}", nm * 1e3),
+            };
+            let key = drive.stall_key;
             let reason = format!(
-                "burr: its motor stands: bone takes {torque_nmm:.3} N mm, `manipulator.burr_stall_torque_nmm` is {stall_nmm}"
+                "burr: its motor stands: bone takes {torque_nmm:.3} N mm{friction}, `{key}` is {stall_nmm}"
             );
             self.tell_burr_driver(reason);
         }
         self.manipulator.set_burr_turns(self.burr_speed_rad_per_s != 0.0);
+    }
+
+    /// How far the motor is ahead of the burr, rad: the wind-up of a drive shaft that twists. 0 without one.
+    pub fn drive_shaft_wind_up_rad(&self) -> f64 {
+        self.burr_drive.state.shaft.wind_up_rad
     }
 
     /// The force of the last tick's cutting on the tool's tip.

@@ -79,6 +79,10 @@ impl Simulation<'_> {
             let torque_nm = &self.burr_drive.state.side_torque_nm;
             end += postcard::to_slice(torque_nm, &mut buffer[end..]).map_err(too_long)?.len();
         }
+        if self.burr_drive.torsion.is_some() {
+            let shaft = &self.burr_drive.state.shaft;
+            end += postcard::to_slice(shaft, &mut buffer[end..]).map_err(too_long)?.len();
+        }
         if !self.sensors.is_empty() {
             end +=
                 postcard::to_slice(&self.sensors.serialised(), &mut buffer[end..]).map_err(too_long)?.len();
@@ -121,6 +125,10 @@ impl Simulation<'_> {
         };
         if self.has_side_torque() {
             (burr_drive.side_torque_nm, rest) =
+                postcard::take_from_bytes(rest).map_err(|cause| unreadable(cause.to_string()))?;
+        }
+        if self.burr_drive.torsion.is_some() {
+            (burr_drive.shaft, rest) =
                 postcard::take_from_bytes(rest).map_err(|cause| unreadable(cause.to_string()))?;
         }
         let (sensors, rest) = match self.sensors.is_empty() {

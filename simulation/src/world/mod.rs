@@ -14,6 +14,7 @@
 mod apply;
 mod arm_in_bone;
 mod burr_drive;
+mod drive_shaft;
 mod feasibility;
 mod keyframe;
 mod lost;

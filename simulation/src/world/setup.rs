@@ -5,9 +5,11 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vect
 use scene::{
     Body, BodyMotion as SceneMotion, ContactVoxels as SceneContactVoxels, Cutter,
     Integrator as SceneIntegrator, ManipulatorRung, Removal as SceneRemoval, Scene, StartShape, Tool,
+    ToolDriveShaft,
 };
 
 use super::burr_drive::{BurrDrive, BurrDriveState};
+use super::drive_shaft::Torsion;
 use super::move_tool::PLANES_PER_SPHERE;
 use super::tendon_drive::TendonDrive;
 use super::tool::{described, twist_rad_per_m};
@@ -35,6 +37,7 @@ pub(super) fn build<'v>(
     // Use the arm's own forward kinematics, so that tick 1 does not start with a jump from rounding.
     let base = BaseMotion::at_rest(arm.state().t_world_tool);
     let cutter = parameters.cutter;
+    let burr_drive = burr_drive(scene, &parameters);
     let compliance = compliance(scene, arm.parameters(), &parameters)?;
     let mut manipulator =
         AnyManipulator::new(rung(scene.manipulator.model.unwrap_or_default()), parameters, &base)?;
@@ -69,7 +72,7 @@ pub(super) fn build<'v>(
         rigid,
         planes: Vec::with_capacity(sphere_count * (PLANES_PER_SPHERE + scene.body.len())),
         tendon: TendonDrive::new(),
-        burr_drive: burr_drive(scene),
+        burr_drive,
         burr_speed_rad_per_s: 0.0,
         cutting_energy_j: 0.0,
         crushing_energy_j: 0.0,
@@ -92,14 +95,38 @@ pub(super) fn build<'v>(
     })
 }
 
-fn burr_drive(scene: &Scene) -> BurrDrive {
+fn burr_drive(scene: &Scene, tool: &ManipulatorParameters) -> BurrDrive {
     let standard = CuttingLaw::default().cutting_friction;
+    let shaft = scene.manipulator.tool.as_ref().and_then(|tool| tool.drive_shaft.as_ref());
+    let own_stall_nmm = scene.manipulator.burr_stall_torque_nmm;
     BurrDrive {
-        stall_torque_nm: scene.manipulator.burr_stall_torque_nmm.map(|torque| torque * 1e-3),
+        stall_torque_nm: own_stall_nmm
+            .or_else(|| shaft.and_then(|shaft| shaft.stall_torque_nmm))
+            .map(|torque| torque * 1e-3),
+        stall_key: match own_stall_nmm {
+            Some(_) => "manipulator.burr_stall_torque_nmm",
+            None => "drive_shaft.stall_torque_nmm",
+        },
+        friction_torque_nm: shaft.map_or(0.0, |shaft| shaft.friction_torque_nmm * 1e-3),
+        torsion: shaft.and_then(|shaft| torsion(shaft, tool)),
         side_force: scene.drilling.side_force.unwrap_or(false),
         cutting_coefficient: cutting_coefficient(scene).unwrap_or(standard),
         state: BurrDriveState::default(),
     }
+}
+
+/// The shaft as a spring `G J / length` with the burr at its end; the damping is its ratio of `2 sqrt(k J)`.
+fn torsion(shaft: &ToolDriveShaft, tool: &ManipulatorParameters) -> Option<Torsion> {
+    let length_m = shaft.length_mm.map_or(tool.burr_centre_m(), |mm| mm * 1e-3);
+    let stiffness_nm_per_rad = shaft.torsional_stiffness_nm2? / length_m;
+    let inertia_kg_m2 = tool.burr_mass_kg * tool.cutter.solid().along_m2;
+    Some(Torsion {
+        stiffness_nm_per_rad,
+        damping_nms_per_rad: 2.0
+            * shaft.torsional_damping_ratio
+            * libm::sqrt(stiffness_nm_per_rad * inertia_kg_m2),
+        inertia_kg_m2,
+    })
 }
 
 /// The scene's own cutting coefficient, or that of its tool's burr.

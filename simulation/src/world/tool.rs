@@ -13,7 +13,7 @@ use crate::manipulator::{
 ///
 /// The bending stiffness of a flexure is, in this order: its own; that of its notches, `E` times [`Notch::unit_stiffness`]; that of a piece
 /// of round tube, `k = E I / length` with `I = pi/4 (r_o^4 - r_i^4)`. The other freedoms follow from the notches or the tube by
-/// [`StiffnessRatios`].
+/// [`StiffnessRatios`]. A drive shaft lies beside the tube: see [`beside_shaft`].
 pub(super) fn described(tool: &ToolDescription) -> ManipulatorParameters {
     let places = tool.flexures();
     let radii = tool.radii();
@@ -26,9 +26,17 @@ pub(super) fn described(tool: &ToolDescription) -> ManipulatorParameters {
         youngs_modulus_pa: tool.tube.youngs_modulus_gpa.map_or(0.0, |modulus| modulus * 1e9),
     };
     let density = tool.tube.linear_density_kg_per_m;
-    let rest: Vec<f64> = places.iter().map(|place| place.flexure.rest_deg * PI / 180.0).collect();
-    let (joint_stiffness_nm_per_rad, ratios) =
+    let mut rest: Vec<f64> = places.iter().map(|place| place.flexure.rest_deg * PI / 180.0).collect();
+    let (mut joint_stiffness_nm_per_rad, mut ratios): (Vec<f64>, Vec<StiffnessRatios>) =
         (0..places.len()).map(|index| material.flexure(&places, &joints_m, index)).unzip();
+    let bending_nm2 = tool.drive_shaft.as_ref().map_or(0.0, |shaft| shaft.bending_stiffness_nm2);
+    if bending_nm2 > 0.0 {
+        for (index, ratio) in ratios.iter_mut().enumerate() {
+            let length_m = ToolDescription::length_mm(&places, index).unwrap_or(f64::INFINITY) * 1e-3;
+            let flexure = (&mut joint_stiffness_nm_per_rad[index], &mut rest[index], ratio);
+            beside_shaft(bending_nm2 / length_m, flexure);
+        }
+    }
     let spheres = shaft_spheres(tool, first_m);
     ManipulatorParameters {
         joint_stiffness_nm_per_rad,
@@ -61,6 +69,26 @@ pub(super) fn described(tool: &ToolDescription) -> ManipulatorParameters {
         joint_positions_m: joints_m,
         ..ManipulatorParameters::jhu_27()
     }
+}
+
+/// Adds a drive shaft to a flexure: two beams in parallel bend by the same angle, so `k = k_tube + E I / length`, in and across the plane.
+/// The shaft slides and turns in the tube, so stretch, shear and torsion stay the tube's: their ratios to the bending stiffness fall. It is
+/// straight by itself, and the two rest where their moments cancel: `q_0 = q_tube k_tube / k`.
+fn beside_shaft(
+    shaft_nm_per_rad: f64,
+    (stiffness, rest, ratios): (&mut f64, &mut f64, &mut StiffnessRatios),
+) {
+    let whole = *stiffness + shaft_nm_per_rad;
+    let share = *stiffness / whole;
+    *rest *= share;
+    *ratios = StiffnessRatios {
+        lateral: share * ratios.lateral + shaft_nm_per_rad / whole,
+        torsion: share * ratios.torsion,
+        axial_per_m2: share * ratios.axial_per_m2,
+        shear_toward_per_m2: share * ratios.shear_toward_per_m2,
+        shear_across_per_m2: share * ratios.shear_across_per_m2,
+    };
+    *stiffness = whole;
 }
 
 /// A tendon's twist in SI units.
