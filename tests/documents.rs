@@ -214,6 +214,7 @@ const NO_CAPACITIES: &[(&str, &str)] = &[
     ("MAX_FREEDOMS", "simulation/src/manipulator/pressing.rs"),
     ("MOST_FAR_PLANES", "simulation/src/bone/query.rs"),
     ("MOST_PLANES", "simulation/src/bone/yielding.rs"),
+    ("MOST_NORMALS", "simulation/src/bone/yielding.rs"),
     ("MAX_GROUPS", "physics_proc/src/process/held_back.rs"),
     ("MAX_HALVINGS", "xray/src/slice_ordered/parts.rs"),
     ("MAX_JOINT_RAD", "ros_interface/src/incoming.rs"),
