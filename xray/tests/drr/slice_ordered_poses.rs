@@ -230,6 +230,41 @@ fn removals_from_every_side_equal_full_renders_bit_for_bit() {
     assert!(changed >= unordinary().count(), "the cached sums were hardly used");
 }
 
+/// Errors of Joseph's method and of the sums at a pose about a coarse thigh, and the number of images; `None` where the source is in it.
+fn errors_at(degrees: (f64, f64), source_m: f64, beyond_m: f64, field_m: f64) -> Option<(usize, [f64; 2])> {
+    static WHOLE: LazyLock<Thigh> = LazyLock::new(|| Thigh::new([45, 38, 86], [2e-3; 3]));
+    let thigh = &*WHOLE;
+    let c_arm = pose(degrees, source_m, source_m + beyond_m, field_m).c_arm(64);
+    // Where one image serves all rays, the slice nearest to the source is missing: nothing must attenuate there. A slice is 2 mm thick,
+    // rays run askew in it, and the voxels of the skin stand out of the skin: 4 mm.
+    let [x, y, z] = std::array::from_fn(|a| c_arm.source_m[a] / (thigh.shapes[0].semi_axes_m[a] + 4e-3));
+    if x * x + y * y + z * z <= 1.0 {
+        return None;
+    }
+    let (images, [joseph, sums, _]) = thigh.errors(&c_arm, SliceOrderedOptions::default());
+    Some((images, [joseph, sums]))
+}
+
+/// Two samplings of one edge differ by chance at a pose (next test), and not over many: the same 500 poses every time.
+#[test]
+fn many_poses_have_together_the_error_of_joseph() {
+    let (mut count, mut joseph2, mut sums2) = (0, 0.0, 0.0);
+    for n in 1..=500 {
+        // Roberts' sequence in five dimensions fills the ranges evenly: powers of 1/g, g^6 = g + 1.
+        let between = |low: f64, high: f64, axis: i32| {
+            low + (high - low) * (f64::from(n) * 1.134_724_138_401_519_5_f64.powi(-axis)).fract()
+        };
+        let degrees = (between(-180.0, 180.0, 1), between(-90.0, 90.0, 2));
+        let (source_m, beyond_m) = (between(0.05, 0.7, 3), between(0.001, 0.3, 4));
+        if let Some((_, [joseph, sums])) = errors_at(degrees, source_m, beyond_m, between(0.05, 0.4, 5)) {
+            (joseph2, sums2, count) = (joseph2 + joseph * joseph, sums2 + sums * sums, count + 1);
+        }
+    }
+    let ratio = (sums2 / joseph2).sqrt();
+    println!("rms error of {count} poses over Joseph's: {ratio:.4}");
+    assert!(ratio < 1.0, "{ratio}");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
@@ -238,15 +273,10 @@ proptest! {
         primary in -180.0..180.0_f64, secondary in -90.0..90.0_f64,
         source_m in 0.05..0.7_f64, beyond_m in 0.001..0.3_f64, field_m in 0.05..0.4_f64,
     ) {
-        static WHOLE: LazyLock<Thigh> = LazyLock::new(|| Thigh::new([45, 38, 86], [2e-3; 3]));
-        let thigh = &*WHOLE;
-        let pose = pose((primary, secondary), source_m, source_m + beyond_m, field_m);
-        let c_arm = pose.c_arm(64);
-        // Where one image serves all rays, the slice nearest to the source is missing: nothing must attenuate there.
-        let [x, y, z] = std::array::from_fn(|a| c_arm.source_m[a] / thigh.shapes[0].semi_axes_m[a]);
-        prop_assume!(x * x + y * y + z * z > 1.0);
-        let (images, [joseph, sums, _]) = thigh.errors(&c_arm, SliceOrderedOptions::default());
-        // Two samplings of one edge differ by chance: of 2969 poses, the worst had 1.09 times Joseph's error.
-        prop_assert!(sums < 1.2 * joseph, "{images} images: {sums} {joseph}");
+        let found = errors_at((primary, secondary), source_m, beyond_m, field_m);
+        prop_assume!(found.is_some());
+        let (images, [joseph, sums]) = found.unwrap();
+        // Two samplings of one edge differ by chance: of 12 000 poses 24 had more than 1.08 times Joseph's error, the worst 1.29.
+        prop_assert!(sums < 1.5 * joseph, "{images} images: {sums} {joseph}");
     }
 }
