@@ -151,3 +151,17 @@ fn a_data_set_of_several_runs_is_split_by_run() {
         "{about}"
     );
 }
+
+/// A second log that cannot be taken was found only after the first one's files were written.
+#[test]
+fn a_log_that_cannot_be_taken_refuses_the_export_before_its_first_file() {
+    let place = recorded();
+    let (log, output, absent) = (place.path("run"), place.path("set"), place.path("absent"));
+    let other = Place::new();
+    let blind = other.complete(&scenes::drill_unseen("lockstep", 0.05)).folder;
+    for (second, expected) in [(&absent, "cannot open the log"), (&blind, "the scene has no X-ray")] {
+        let done = trabecula(&[&"log", &"export", &log, second, &"-o", &output, &"--dataset", &"coco"]);
+        assert!(done.code == Some(2) && done.err.contains(expected), "{:?} {}", done.code, done.err);
+        assert!(!output.exists(), "{expected}: something is left");
+    }
+}

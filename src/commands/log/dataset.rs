@@ -9,8 +9,8 @@ use ipc_types::messages::Tick;
 use ipc_types::messages::layout::hex;
 use ipc_types::scene::Drr;
 use recorder_proc::exit_code::exit_code;
-use recorder_proc::log_file::log_path;
-use run_log::Verdict;
+use recorder_proc::log_file::{LogFile, log_path};
+use run_log::{LogError, Verdict, frames};
 use serde_json::json;
 use zerocopy::FromBytes;
 
@@ -20,6 +20,8 @@ use crate::dataset::{Dataset, DatasetFile, Format, Run, Sample};
 use crate::failure::Failure;
 use crate::replay::{FrameReplay, OpenedLog, Overrides, compare};
 
+const NO_X_RAY: &str = "the scene has no X-ray";
+
 /// Exports it.
 ///
 /// # Errors
@@ -27,14 +29,14 @@ use crate::replay::{FrameReplay, OpenedLog, Overrides, compare};
 /// build renders differently, a damaged log, a full disk (1); a log that has a gap, is cut or was not ended (3).
 pub fn export(format: Format, arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     refuse_used(&arguments.output)?;
-    let mut export = Export { arguments, format, dataset: None, in_gaps: 0 };
+    let bone_from_hu = checked(arguments)?;
+    let dataset = Dataset::new(format, bone_from_hu, arguments.split.as_ref());
+    let mut export = Export { arguments, dataset, in_gaps: 0 };
     let mut verdicts = Vec::with_capacity(arguments.logs.len());
     for (index, log) in arguments.logs.iter().enumerate() {
         verdicts.push(export.take(log, index)?);
     }
-    let Export { dataset: Some(dataset), in_gaps, .. } = export else {
-        return Err(Failure::bad_input("--dataset: no log was given"));
-    };
+    let Export { dataset, in_gaps, .. } = export;
     let (frames, parts) = (dataset.len(), dataset.lengths());
     let folder = &arguments.output;
     dataset.end().into_iter().try_for_each(|file| write(folder, file))?;
@@ -71,9 +73,7 @@ pub fn export(format: Format, arguments: &ExportArguments, out: &mut Out<'_>) ->
 /// An export under way.
 struct Export<'a> {
     arguments: &'a ExportArguments,
-    format: Format,
-    /// Begun with the first log.
-    dataset: Option<Dataset>,
+    dataset: Dataset,
     in_gaps: u64,
 }
 
@@ -81,31 +81,12 @@ impl Export<'_> {
     /// Takes the frames of a log.
     fn take(&mut self, log: &Path, index: usize) -> Result<Verdict, Failure> {
         let arguments = self.arguments;
-        let overrides = Overrides {
-            volume: arguments.volume.clone(),
-            volume_files: arguments.volume_files,
-            ..Overrides::default()
-        };
-        let log = OpenedLog::open(log, &overrides)?;
-        let refused =
-            |what: String| Failure::bad_input(format!("--dataset: {}: {what}", foreign_path(&log.path)));
+        let log = open(log, arguments)?;
         let threads = std::thread::available_parallelism().map_or(1, usize::from);
-        let (Some(mut replay), Some(volume)) = (FrameReplay::new(&log, threads)?, &log.scene.volume) else {
-            return Err(refused("the scene has no X-ray".to_owned()));
-        };
+        let Some(mut replay) = FrameReplay::new(&log, threads)? else { return Err(refused(&log, NO_X_RAY)) };
         let labels = log.scene.drr.as_ref().map(Drr::labels).unwrap_or_default();
-        let threshold_hu = labels.bone_from_hu.unwrap_or(volume.bone_threshold_hu);
-        let bone_from_hu = arguments.bone_from_hu.unwrap_or(threshold_hu);
-        let new = || Dataset::new(self.format, bone_from_hu, arguments.split.as_ref());
-        let dataset = self.dataset.get_or_insert_with(new);
-        if dataset.bone_from_hu() != bone_from_hu {
-            let before = dataset.bone_from_hu();
-            return Err(refused(format!(
-                "bone is from {bone_from_hu} HU, and from {before} HU in the logs before; give one with --bone-from-hu"
-            )));
-        }
+        let bone_from_hu = self.dataset.bone_from_hu();
         let run = Run { images: labels.images, ..run(&log, arguments, index)? };
-        let before = dataset.len();
         while let Some(recorded) = replay.next_recorded()? {
             if !arguments.ticks().contains(Tick(recorded.frame.tick)) {
                 continue;
@@ -120,14 +101,69 @@ impl Export<'_> {
             }
             let greys = rendered.pixels.chunks_exact(2).filter_map(|grey| u16::read_from_bytes(grey).ok());
             let sample = Sample { frame: rendered.frame, greys: greys.collect(), labels };
-            let files = dataset.add(&sample, &run).map_err(refused)?;
+            let files = self.dataset.add(&sample, &run).map_err(|what| refused(&log, &what))?;
             files.into_iter().try_for_each(|file| write(&arguments.output, file))?;
-        }
-        if dataset.len() == before {
-            return Err(refused("the log has no frames for these ticks".to_owned()));
         }
         Ok(replay.verdict())
     }
+}
+
+/// Opens every log once before the first file is written: one that cannot be taken refuses the export, and nothing is left of it. Returns
+/// from which HU on voxels are bone.
+fn checked(arguments: &ExportArguments) -> Result<i16, Failure> {
+    let mut common = None;
+    for log in &arguments.logs {
+        let log = open(log, arguments)?;
+        let (Some(drr), Some(volume)) = (&log.scene.drr, &log.scene.volume) else {
+            return Err(refused(&log, NO_X_RAY));
+        };
+        let threshold_hu = drr.labels().bone_from_hu.unwrap_or(volume.bone_threshold_hu);
+        let own = (arguments.bone_from_hu.unwrap_or(threshold_hu), log.reader()?.initial().joint_count);
+        let first = *common.get_or_insert(own);
+        if own.0 != first.0 {
+            let what = format!(
+                "bone is from {} HU, and from {} HU in the logs before; give one with --bone-from-hu",
+                own.0, first.0
+            );
+            return Err(refused(&log, &what));
+        }
+        if own.1 != first.1 {
+            let what = format!("its tool has {} joints, that of the logs before {}", own.1, first.1);
+            return Err(refused(&log, &what));
+        }
+        if !has_frames(&log, arguments)? {
+            return Err(refused(&log, "the log has no frames for these ticks"));
+        }
+    }
+    common
+        .map(|(bone_from_hu, _)| bone_from_hu)
+        .ok_or_else(|| Failure::bad_input("--dataset: no log was given"))
+}
+
+/// Whether a log has a frame for the ticks that are asked for; damage is told by the export itself.
+fn has_frames(log: &OpenedLog, arguments: &ExportArguments) -> Result<bool, Failure> {
+    let mut recorded = frames(&LogFile::at(&log.path), log.options())?;
+    loop {
+        match recorded.next() {
+            None => return Ok(false),
+            Some(Ok(record)) if !arguments.ticks().contains(Tick(record.frame.tick)) => {}
+            Some(Err(LogError::Gap { .. })) if recorded.go_on() => {}
+            Some(_) => return Ok(true),
+        }
+    }
+}
+
+fn open(log: &Path, arguments: &ExportArguments) -> Result<OpenedLog, Failure> {
+    let overrides = Overrides {
+        volume: arguments.volume.clone(),
+        volume_files: arguments.volume_files,
+        ..Overrides::default()
+    };
+    OpenedLog::open(log, &overrides)
+}
+
+fn refused(log: &OpenedLog, what: &str) -> Failure {
+    Failure::bad_input(format!("--dataset: {}: {what}", foreign_path(&log.path)))
 }
 
 /// The run of a log, the `index`th of all.
