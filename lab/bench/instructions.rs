@@ -39,7 +39,7 @@ pub fn run(scene: &SceneSource, ticks: Option<u64>, sheet: &mut Sheet) -> Result
             );
             Ok(())
         }
-        _ => Err(ran.failure()),
+        _ => Err(callgrind::failure(&ran)),
     }
 }
 

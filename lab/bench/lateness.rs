@@ -4,17 +4,16 @@
 //! it wakes. It does not compute, read or publish anything, so what the hub is later than it is the hub's. Waiting `event` sleeps as it does;
 //! `hybrid` wakes early and looks at the clock.
 
-use std::fs::File;
 use std::path::Path;
-use std::process::{Command, ExitStatus, Stdio};
-use std::time::{Duration, Instant};
+use std::process::Command;
+use std::time::Duration;
 
-use ipc_types::process::{EndRequest, Role, bind_to_parent};
+use ipc_types::process::{EndRequest, Role};
 use ipc_types::scene::{Mode, Policy, Scene, Wait};
 use serde_json::json;
 
 use super::samples::{Samples, median};
-use super::{complete_run, failed};
+use super::{complete_run, failed, outside};
 use crate::sheet::Sheet;
 use crate::stress::load::Loads;
 use crate::stress::plan::{Load, policy_name, wait_name};
@@ -28,7 +27,6 @@ use trabecula::scenes::SceneSource;
 const GRACE: Duration = Duration::from_secs(60);
 /// Longer than a run takes to start and end, for the neighbours.
 const RUN_GRACE: Duration = Duration::from_secs(120);
-const POLL: Duration = Duration::from_millis(20);
 const QUANTILES: [(&str, f64); 3] = [("p50", 0.5), ("p99", 0.99), ("p99.9", 0.999)];
 const WAITS: [Wait; 2] = [Wait::Event, Wait::Hybrid];
 
@@ -160,7 +158,6 @@ fn ticks(scene: &Scene, end: &EndRequest) -> Result<Samples, Failure> {
 /// Lateness of as many wake-ups of `cyclictest`.
 fn cyclictest(scene: &Scene, folder: &Path) -> Result<Samples, Failure> {
     let priority = Role::Physics.priority(scene.run.policy);
-    let [out, report] = ["out.txt", "report.txt"].map(|name| folder.join(name));
     // `--default-system`: without a request for the processor to stay awake, which the hub does not make either.
     let mut command = Command::new("nice");
     command.args(["-n", &priority.nice.to_string(), "cyclictest", "--default-system", "--mlockall"]);
@@ -170,35 +167,17 @@ fn cyclictest(scene: &Scene, folder: &Path) -> Result<Samples, Failure> {
         Some(fifo) => command.args(["--policy=fifo", "--priority", &fifo.to_string()]),
         None => command.arg("--policy=other"),
     };
-    command.stdin(Stdio::null()).stdout(File::create(&out).map_err(failed)?);
-    command.stderr(File::create(&report).map_err(failed)?);
-    let status = within(&mut command, Duration::from_secs_f64(scene.run.duration_s) + GRACE)?;
-    let late = parse(&std::fs::read_to_string(&out).map_err(failed)?);
-    if !status.success() || late.count() == 0 {
-        let words = std::fs::read_to_string(&report).map_err(failed)?;
+    let limit = Duration::from_secs_f64(scene.run.duration_s) + GRACE;
+    let said = outside::run(&mut command, folder, limit, "`bench lateness` starts `cyclictest` with it")?;
+    let late = parse(&said.out);
+    if !said.status.success() || late.count() == 0 {
         return Err(Failure::failed(format!(
-            "cyclictest ({status}): {}; it is in the Debian package `rt-tests`, and a policy of fifo needs the right to it (`trabecula doctor`)",
-            words.trim()
+            "cyclictest ({}): {}; it is in the Debian package `rt-tests`, and a policy of fifo needs the right to it (`trabecula doctor`)",
+            said.status,
+            said.report.trim()
         )));
     }
     Ok(late)
-}
-
-fn within(command: &mut Command, limit: Duration) -> Result<ExitStatus, Failure> {
-    let mut child =
-        bind_to_parent(command).spawn().map_err(|cause| Failure::failed(format!("nice: {cause}")))?;
-    let began = Instant::now();
-    loop {
-        if let Some(status) = child.try_wait().map_err(failed)? {
-            return Ok(status);
-        }
-        if began.elapsed() > limit {
-            let _ = child.kill();
-            let _ = child.wait();
-            return Err(Failure::failed(format!("cyclictest has not ended within {} s", limit.as_secs())));
-        }
-        std::thread::sleep(POLL);
-    }
 }
 
 /// The values of lines `thread: number: nanoseconds`.

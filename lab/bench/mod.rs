@@ -11,6 +11,7 @@ pub mod latency;
 pub mod lateness;
 pub mod log;
 pub mod memory;
+mod outside;
 pub mod overhead;
 pub mod ping_pong;
 pub mod readings;

@@ -185,7 +185,7 @@ fn count(files: &[PathBuf]) -> Result<Vec<u64>, Failure> {
     let ran =
         callgrind::run(folder.path(), &options, arguments.chain(files.iter().map(|file| file.as_os_str())))?;
     if !ran.status.success() {
-        return Err(ran.failure());
+        return Err(callgrind::failure(&ran));
     }
     // The first is the reference.
     let counts: Vec<u64> =
