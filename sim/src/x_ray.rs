@@ -71,9 +71,8 @@ impl XRay {
         sequence: u64,
         bone_from_hu: Option<i16>,
     ) -> Result<(Rendered, Labels), SimError> {
-        let volume_of = shared.scene().volume.as_ref().ok_or(SimError::NoXRay)?;
-        let of_scene = || shared.scene().drr.as_ref().and_then(|drr| drr.labels().bone_from_hu);
-        let bone_from_hu = bone_from_hu.or_else(of_scene).unwrap_or(volume_of.bone_threshold_hu);
+        let of_scene = shared.scene().labels_bone_from_hu().ok_or(SimError::NoXRay)?;
+        let bone_from_hu = bone_from_hu.unwrap_or(of_scene);
         let mut job = self.job(shared, state, drilled, from, sequence)?;
         let rendered = self.render_job(shared, &job, drilled.len())?;
         // The renderer has the voxels of this state now.

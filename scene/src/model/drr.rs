@@ -244,6 +244,14 @@ pub struct Drr {
     pub threads: usize,
 }
 
+impl super::Scene {
+    /// Voxels at or above this are bone in the labels of its frames; `None` without a volume.
+    pub fn labels_bone_from_hu(&self) -> Option<i16> {
+        let own = self.drr.as_ref().and_then(|drr| drr.labels.as_ref()?.bone_from_hu);
+        self.volume.as_ref().map(|volume| own.unwrap_or(volume.bone_threshold_hu))
+    }
+}
+
 impl Drr {
     /// What its labels are.
     pub fn labels(&self) -> DrrLabels {

@@ -114,10 +114,9 @@ fn checked(arguments: &ExportArguments) -> Result<i16, Failure> {
     let mut common = None;
     for log in &arguments.logs {
         let log = open(log, arguments)?;
-        let (Some(drr), Some(volume)) = (&log.scene.drr, &log.scene.volume) else {
+        let (Some(_), Some(threshold_hu)) = (&log.scene.drr, log.scene.labels_bone_from_hu()) else {
             return Err(refused(&log, NO_X_RAY));
         };
-        let threshold_hu = drr.labels().bone_from_hu.unwrap_or(volume.bone_threshold_hu);
         let own = (arguments.bone_from_hu.unwrap_or(threshold_hu), log.reader()?.initial().joint_count);
         let first = *common.get_or_insert(own);
         if own.0 != first.0 {
