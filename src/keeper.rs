@@ -14,6 +14,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
 use ipc_types::family::{bind_to_parent_with, descendants};
+use rustix::io::Errno;
 use rustix::process::{
     Pid, Resource, Rlimit, Signal, WaitOptions, WaitStatus, getpid, kill_process, kill_process_group,
     set_child_subreaper, setrlimit, wait,
@@ -27,9 +28,9 @@ use crate::failure::Failure;
 pub const END_AT_ONCE: u8 = b'K';
 /// How long the program may take to end after the launcher has ended.
 const GRACE_PERIOD: Duration = Duration::from_secs(2);
-/// How long killed processes may take to disappear; the kernel is left to deal with any stuck in an uninterruptible
-/// system call.
-const KILL_LIMIT: Duration = Duration::from_secs(2);
+/// How long killed processes may take to disappear, on a starved machine too; the kernel is left to deal with any stuck
+/// in an uninterruptible system call. A launcher that ends its run waits less.
+const KILL_LIMIT: Duration = Duration::from_secs(10);
 const KILL_POLL_PERIOD: Duration = Duration::from_millis(2);
 
 /// What the keeper reports to the launcher about the start.
@@ -138,7 +139,7 @@ impl Kept {
     /// Watches until the program and all its descendants have ended.
     fn watch(mut self, news: &Receiver<News>) -> Option<WaitStatus> {
         loop {
-            self.reap();
+            let _ = self.reap();
             if self.status.is_some() {
                 break;
             }
@@ -166,26 +167,28 @@ impl Kept {
         let _ = kill_process_group(self.program, Signal::CONT);
     }
 
-    fn reap(&mut self) {
-        while let Ok(Some((pid, status))) = wait(WaitOptions::NOHANG) {
-            if pid == self.program {
-                self.status = Some(status);
+    /// Whether this process has children left.
+    fn reap(&mut self) -> bool {
+        loop {
+            match wait(WaitOptions::NOHANG) {
+                Ok(Some((pid, status))) if pid == self.program => self.status = Some(status),
+                Ok(Some(_)) | Err(Errno::INTR) => {}
+                Ok(None) => return true,
+                Err(_) => return false,
             }
         }
     }
 
-    /// Repeats, because a process may spawn another just before it is killed.
+    /// Kills all descendants until the kernel says that there are none: whoever's parent ends becomes a child of this
+    /// subreaper at once, so without children it has no descendants. A look through `/proc` cannot say so. It misses a
+    /// process that was spawned after the numbers were listed by one that has ended before its own entry was read.
     fn end_all(&mut self) {
         let end = Instant::now() + KILL_LIMIT;
-        loop {
-            let left = descendants(getpid());
-            left.iter().for_each(|pid| {
+        while self.reap() && Instant::now() < end {
+            descendants(getpid()).iter().for_each(|pid| {
+                // It may just have ended.
                 let _ = kill_process(*pid, Signal::KILL);
             });
-            self.reap();
-            if left.is_empty() || Instant::now() >= end {
-                return;
-            }
             std::thread::sleep(KILL_POLL_PERIOD);
         }
     }

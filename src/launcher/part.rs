@@ -31,6 +31,8 @@ const START_LIMIT: Duration = Duration::from_secs(20);
 /// How long a keeper may take to kill everything; after that it is killed itself.
 const KEEPER_LIMIT: Duration = Duration::from_secs(3);
 
+/// Looks in a row that must find no orphan.
+const LOOKS_WITHOUT_ORPHANS: u32 = 3;
 /// Interval between checks for orphans of a killed keeper.
 const ORPHAN_POLL_PERIOD: Duration = Duration::from_millis(2);
 
@@ -79,14 +81,16 @@ pub fn adopt() {
 }
 
 /// Kills the orphans of a killed keeper; a keeper that exits normally leaves none. Repeats, because a process may
-/// spawn another just before it is killed.
+/// spawn another just before it is killed or ends, which one look through `/proc` can miss.
 fn kill_orphans() {
     let end = Instant::now() + KEEPER_LIMIT;
     let mut killed = Vec::new();
+    let mut looks_without = 0;
     while IS_SUBREAPER.load(Ordering::Relaxed) && Instant::now() < end {
         let parts: Vec<Option<Pid>> = running().iter().map(|kill_handle| kill_handle.pid).collect();
         let left: Vec<Pid> = children().into_iter().filter(|pid| !parts.contains(&Some(*pid))).collect();
-        if left.is_empty() {
+        looks_without = if left.is_empty() { looks_without + 1 } else { 0 };
+        if looks_without == LOOKS_WITHOUT_ORPHANS {
             break;
         }
         for pid in left.iter().flat_map(|pid| descendants(*pid)).chain(left.iter().copied()) {
