@@ -61,8 +61,10 @@ fn arm(out: &mut Vec<Outgoing>, robot: &Robot, state: &State, stamp: Time) {
 
     let base = PoseStamped { header: header(stamp, WORLD), pose: (&state.t_world_base).into() };
     push(out, Output::ArmMeasuredCp, &base);
-    let [linear, angular] = robot.base_velocity(state).map(Into::into);
-    push(out, Output::ArmMeasuredCv, &TwistStamped { header: header(stamp, WORLD), linear, angular });
+    if let Some([linear, angular]) = robot.base_velocity(state) {
+        let (linear, angular) = (linear.into(), angular.into());
+        push(out, Output::ArmMeasuredCv, &TwistStamped { header: header(stamp, WORLD), linear, angular });
+    }
     let [force, torque] = wrench_in_base(state);
     let header = header(stamp, &robot.tool_base());
     push(out, Output::ArmMeasuredCf, &WrenchStamped { header, force: force.into(), torque: torque.into() });

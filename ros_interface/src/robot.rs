@@ -95,6 +95,11 @@ impl Robot {
         }
     }
 
+    /// Whether the flange moves against the base without joints, as a gantry's: a state holds its pose alone.
+    pub fn flange_floats(&self) -> bool {
+        matches!(self.geometry, ArmGeometry::Gantry(_))
+    }
+
     /// Frame of the arm's flange.
     pub fn flange(&self) -> String {
         format!("{}/flange", self.names.arm)
@@ -140,8 +145,12 @@ impl Robot {
             let (parent, child) = (self.arm_frame(index), self.arm_frame(index + 1));
             placed.push(Placed { parent, child, pose: pose(&t_parent_child) });
         }
+        let t_last_flange = match self.flange_floats() {
+            true => self.t_world_arm_base.inverse() * isometry(&state.t_world_flange),
+            false => self.fixed_parts[joints],
+        };
         let (parent, child) = (self.arm_frame(joints), self.flange());
-        placed.push(Placed { parent, child, pose: pose(&self.fixed_parts[joints]) });
+        placed.push(Placed { parent, child, pose: pose(&t_last_flange) });
         let mut last = (self.flange(), isometry(&state.t_world_flange));
         let mut hang = |child: String, t_world_child: &Pose, stays: bool| {
             let t_world_child = isometry(t_world_child);
@@ -161,8 +170,11 @@ impl Robot {
     }
 
     /// Velocity of the tool's base, m/s and rad/s along the world's axes: that of the flange by the arm's Jacobian, carried over to the
-    /// base.
-    pub fn base_velocity(&self, state: &State) -> [[f64; 3]; 2] {
+    /// base. `None` for a gantry, of which a state holds no velocity.
+    pub fn base_velocity(&self, state: &State) -> Option<[[f64; 3]; 2]> {
+        if self.flange_floats() {
+            return None;
+        }
         let jacobian = self.geometry.frames(&state.arm_joint_position_rad).jacobian();
         let rates = nalgebra::Vector6::from(state.arm_joint_velocity_rad_per_s);
         let twist = jacobian * rates;
@@ -171,7 +183,7 @@ impl Robot {
         let arm =
             Vector3::from(state.t_world_base.position_m) - Vector3::from(state.t_world_flange.position_m);
         let linear = turn * Vector3::new(twist[0], twist[1], twist[2]) + angular.cross(&arm);
-        [linear.into(), angular.into()]
+        Some([linear.into(), angular.into()])
     }
 }
 
@@ -183,7 +195,7 @@ fn arm_joints(scene: &Scene, geometry: &ArmGeometry) -> Vec<String> {
             let legal = |name: &str| foreign_text::plain(name).replace(['<', '>', '&', '"', '\n', '\t'], "_");
             turning.map(|joint| legal(&joint.name)).collect()
         }
-        None if geometry.moves() => ARM_JOINT_NAMES.map(str::to_owned).to_vec(),
+        None if geometry.turns() => ARM_JOINT_NAMES.map(str::to_owned).to_vec(),
         None => Vec::new(),
     }
 }
@@ -197,4 +209,42 @@ pub(crate) fn isometry(pose: &Pose) -> Isometry3<f64> {
     let [x, y, z, w] = pose.orientation_xyzw;
     let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
     Isometry3::from_parts(Translation3::from(Vector3::from(pose.position_m)), rotation)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use zerocopy::FromZeros;
+
+    use super::*;
+
+    const SCENE: &str = "name = \"bench\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[tool]\n\
+        burr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
+        [arm]\nmodel = \"gantry\"\n";
+
+    fn state(flange_m: [f64; 3]) -> State {
+        let mut state = State::new_zeroed();
+        let orientation_xyzw = [0.0, 0.6, 0.0, 0.8];
+        state.t_world_flange = Pose { position_m: flange_m, orientation_xyzw };
+        state.t_world_base = state.t_world_flange;
+        state.t_world_burr = state.t_world_flange;
+        state.t_world_tip = state.t_world_flange;
+        state
+    }
+
+    #[test]
+    fn a_gantry_has_no_joints_and_its_flange_is_where_the_state_has_it() {
+        let scene = Scene::parse(SCENE, Path::new("bench.toml")).unwrap();
+        let robot = Robot::new(&scene, &state([0.1, 0.2, 0.3]), Names::default());
+        assert_eq!(robot.arm_joints().len(), 0);
+        let moved = state([0.15, 0.1, 0.32]);
+        let [fixed, flange] = [robot.fixed(), robot.moving(&moved).remove(0)];
+        assert_eq!((flange.parent.as_str(), flange.child.as_str()), ("UR5/base", "UR5/flange"));
+        let t_world_flange = isometry(&fixed.pose) * isometry(&flange.pose);
+        assert!((t_world_flange.translation.vector - Vector3::new(0.15, 0.1, 0.32)).norm() < 1e-15);
+        assert_eq!(robot.base_velocity(&moved), None);
+        let urdf = crate::urdf::describe(&scene, &robot).unwrap();
+        assert!(urdf.contains("<joint name=\"flange\" type=\"floating\">"), "{urdf}");
+    }
 }

@@ -50,7 +50,8 @@ fn arm(urdf: &mut Urdf, robot: &Robot) {
         urdf.joint(name, kind, &robot.arm_frame(index), &child, &parts[index]);
     }
     urdf.link(&robot.flange(), None);
-    urdf.joint("flange", Kind::Fixed, &robot.arm_frame(joints), &robot.flange(), &parts[joints]);
+    let kind = if robot.flange_floats() { Kind::Floating } else { Kind::Fixed };
+    urdf.joint("flange", kind, &robot.arm_frame(joints), &robot.flange(), &parts[joints]);
 }
 
 /// The tool.
@@ -119,7 +120,14 @@ enum Shape {
 #[derive(Debug, Clone, Copy)]
 enum Kind {
     Fixed,
-    Revolute { axis: [u8; 3], lower: f64, upper: f64, rate: f64 },
+    /// It moves, and its frame comes from nowhere but the bridge's transforms.
+    Floating,
+    Revolute {
+        axis: [u8; 3],
+        lower: f64,
+        upper: f64,
+        rate: f64,
+    },
 }
 
 #[derive(Debug, Default)]
@@ -147,6 +155,7 @@ impl Urdf {
     fn joint(&mut self, name: &str, kind: Kind, parent: &str, child: &str, at: &Isometry3<f64>) {
         let (word, more) = match kind {
             Kind::Fixed => ("fixed", String::new()),
+            Kind::Floating => ("floating", String::new()),
             Kind::Revolute { axis: [x, y, z], lower, upper, rate } => (
                 "revolute",
                 format!(

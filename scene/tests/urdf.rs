@@ -142,13 +142,21 @@ fn named_arms_are_a_list_and_a_fixed_one_has_no_joints() {
         let base = SCENE.split("[arm]").next().unwrap();
         Scene::parse(&format!("{base}[arm]\n{keys}"), Path::new("a.toml")).map_err(|error| error.to_string())
     };
-    for model in ["ur3", "ur3e", "ur5", "ur5e", "ur10e", "ur16e", "ur20", "fixed"] {
+    for model in ["ur3", "ur3e", "ur5", "ur5e", "ur10e", "ur16e", "ur20", "gantry", "fixed"] {
         told(&format!("model = \"{model}\"\n")).unwrap();
     }
     let error = told("model = \"ur7\"\n").unwrap_err();
     assert!(error.contains("arm.model") && error.contains("ur10e") && error.contains("fixed"), "{error}");
     let error = told("model = \"fixed\"\nmax_force_n = 10.0\n").unwrap_err();
     assert!(error.contains("arm.max_force_n") && error.contains("fixed"), "{error}");
+    let error =
+        told("model = \"gantry\"\ninitial_joints_deg = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n").unwrap_err();
+    assert!(error.contains("arm.initial_joints_deg") && error.contains("gantry"), "{error}");
+    let error = told("model = \"ur5\"\ntravel_mm = [10.0, 10.0, 10.0]\n").unwrap_err();
+    assert!(error.contains("arm.travel_mm") && error.contains("gantry"), "{error}");
+    let error = told("model = \"gantry\"\ntravel_mm = [10.0, 0.0, 10.0]\n").unwrap_err();
+    assert!(error.contains("arm.travel_mm") && error.contains("5000"), "{error}");
+    told("model = \"gantry\"\ntravel_mm = [1.0, 5000.0, 10.0]\nmax_force_n = 10.0\n").unwrap();
     let error = told("tip_link = \"a\"\n").unwrap_err();
     assert!(error.contains("arm.tip_link") && error.contains("arm.urdf"), "{error}");
     let error = told("urdf = \"a.urdf\"\n").unwrap_err();

@@ -18,7 +18,7 @@ fn geometry(scene: &Scene) -> ArmGeometry {
 pub fn arm_parts(scene: &Scene) -> Option<[Pose; ARM_JOINTS]> {
     let geometry = geometry(scene);
     let parts = geometry.fixed_parts();
-    geometry.moves().then(|| std::array::from_fn(|index| pose(&parts[index + 1])))
+    geometry.turns().then(|| std::array::from_fn(|index| pose(&parts[index + 1])))
 }
 
 /// The links of a scene's arm that have meshes.

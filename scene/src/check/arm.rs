@@ -22,8 +22,11 @@ pub(super) fn check(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
         return Err(checker.invalid("arm.meshes", problem));
     }
     check_meshes(arm, checker)?;
-    if arm.model == Some(ArmModel::Fixed) {
-        check_fixed(arm, checker)?;
+    if let Some(model @ (ArmModel::Fixed | ArmModel::Gantry)) = arm.model {
+        check_bench(arm, model, checker)?;
+    }
+    if arm.travel_mm.is_some() && arm.model != Some(ArmModel::Gantry) {
+        return Err(checker.invalid("arm.travel_mm", "is for a gantry; expected `arm.model = \"gantry\"`"));
     }
     let [lower, upper] = match &arm.joint {
         None => {
@@ -46,8 +49,8 @@ pub(super) fn check(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
     Ok(())
 }
 
-/// What has joints or moves is refused where there is no arm.
-fn check_fixed(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
+/// What has joints is refused where there are none, and what moves where nothing does.
+fn check_bench(arm: &Arm, model: ArmModel, checker: &Checker) -> Result<(), SceneError> {
     let given = [
         ("arm.joint", arm.joint.is_some()),
         ("arm.lower_joints_deg", arm.lower_joints_deg.is_some()),
@@ -56,11 +59,20 @@ fn check_fixed(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
         ("arm.max_joint_speed_deg_per_s", arm.max_joint_speed_deg_per_s.is_some()),
         ("arm.max_joint_acceleration_deg_per_s2", arm.max_joint_acceleration_deg_per_s2.is_some()),
         ("arm.max_joint_jerk_deg_per_s3", arm.max_joint_jerk_deg_per_s3.is_some()),
-        ("arm.max_force_n", arm.max_force_n.is_some()),
         ("arm.compliance", arm.compliance.is_some()),
+        ("arm.max_turn_deg_per_s", arm.max_turn_deg_per_s.is_some()),
+        ("arm.max_turn_deg_per_s2", arm.max_turn_deg_per_s2.is_some()),
+        ("arm.max_turn_deg_per_s3", arm.max_turn_deg_per_s3.is_some()),
     ];
+    if model == ArmModel::Fixed && arm.max_force_n.is_some() {
+        return Err(checker.invalid("arm.max_force_n", "is for an arm that moves; `arm.model` is \"fixed\""));
+    }
     match given.iter().find(|(_, given)| *given) {
-        Some((key, _)) => Err(checker.invalid(key, "is for an arm that moves; `arm.model` is \"fixed\"")),
+        Some((key, _)) => {
+            let name = if model == ArmModel::Gantry { "gantry" } else { "fixed" };
+            let problem = format!("is for an arm with joints that turn; `arm.model` is \"{name}\"");
+            Err(checker.invalid(key, problem))
+        }
         None => Ok(()),
     }
 }

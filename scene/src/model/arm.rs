@@ -10,7 +10,8 @@ use serde::{Deserialize, Serialize};
 #[serde(deny_unknown_fields, default)]
 #[schemars(extend("x-absent" = "standard"))]
 pub struct Arm {
-    /// An arm of Universal Robots by its name, or `fixed`: no arm, the tool's base is held where `[tool]` says. Absent: `ur5`.
+    /// An arm of Universal Robots by its name; `gantry`: three linear axes that do not turn the tool; or `fixed`: no arm, the tool's base is
+    /// held where `[tool]` says. Absent: `ur5`.
     pub model: Option<ArmModel>,
     /// URDF file of another serial arm with six turning joints, from the scene file's folder; in place of `model`. The joints between its
     /// base and its tip become `[[arm.joint]]`, so a log needs no file.
@@ -63,6 +64,10 @@ pub struct Arm {
     /// Far from every singularity by default.
     #[schemars(inner(range(min = -360.0, max = 360.0)))]
     pub initial_joints_deg: Option<[f64; 6]>,
+    /// How far each axis of a gantry goes to either side of its start; 250 by default. The axes are those of the flange's frame, whose
+    /// limits are those of the tool's base.
+    #[schemars(inner(range(min = 1.0, max = 5000.0)))]
+    pub travel_mm: Option<[f64; 3]>,
     /// Place of the tool's base in the flange's frame.
     #[schemars(inner(range(min = -1000.0, max = 1000.0)))]
     pub tool_position_mm: [f64; 3],
@@ -113,6 +118,7 @@ impl Default for Arm {
             lower_joints_deg: None,
             upper_joints_deg: None,
             initial_joints_deg: None,
+            travel_mm: None,
             tool_position_mm: [0.0; 3],
             tool_rotation_vector_deg: [0.0; 3],
             holder_length_mm: None,
@@ -144,6 +150,8 @@ pub enum ArmModel {
     Ur16e,
     /// UR20.
     Ur20,
+    /// Three linear axes; the tool keeps its orientation.
+    Gantry,
     /// No arm: the tool's base is held.
     Fixed,
 }

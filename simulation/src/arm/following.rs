@@ -153,10 +153,11 @@ impl Arm {
     /// Writes joints and tool base into the state.
     pub(super) fn publish(&mut self, frames: &LinkFrames, joints: &AxisState<6>) {
         let base = &self.parameters.t_world_arm_base;
-        let jacobian = frames.jacobian();
+        let geometry = &self.parameters.geometry;
+        let jacobian = geometry.jacobian(frames);
         let velocity = jacobian * nalgebra::Vector6::from(joints.velocity);
         let acceleration = jacobian * nalgebra::Vector6::from(joints.acceleration)
-            + frames.bias_acceleration(&joints.velocity);
+            + geometry.bias_acceleration(frames, &joints.velocity);
         let state = &mut self.state;
         state.q_rad = joints.position;
         state.qd_rad_s = joints.velocity;

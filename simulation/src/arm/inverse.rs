@@ -71,6 +71,32 @@ pub enum KinematicsError {
         /// About the angle between them.
         missed_rad: f64,
     },
+    /// A gantry does not turn the tool.
+    #[error(
+        "the pose is turned by {turned_rad} rad, a gantry keeps the tool's orientation (within {allowed_rad} rad); \
+         send the orientation of `State.t_world_base`, or choose another `arm.model`"
+    )]
+    Turned {
+        /// Angle between the goal and the tool.
+        turned_rad: f64,
+        /// The greatest accepted angle.
+        allowed_rad: f64,
+    },
+    /// An axis of a gantry does not go so far.
+    #[error(
+        "the gantry's axis {axis} would be at {given_m} m, its travel is {lower_m} to {upper_m} m from the start; \
+         move the goal, or raise `arm.travel_mm`"
+    )]
+    BeyondTravel {
+        /// The axis.
+        axis: char,
+        /// Where it would be.
+        given_m: f64,
+        /// Least place.
+        lower_m: f64,
+        /// Greatest place.
+        upper_m: f64,
+    },
     /// There is no arm.
     #[error("there is no arm to move the tool (`arm.model` is \"fixed\"); choose another `arm.model`")]
     NoJoints,

@@ -6,7 +6,8 @@
 
 use nalgebra::{Isometry3, Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
 
-/// Six values, one per joint, from base to wrist.
+/// Six values, one per joint, from base to wrist. Of a gantry the first three belong to its linear axes, in m where an angle would be in
+/// rad; the last three are 0.
 pub type Joints = [f64; 6];
 
 /// Cosine and sine of the link twists alpha_1..alpha_6 (90, 0, 0, 90, -90, 0 degrees).

@@ -11,6 +11,7 @@
 
 mod compliance;
 mod following;
+mod gantry;
 mod geometry;
 mod inverse;
 mod kinematics;
@@ -25,6 +26,7 @@ mod trajectory;
 mod velocity;
 
 pub use compliance::{Compliance, ComplianceParameters, ComplianceState, DeflectedBase, mass_matrix};
+pub use gantry::GantryGeometry;
 pub use geometry::ArmGeometry;
 pub use inverse::{InverseSolutions, KinematicsError};
 pub use kinematics::{Joints, LinkFrames, SingularityFactors, UrGeometry};
@@ -116,7 +118,8 @@ impl Arm {
 
     /// Geometric Jacobian at the current joint angles, world axes: rows linear velocity of the tool base's origin, then angular velocity.
     pub fn jacobian(&self) -> nalgebra::Matrix6<f64> {
-        let mut jacobian = self.parameters.geometry.frames(&self.state.q_rad).jacobian();
+        let geometry = &self.parameters.geometry;
+        let mut jacobian = geometry.jacobian(&geometry.frames(&self.state.q_rad));
         let turn = self.parameters.t_world_arm_base.rotation;
         for column in 0..6 {
             for row in [0, 3] {
@@ -132,6 +135,13 @@ impl Arm {
     pub fn command(&mut self, command: ArmCommand) -> Result<(), ArmError> {
         if command != ArmCommand::Hold && !self.parameters.geometry.moves() {
             return Err(ArmError::NoArm);
+        }
+        let is_of_joints = matches!(
+            command,
+            ArmCommand::ServoJp { .. } | ArmCommand::ServoJv { .. } | ArmCommand::MoveJp { .. }
+        );
+        if is_of_joints && !self.parameters.geometry.turns() {
+            return Err(ArmError::NoTurningJoints);
         }
         if let ProtectiveStop::Stopped { force_n } = self.state.protective_stop {
             if command != ArmCommand::Hold {

@@ -5,6 +5,7 @@
 //! `joint_limits.yaml`; those of UR3 and UR5 are that file's cylinder approximations. Its link frames are turned into
 //! Denavit-Hartenberg frames here. Payloads: Universal Robots, technical specifications.
 
+use super::gantry::GantryGeometry;
 use super::geometry::ArmGeometry;
 use super::kinematics::{Joints, UrGeometry};
 use super::parameters::{ArmParameters, COMFORTABLE_Q_RAD, CartesianLimits, JointLimits};
@@ -18,6 +19,11 @@ const RAD_PER_DEG: f64 = PI / 180.0;
 /// Acceleration and jerk limits are not published; with these a joint reaches full acceleration in 0.1 s.
 const ACCELERATION_RAD_S2: f64 = 5.0;
 const JERK_RAD_S3: f64 = 50.0;
+
+/// Travel of a gantry's axes to either side of the start, where a scene says none: enough for a femur of half a metre.
+const GANTRY_TRAVEL_MM: [f64; 3] = [250.0; 3];
+/// Range of the three coordinates that a gantry does not have and that stay 0.
+const NO_TRAVEL_M: f64 = 1e-9;
 
 /// A link: mass, centre of mass in its Denavit-Hartenberg frame, and inertia about that frame's axes through the centre of mass.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -188,7 +194,7 @@ impl UrGeometry {
     }
 }
 
-/// What is published of a named arm; `None`: no arm.
+/// What is published of a named arm; `None`: a bench.
 fn published(model: ArmModel) -> Option<&'static Published> {
     match model {
         ArmModel::Ur3 => Some(&UR3),
@@ -198,7 +204,7 @@ fn published(model: ArmModel) -> Option<&'static Published> {
         ArmModel::Ur10e => Some(&UR10E),
         ArmModel::Ur16e => Some(&UR16E),
         ArmModel::Ur20 => Some(&UR20),
-        ArmModel::Fixed => None,
+        ArmModel::Gantry | ArmModel::Fixed => None,
     }
 }
 
@@ -225,7 +231,11 @@ impl ArmParameters {
     pub fn named(model: ArmModel, dt_s: f64) -> Self {
         let range_rad = [TAU, TAU, PI, TAU, TAU, TAU];
         let found = published(model);
-        let geometry = found.map_or(ArmGeometry::Fixed { t_flange_tool: None }, |arm| arm.geometry.into());
+        let geometry = match (found, model) {
+            (Some(arm), _) => arm.geometry.into(),
+            (None, ArmModel::Gantry) => ArmGeometry::Gantry(GantryGeometry { t_flange_tool: None }),
+            (None, _) => ArmGeometry::Fixed { t_flange_tool: None },
+        };
         let velocity_deg_s = found.map_or([180.0; 6], |arm| arm.velocity_deg_s);
         Self {
             links: found.map(|arm| arm.links),
@@ -301,6 +311,11 @@ impl ArmParameters {
         set(&mut path.angular_acceleration_rad_s2, arm.max_turn_deg_per_s2);
         set(&mut path.angular_jerk_rad_s3, arm.max_turn_deg_per_s3);
         let limits = &mut self.joint_limits;
+        if let ArmGeometry::Gantry(_) = self.geometry {
+            let travel_m = arm.travel_mm.unwrap_or(GANTRY_TRAVEL_MM).map(|mm| mm * 1e-3);
+            *limits = gantry_limits(path, travel_m);
+            return;
+        }
         for i in 0..6 {
             let own = limits.velocity_rad_s[i];
             set(&mut limits.velocity_rad_s[i], arm.max_joint_speed_deg_per_s);
@@ -313,11 +328,23 @@ impl ArmParameters {
     }
 }
 
+/// The limits of a gantry's axes: each has those of the tool's base on a path.
+fn gantry_limits(path: &CartesianLimits, travel_m: [f64; 3]) -> JointLimits {
+    let upper_m = std::array::from_fn(|i| travel_m.get(i).copied().unwrap_or(NO_TRAVEL_M));
+    JointLimits {
+        lower_rad: upper_m.map(|m: f64| -m),
+        upper_rad: upper_m,
+        velocity_rad_s: [path.speed_m_s; 6],
+        acceleration_rad_s2: [path.acceleration_m_s2; 6],
+        jerk_rad_s3: [path.jerk_m_s3; 6],
+    }
+}
+
 /// Joint angles at the start of a scene.
 pub fn initial_q_rad(arm: &scene::Arm) -> Joints {
     match (arm.initial_joints_deg, arm.model) {
         (Some(deg), _) => deg.map(|angle| angle * RAD_PER_DEG),
-        (None, Some(ArmModel::Fixed)) => [0.0; 6],
+        (None, Some(ArmModel::Fixed | ArmModel::Gantry)) => [0.0; 6],
         (None, _) => COMFORTABLE_Q_RAD,
     }
 }

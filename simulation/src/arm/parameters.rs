@@ -332,6 +332,23 @@ pub enum ArmError {
         "the scene has no arm (`arm.model` is \"fixed\"): the tool's base is held; command no motion, or choose another `arm.model`"
     )]
     NoArm,
+    /// A gantry was given joint angles.
+    #[error(
+        "a gantry has no joints that turn; command its motion by poses or an axis (servo_cp, move_cp, insert, hold)"
+    )]
+    NoTurningJoints,
+    /// An axis of a gantry would leave its travel before it can stop.
+    #[error(
+        "the gantry's axis {axis} reaches the end of its travel, {lower_m} to {upper_m} m from the start; send another goal"
+    )]
+    TravelEnds {
+        /// The axis.
+        axis: char,
+        /// Least place.
+        lower_m: f64,
+        /// Greatest place.
+        upper_m: f64,
+    },
     /// A motion was commanded during a protective stop.
     #[error(
         "the arm is in a protective stop, since the tool pushed too hard on its flange; send `hold` to release it, then a goal"

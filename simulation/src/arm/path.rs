@@ -151,11 +151,12 @@ impl PathFollower<'_> {
         let pose = path.pose(parameter);
         let q_rad = self.geometry.inverse_nearest(&pose, q_near_rad, &limits.lower_rad, &limits.upper_rad)?;
         let frames = self.geometry.frames(&q_rad);
-        let jacobian = frames.jacobian();
+        let jacobian = self.geometry.jacobian(&frames);
         let singular = self.geometry.singular(&q_rad);
         let (twist, curve) = path.derivatives(parameter, &pose);
         let first = solve_rates(&jacobian, &twist).ok_or(singular)?;
-        let second = solve_rates(&jacobian, &(curve - frames.bias_acceleration(&first))).ok_or(singular)?;
+        let second = solve_rates(&jacobian, &(curve - self.geometry.bias_acceleration(&frames, &first)))
+            .ok_or(singular)?;
         let origin_m = [&twist, &curve].map(|derivative| derivative.fixed_rows::<3>(0).into_owned());
         Ok(JointsOnPath { q_rad, first, second, frames, origin_m })
     }
@@ -186,7 +187,9 @@ impl PathFollower<'_> {
             cap(PARAMETER_CEILING[1], half * c.acceleration_m_s2, c.angular_acceleration_rad_s2);
         let mut jerk = cap(PARAMETER_CEILING[2], third * c.jerk_m_s3, c.angular_jerk_rad_s3);
         let j = self.joint_limits;
-        for i in 0..6 {
+        // The axes of a gantry have the limits of the tool's base, which it has by now.
+        let joints = if self.geometry.turns() { 0..6 } else { 0..0 };
+        for i in joints.clone() {
             velocity = velocity
                 .min(j.velocity_rad_s[i] / bend.first[i])
                 .min(libm::sqrt(0.5 * j.acceleration_rad_s2[i] / bend.second[i]))
@@ -194,7 +197,7 @@ impl PathFollower<'_> {
             acceleration = acceleration.min(0.5 * j.acceleration_rad_s2[i] / bend.first[i]);
             jerk = jerk.min(j.jerk_rad_s3[i] / (3.0 * bend.first[i]));
         }
-        for i in 0..6 {
+        for i in joints {
             acceleration = acceleration.min(j.jerk_rad_s3[i] / (9.0 * bend.second[i] * velocity));
         }
         acceleration = acceleration.min(c.jerk_m_s3 / (9.0 * curve_m * velocity));
@@ -215,7 +218,7 @@ impl PathFollower<'_> {
                 .joints_at(path, from + (to - from) * fraction, &near)
                 .map_err(|reason| ArmError::PathUnreachable { fraction, reason })?;
             let manipulability_m3 = self.geometry.manipulability_m3(&here.q_rad);
-            if manipulability_m3 < LEAST_MANIPULABILITY_M3 {
+            if self.geometry.turns() && manipulability_m3 < LEAST_MANIPULABILITY_M3 {
                 return Err(ArmError::PathSingular { fraction, manipulability_m3 });
             }
             if self.geometry.branch(&here.q_rad) != branch

@@ -5,7 +5,7 @@ use super::kinematics::Joints;
 use super::motion::{JointMotion, Motion, NextPath, PathMotion};
 use super::path::{Path, PathSpeed, Stretch};
 use super::trajectory::{AxisLimits, AxisState, Goal, Segment};
-use super::{Arm, ArmError};
+use super::{Arm, ArmError, ArmGeometry};
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -50,7 +50,11 @@ pub(super) struct Insertion {
 impl Arm {
     pub(super) fn t_base_tool(&self, t_world_tool: &Isometry3<f64>) -> Result<Isometry3<f64>, ArmError> {
         inverse::check_pose(t_world_tool).map_err(ArmError::Goal)?;
-        Ok(self.parameters.t_world_arm_base.inv_mul(t_world_tool))
+        let goal = self.parameters.t_world_arm_base.inv_mul(t_world_tool);
+        match &self.parameters.geometry {
+            ArmGeometry::Gantry(gantry) => gantry.unturned(goal).map_err(ArmError::Goal),
+            _ => Ok(goal),
+        }
     }
 
     /// Starts an insertion, or changes the depth of the current one.

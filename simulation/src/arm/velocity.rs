@@ -1,9 +1,10 @@
 //! `servo_jv`: moves joints at given rates and stops each one in time at the end of its range.
 
+use super::gantry::AXES;
 use super::kinematics::Joints;
 use super::motion::{JointMotion, Motion};
 use super::trajectory::{AxisState, Goal, Segment};
-use super::{Arm, ArmError};
+use super::{Arm, ArmError, ArmGeometry};
 
 /// Rounding may push a joint this far beyond its range.
 const RANGE_SLACK_RAD: f64 = 1e-9;
@@ -87,10 +88,12 @@ impl Arm {
 
     fn range_ends(&self, i: usize) -> ArmError {
         let limits = &self.parameters.joint_limits;
-        ArmError::JointRangeEnds {
-            joint: i + 1,
-            lower_rad: limits.lower_rad[i],
-            upper_rad: limits.upper_rad[i],
+        let (lower_rad, upper_rad) = (limits.lower_rad[i], limits.upper_rad[i]);
+        match (&self.parameters.geometry, AXES.get(i)) {
+            (ArmGeometry::Gantry(_), Some(&axis)) => {
+                ArmError::TravelEnds { axis, lower_m: lower_rad, upper_m: upper_rad }
+            }
+            _ => ArmError::JointRangeEnds { joint: i + 1, lower_rad, upper_rad },
         }
     }
 }

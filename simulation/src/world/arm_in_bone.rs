@@ -93,7 +93,7 @@ pub(super) fn piece(
         };
         return ((to_m - from_m).norm() > 1e-6).then_some(Piece { name, from_m, to_m, radius_m, is_round });
     };
-    if !arm.geometry.moves() {
+    if !arm.geometry.turns() {
         return None;
     }
     let frames = arm.geometry.frames(&posture.q_rad);

@@ -108,8 +108,11 @@ impl Simulation<'_> {
 
     fn write_arm(&mut self) {
         let arm = self.arm.state();
-        self.state.arm_joint_position_rad = arm.q_rad;
-        self.state.arm_joint_velocity_rad_per_s = arm.qd_rad_s;
+        // A gantry's linear axes are no angles: the flange's pose says where they are.
+        if self.arm.parameters().geometry.turns() {
+            self.state.arm_joint_position_rad = arm.q_rad;
+            self.state.arm_joint_velocity_rad_per_s = arm.qd_rad_s;
+        }
         self.state.arm_mode = mode_followed(arm.mode).code();
         let status = match (arm.fault, arm.done) {
             (Some(_), _) => ArmStatus::Fault,

@@ -28,7 +28,7 @@ impl Start<'_> {
     /// `|det J|` at the start, if it is too small for a path.
     fn singular_m3(&self) -> Option<f64> {
         let arm = &self.simulation.arm;
-        if !arm.parameters().geometry.moves() {
+        if !arm.parameters().geometry.turns() {
             return None;
         }
         let found_m3 = arm.parameters().geometry.manipulability_m3(&arm.state().q_rad);
