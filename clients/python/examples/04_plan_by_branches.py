@@ -1,6 +1,6 @@
 """Plans the rest of a drilling by branches of one state: the cross-entropy method over tension and feed.
 
-The bone's edges cut at a higher pressure than the plan was made for. From the state at which the ramp begins, many
+The burr's edges need a higher pressure to cut than the plan was made for. From the state at which the ramp begins, many
 branches drill the rest, each with its own tensions and feed; the best of them say where to look next. The same seed finds the same plan.
 
     python3 clients/python/examples/04_plan_by_branches.py [--branches N] [--rounds N]
@@ -21,7 +21,7 @@ Floats = npt.NDArray[np.float64]
 
 TARGET_MM = np.array([-98.6, 2.3, 8.4])
 #: The pressure below which the burr's edges plough and do not cut.
-BONE = {"drilling.edge_pressure_mpa": 8.0}
+BONE = {"drilling.edge_pressure_mpa": 2.0}
 BURR_RAD_PER_S = 8000.0 * 2.0 * np.pi / 60.0
 STRAIGHT_MM, WHOLE_MM = 3.0, 28.0
 TICKS = 50
