@@ -179,8 +179,8 @@ impl Kept {
         }
     }
 
-    /// Kills all descendants until the kernel says that there are none: whoever's parent ends becomes a child of this
-    /// subreaper at once, so without children it has no descendants. A look through `/proc` cannot say so. It misses a
+    /// Kills all descendants until the kernel says that there are none: a process whose parent ends becomes a
+    /// child of this subreaper at once, so without children it has no descendants. A look through `/proc` cannot say so. It misses a
     /// process that was spawned after the numbers were listed by one that has ended before its own entry was read.
     fn end_all(&mut self) {
         let end = Instant::now() + KILL_LIMIT;
