@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::path::Path;
-use std::process::{Command, ExitStatus, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use ipc_types::process::bind_to_parent;
@@ -11,6 +11,8 @@ use super::failed;
 use trabecula::failure::Failure;
 
 const POLL: Duration = Duration::from_millis(20);
+/// How long a killed program may take to be gone.
+const KILL_LIMIT: Duration = Duration::from_secs(10);
 
 /// How it ended, and what it said.
 pub struct Said {
@@ -34,19 +36,28 @@ pub fn run(command: &mut Command, folder: &Path, limit: Duration, missing: &str)
     command.stderr(File::create(&report).map_err(failed)?);
     let started = bind_to_parent(command).spawn();
     let mut child = started.map_err(|cause| Failure::failed(format!("{name}: {cause}; {missing}")))?;
-    let began = Instant::now();
-    let status = loop {
-        if let Some(status) = child.try_wait().map_err(failed)? {
-            break status;
-        }
-        if began.elapsed() > limit {
-            child.kill().map_err(failed)?;
-            child.wait().map_err(failed)?;
-            let seconds = limit.as_secs();
-            return Err(Failure::failed(format!("{name} has not ended within {seconds} s and was killed")));
-        }
-        std::thread::sleep(POLL);
+    let Some(status) = ends_within(&mut child, limit)? else {
+        child.kill().map_err(failed)?;
+        let is_gone = ends_within(&mut child, KILL_LIMIT)?.is_some();
+        let (seconds, kill_seconds) = (limit.as_secs(), KILL_LIMIT.as_secs());
+        let still =
+            if is_gone { String::new() } else { format!("; it is still there {kill_seconds} s later") };
+        return Err(Failure::failed(format!(
+            "{name} has not ended within {seconds} s and was killed{still}"
+        )));
     };
     let text = |path: &Path| std::fs::read(path).map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
     Ok(Said { status, out: text(&out).map_err(failed)?, report: text(&report).map_err(failed)? })
+}
+
+/// How a program has ended; `None` if it runs on after the limit.
+fn ends_within(child: &mut Child, limit: Duration) -> Result<Option<ExitStatus>, Failure> {
+    let began = Instant::now();
+    loop {
+        let status = child.try_wait().map_err(failed)?;
+        if status.is_some() || began.elapsed() > limit {
+            return Ok(status);
+        }
+        std::thread::sleep(POLL);
+    }
 }
