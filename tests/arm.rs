@@ -1,10 +1,10 @@
 //! The arm as the viewer's page draws it: meshes and parts where the kinematics put them.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by it")]
 
-use ipc_types::messages::{ARM_JOINTS, Pose};
+use ipc_types::messages::Pose;
 use ipc_types::scene::Scene;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
-use simulation::arm::ArmParameters;
+use simulation::arm::{ArmParameters, six_joints};
 use trabecula::commands::view_arm::{arm_looks, arm_parts};
 
 /// Two joints about z, 0.4 m and 0.3 m long, then four about x and y in one place; a cube of 2 cm on the second link.
@@ -55,7 +55,7 @@ fn cube(low: f64, high: f64) -> String {
 }
 
 /// What the page does (`arm.js`), from the base on.
-fn frame(parts: &[Pose; ARM_JOINTS], q_rad: &[f64], index: usize) -> Isometry3<f64> {
+fn frame(parts: &[Pose], q_rad: &[f64], index: usize) -> Isometry3<f64> {
     let turned = |frame: Isometry3<f64>, (part, q_rad): (&Pose, &f64)| {
         let [x, y, z, w] = part.orientation_xyzw;
         let rotation = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
@@ -115,7 +115,7 @@ fn a_cube_on_the_second_link_moves_as_two_joints_in_a_plane_say() {
 /// Whatever arm it is: from the base through all parts to the flange.
 #[test]
 fn the_parts_of_every_arm_lead_to_its_flange() {
-    let q_rad = [0.3, -1.2, 0.9, -0.4, 1.7, -2.2];
+    let q_rad = six_joints([0.3, -1.2, 0.9, -0.4, 1.7, -2.2]);
     for model in ["ur3", "ur5", "ur10e", "ur20"] {
         let text = SCENE.split("urdf").next().unwrap().to_owned() + &format!("model = \"{model}\"\n");
         let scene = Scene::parse(&text, std::path::Path::new("a.toml")).unwrap();

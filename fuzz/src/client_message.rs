@@ -114,7 +114,11 @@ pub fn seeds() -> Vec<Vec<u8>> {
         Command { tendon_mode: TENDON_SERVO_JF, tendon_force_n: [3.0, 1.0, 0.0, 0.0], ..base },
         Command { tendon_mode: TENDON_MOVE_JP, tendon_displacement_m: [2e-3, -2e-3, 0.0, 0.0], ..base },
         Command { arm_mode: ARM_MOVE_JP, ..base },
-        Command { arm_mode: ARM_SERVO_JV, arm_joint_velocity_rad_per_s: [0.1; 6], ..base },
+        Command {
+            arm_mode: ARM_SERVO_JV,
+            arm_joint_velocity_rad_per_s: [0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.0],
+            ..base
+        },
         Command { arm_mode: ARM_SERVO_CP, ..base },
         Command { arm_mode: ARM_MOVE_CP, ..base },
         Command { arm_mode: ARM_INSERT, arm_axis: [0.0, 0.0, 1.0], arm_depth_m: 0.02, ..base },

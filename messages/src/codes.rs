@@ -212,6 +212,18 @@ codes! {
 }
 
 codes! {
+    /// [`State::arm_protective_stop`]: whether the arm stopped because the tool pressed too hard on its flange.
+    pub enum ArmProtectiveStop of "arm_protective_stop" {
+        /// It did not.
+        None = PROTECTIVE_STOP_NONE, 0, "none";
+        /// It stands, and takes no command but `hold`.
+        Stopped = PROTECTIVE_STOP_STOPPED, 1, "stopped";
+        /// `hold` released it: it may move away; the force is not below the limit yet.
+        Released = PROTECTIVE_STOP_RELEASED, 2, "released";
+    }
+}
+
+codes! {
     /// [`LatchedCommand::source`], [`AppliedCommand::source`]: where the command in force comes from.
     pub enum CommandSource of "source" {
         /// No command has arrived yet; nothing is driven.
@@ -351,6 +363,7 @@ pub const CLIENT_CODES: &[CodeSet] = &[
     TendonMode::SET,
     ArmMode::SET,
     ArmStatus::SET,
+    ArmProtectiveStop::SET,
     BurrMode::SET,
     CommandSource::SET,
     ContactPart::SET,
@@ -414,6 +427,7 @@ fields! {
         arm_mode: ArmMode,
         /// How far the arm's motion has come.
         arm_status: ArmStatus,
+        arm_protective_stop: ArmProtectiveStop,
     }
     RunControl {
         /// What is asked.
@@ -500,6 +514,7 @@ mod tests {
             (AppliedCommand::DESCRIPTION, "source", CommandSource::CODES),
             (Contact::DESCRIPTION, "part", ContactPart::CODES),
             (State::DESCRIPTION, "arm_status", ArmStatus::CODES),
+            (State::DESCRIPTION, "arm_protective_stop", ArmProtectiveStop::CODES),
             (RunControl::DESCRIPTION, "action", ControlAction::CODES),
             (RunControlReply::DESCRIPTION, "status", ControlStatus::CODES),
             (SensorReading::DESCRIPTION, "kind", SensorKind::CODES),

@@ -1,4 +1,4 @@
-use super::{ARM_JOINTS, MAX_CONTROLLERS, MAX_TENDONS, Pose};
+use super::{MAX_ARM_JOINTS, MAX_CONTROLLERS, MAX_TENDONS, Pose};
 use crate::message;
 
 /// Largest tension that a command may request.
@@ -36,9 +36,9 @@ message! {
         /// Displacements for servo_jp and move_jp; positive pulls.
         tendon_displacement_m: [f64; MAX_TENDONS],
         /// Joint angles for the arm's servo_jp and move_jp.
-        arm_joint_position_rad: [f64; ARM_JOINTS],
+        arm_joint_position_rad: [f64; MAX_ARM_JOINTS],
         /// Joint velocities for the arm's servo_jv.
-        arm_joint_velocity_rad_per_s: [f64; ARM_JOINTS],
+        arm_joint_velocity_rad_per_s: [f64; MAX_ARM_JOINTS],
         /// Goal of the arm's servo_cp, move_cp and rcm: pose of the tool base, not counting the mount's deflection.
         t_world_base: Pose,
         /// Speed limit of move_cp and rcm; 0 selects the scene's limit. Feed rate of insert, above 0.

@@ -75,8 +75,8 @@ pub const MAX_CONTACTS: usize = 40;
 pub const MAX_BODIES: usize = 4;
 /// Maximum number of tendons of a manipulator.
 pub const MAX_TENDONS: usize = 4;
-/// Joints of the arm.
-pub const ARM_JOINTS: usize = 6;
+/// Maximum number of joints of the arm.
+pub const MAX_ARM_JOINTS: usize = 7;
 /// Maximum number of sensors in a scene.
 pub const MAX_SENSORS: usize = 8;
 /// Maximum number of values in a sensor's reading: sixteen fibre-Bragg nodes with two each.

@@ -1,4 +1,6 @@
-use super::{ARM_JOINTS, MAX_BODIES, MAX_CONTACTS, MAX_CONTROLLERS, MAX_JOINTS, MAX_TENDONS, Pose, Wrench};
+use super::{
+    MAX_ARM_JOINTS, MAX_BODIES, MAX_CONTACTS, MAX_CONTROLLERS, MAX_JOINTS, MAX_TENDONS, Pose, Wrench,
+};
 use crate::message;
 
 message! {
@@ -66,6 +68,11 @@ message! {
         arm_mode: u32,
         /// 0 moving, 1 at its goal and at rest, 2 motion aborted or a joint stopped at the end of its range.
         arm_status: u32,
+        /// Number of the arm's joints that turn, 6 or 7; 0 for a gantry and where there is no arm. Entries behind them are 0.
+        arm_joint_count: u32,
+        /// 0 none; 1 the arm stopped because the tool pressed too hard, and takes no command but hold; 2 released, until the force is below
+        /// the limit again.
+        arm_protective_stop: u32,
         /// Flexure angles from base to tip, positive toward tendon 0.
         joint_position_rad: [f64; MAX_JOINTS],
         /// Flexure angle rates.
@@ -74,6 +81,8 @@ message! {
         bend_rad: f64,
         /// Angular speed of the burr.
         burr_speed_rad_per_s: f64,
+        /// How far the motor is ahead of the burr: the wind-up of a drive shaft that twists; 0 without one.
+        drive_shaft_wind_up_rad: f64,
         /// Normal force between burr and bone.
         burr_force_n: f64,
         /// Sum of the normal forces on the tool, without the burr's.
@@ -103,12 +112,13 @@ message! {
         /// Pose of each link just after its flexure, base to tip.
         t_world_link: [Pose; MAX_JOINTS],
         /// Arm joint angles, base to wrist.
-        arm_joint_position_rad: [f64; ARM_JOINTS],
+        arm_joint_position_rad: [f64; MAX_ARM_JOINTS],
         /// Arm joint velocities.
-        arm_joint_velocity_rad_per_s: [f64; ARM_JOINTS],
+        arm_joint_velocity_rad_per_s: [f64; MAX_ARM_JOINTS],
         /// Elastic deflection of the arm's joints, included in `arm_joint_position_rad`; 0 without joint compliance.
-        arm_joint_deflection_rad: [f64; ARM_JOINTS],
-        /// Distance from singularity: Yoshikawa's manipulability |det J| in m³; for the UR5 mostly 0.05 to 0.1.
+        arm_joint_deflection_rad: [f64; MAX_ARM_JOINTS],
+        /// Distance from singularity: Yoshikawa's manipulability in m³, |det J| of six joints and the root of det(J Jᵀ) of seven; for the UR5
+        /// mostly 0.05 to 0.1.
         arm_manipulability_m3: f64,
         /// Pose of the arm's flange.
         t_world_flange: Pose,

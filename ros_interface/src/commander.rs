@@ -1,6 +1,6 @@
 //! What has been asked for, as the command that answers each state.
 
-use messages::{ARM_JOINTS, ArmMode, BurrMode, Command, MAX_TENDONS, Pose, TendonMode};
+use messages::{ArmMode, BurrMode, Command, MAX_ARM_JOINTS, MAX_TENDONS, Pose, TendonMode};
 
 /// How long a velocity holds without another: a program that has died, or a network that has, must not turn joints or burr for good.
 pub const VELOCITY_HOLDS_S: f64 = 0.5;
@@ -34,11 +34,11 @@ impl OperatingState {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Motion {
     /// `servo_jp` of the arm.
-    ArmServoJp([f64; ARM_JOINTS]),
+    ArmServoJp([f64; MAX_ARM_JOINTS]),
     /// `servo_jv` of the arm.
-    ArmServoJv([f64; ARM_JOINTS]),
+    ArmServoJv([f64; MAX_ARM_JOINTS]),
     /// `move_jp` of the arm.
-    ArmMoveJp([f64; ARM_JOINTS]),
+    ArmMoveJp([f64; MAX_ARM_JOINTS]),
     /// `servo_cp` of the arm.
     ArmServoCp(Pose),
     /// `move_cp` of the arm.
@@ -218,7 +218,7 @@ mod tests {
     #[test]
     fn a_velocity_runs_out_and_a_position_stays() {
         let mut commander = Commander::default();
-        commander.take(Motion::ArmServoJv([0.1; 6]), 10.0);
+        commander.take(Motion::ArmServoJv([0.1; 7]), 10.0);
         commander.take(Motion::BurrServoJv(800.0), 10.0);
         commander.take(Motion::TendonServoJf([5.0, 0.0, 0.0, 0.0]), 10.0);
         let before = filled(&mut commander, 10.4);
@@ -227,14 +227,14 @@ mod tests {
         assert_eq!((after.arm_mode(), after.burr_speed_rad_per_s), (Ok(ArmMode::Hold), 0.0));
         assert_eq!(after.burr_mode(), Ok(BurrMode::Speed));
         assert_eq!(after.tendon_force_n[0], 5.0);
-        commander.take(Motion::ArmServoJp([0.2; 6]), 11.0);
+        commander.take(Motion::ArmServoJp([0.2; 7]), 11.0);
         assert_eq!(filled(&mut commander, 1e6).arm_mode(), Ok(ArmMode::ServoJp));
     }
 
     #[test]
     fn who_is_gone_leaves_a_standing_arm_a_standing_burr_and_the_tension() {
         let mut commander = Commander::default();
-        commander.take(Motion::ArmMoveJp([0.1; 6]), 0.0);
+        commander.take(Motion::ArmMoveJp([0.1; 7]), 0.0);
         commander.take(Motion::BurrServoJv(800.0), 0.0);
         commander.take(Motion::TendonServoJf([5.0; 4]), 0.0);
         commander.release();

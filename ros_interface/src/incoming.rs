@@ -1,7 +1,7 @@
 //! What comes in: bytes of a topic, checked and turned into a request.
 
 use messages::{
-    ARM_JOINTS, MAX_BURR_SPEED_RAD_PER_S, MAX_DISPLACEMENT_M, MAX_POSITION_M, MAX_TENDONS, MAX_TENSION_N,
+    MAX_ARM_JOINTS, MAX_BURR_SPEED_RAD_PER_S, MAX_DISPLACEMENT_M, MAX_POSITION_M, MAX_TENDONS, MAX_TENSION_N,
     Pose,
 };
 use thiserror::Error;
@@ -203,7 +203,7 @@ fn arm_values(
     names: &[String],
     field: Field,
     most: f64,
-) -> Result<[f64; ARM_JOINTS], Refused> {
+) -> Result<[f64; MAX_ARM_JOINTS], Refused> {
     values(message, field, names, -most, most)
 }
 
@@ -300,7 +300,7 @@ mod tests {
     #[test]
     fn joints_come_by_their_names_or_in_their_order() {
         let in_order = joints(&[], &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
-        let wanted = Ok(Request::Move(Motion::ArmServoJp([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])));
+        let wanted = Ok(Request::Move(Motion::ArmServoJp([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 0.0])));
         assert_eq!(ask(Input::ArmServoJp, &in_order), wanted);
         let mut backwards = ARM_JOINT_NAMES;
         backwards.reverse();

@@ -1,7 +1,7 @@
 //! Arm and tool as a tree of frames, and the arm's velocity.
 
-use messages::{ARM_JOINTS, Pose, State};
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use messages::{MAX_ARM_JOINTS, Pose, State};
+use nalgebra::{Isometry3, Quaternion, SVector, Translation3, UnitQuaternion, Vector3};
 use scene::Scene;
 use simulation::arm::{ArmGeometry, ArmParameters};
 use simulation::pose;
@@ -26,17 +26,17 @@ pub struct Placed {
 #[derive(Debug, Clone)]
 pub struct Robot {
     names: Names,
-    /// Without the tool: frame 6 is the flange.
+    /// Without the tool: the last frame is the flange.
     geometry: ArmGeometry,
-    /// Names of the arm's joints: six, or none where there is no arm.
+    /// Names of the arm's joints: six or seven, or none where none turn.
     arm_joints: Vec<String>,
     t_world_arm_base: Isometry3<f64>,
     /// The parts of the chain that do not turn ([`ArmGeometry::fixed_parts`]).
-    fixed_parts: [Isometry3<f64>; ARM_JOINTS + 1],
+    fixed_parts: Vec<Isometry3<f64>>,
     t_flange_base: Isometry3<f64>,
     /// Lower and upper ends of the joints' ranges.
-    ranges_rad: [[f64; ARM_JOINTS]; 2],
-    rates_rad_per_s: [f64; ARM_JOINTS],
+    ranges_rad: [[f64; MAX_ARM_JOINTS]; 2],
+    rates_rad_per_s: [f64; MAX_ARM_JOINTS],
     flexures: usize,
     tendons: usize,
 }
@@ -66,7 +66,7 @@ impl Robot {
         &self.names
     }
 
-    /// Names of the arm's joints, from base to flange: six, or none where there is no arm.
+    /// Names of the arm's joints, from base to flange: six or seven, or none where none turn.
     pub fn arm_joints(&self) -> &[String] {
         &self.arm_joints
     }
@@ -86,7 +86,7 @@ impl Robot {
         self.tendons
     }
 
-    /// Frame of the arm's base (index 0) and of its links (1 to 6), each at its joint and turning about its own z, as URDF wants it.
+    /// Frame of the arm's base (index 0) and of its links (from 1), each at its joint and turning about its own z, as URDF wants it.
     pub fn arm_frame(&self, index: usize) -> String {
         if index == 0 {
             format!("{}/base", self.names.arm)
@@ -105,8 +105,8 @@ impl Robot {
         format!("{}/flange", self.names.arm)
     }
 
-    /// Where each joint stands in the link before it (index 0 to 5), and the flange in link 6.
-    pub fn fixed_parts(&self) -> &[Isometry3<f64>; ARM_JOINTS + 1] {
+    /// Where each joint stands in the link before it (from index 0), and last the flange in the last link.
+    pub fn fixed_parts(&self) -> &[Isometry3<f64>] {
         &self.fixed_parts
     }
 
@@ -137,7 +137,7 @@ impl Robot {
 
     /// Every frame that moves, parents first.
     pub fn moving(&self, state: &State) -> Vec<Placed> {
-        let mut placed = Vec::with_capacity(ARM_JOINTS + self.flexures + 4);
+        let mut placed = Vec::with_capacity(MAX_ARM_JOINTS + self.flexures + 4);
         let joints = self.arm_joints.len();
         for (index, angle_rad) in state.arm_joint_position_rad.into_iter().take(joints).enumerate() {
             let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle_rad);
@@ -176,7 +176,7 @@ impl Robot {
             return None;
         }
         let jacobian = self.geometry.frames(&state.arm_joint_position_rad).jacobian();
-        let rates = nalgebra::Vector6::from(state.arm_joint_velocity_rad_per_s);
+        let rates = SVector::from(state.arm_joint_velocity_rad_per_s);
         let twist = jacobian * rates;
         let turn = self.t_world_arm_base.rotation;
         let angular = turn * Vector3::new(twist[3], twist[4], twist[5]);

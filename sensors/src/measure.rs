@@ -1,6 +1,6 @@
 //! What each kind of sensor measures, and with which errors.
 
-use messages::{ARM_JOINTS, MAX_SENSOR_VALUES, MAX_TENDONS, Pose, SensorKind, State};
+use messages::{MAX_ARM_JOINTS, MAX_SENSOR_VALUES, MAX_TENDONS, Pose, SensorKind, State};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use scene::{Encoders, Fbg, ForceTorque, LoadCell, Sensor, Tracked, Tracker};
 
@@ -104,7 +104,10 @@ impl Measure {
         match self {
             Measure::Fbg(fbg) => Sample::of(node_curvatures(state, fbg.nodes, fbg.gauge_mm * 1e-3)),
             Measure::Tracker(tracker) => tracked(tracker, state),
-            Measure::Encoders(_) => Sample::of(state.arm_joint_position_rad[..ARM_JOINTS].iter().copied()),
+            Measure::Encoders(_) => {
+                let count = (state.arm_joint_count as usize).min(MAX_ARM_JOINTS);
+                Sample::of(state.arm_joint_position_rad[..count].iter().copied())
+            }
             Measure::LoadCell(_) => {
                 let count = (state.tendon_count as usize).min(MAX_TENDONS);
                 Sample::of(state.tendon_tension_n[..count].iter().copied())

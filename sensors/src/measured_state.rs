@@ -1,6 +1,6 @@
 //! A state as a controller knows it from its sensors.
 
-use messages::{ARM_JOINTS, MAX_TENDONS, Pose, SensorKind, SensorReading, State, Wrench};
+use messages::{MAX_TENDONS, Pose, SensorKind, SensorReading, State, Wrench};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use scene::{Scene, Tracked};
 
@@ -72,9 +72,7 @@ impl MeasuredState {
             match reading.kind() {
                 Ok(SensorKind::Fbg) => put_shape(&mut state, &fibre, reading.values()),
                 Ok(SensorKind::Tracker) => put_pose(&mut state, used.on, reading.values()),
-                Ok(SensorKind::Encoders) => {
-                    copy(&mut state.arm_joint_position_rad[..ARM_JOINTS], reading.values())
-                }
+                Ok(SensorKind::Encoders) => copy(&mut state.arm_joint_position_rad, reading.values()),
                 Ok(SensorKind::LoadCell) => {
                     copy(&mut state.tendon_tension_n[..MAX_TENDONS], reading.values())
                 }

@@ -1,4 +1,4 @@
-//! Arms out of URDF files, and the named arms, against another library: Pinocchio for Python (`pin`).
+//! Arms out of URDF files, and the named arms, against other libraries: Pinocchio for Python (`pin`), yourdfpy and MuJoCo.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use std::fmt::Write as _;
@@ -16,23 +16,33 @@ mod common;
 use common::arm::Uniform;
 
 const PACKAGES: [&str; 2] = ["pin==4.1.0", "example-robot-data==6.0.0"];
+const WITNESSES: [&str; 2] = ["yourdfpy==0.0.60", "mujoco==3.3.7"];
 const POSES: usize = 1_000;
 
-/// Files of `example-robot-data`: robots of their makers' or of ROS packages, with base and tip of six turning joints.
-const FILES: [[&str; 3]; 5] = [
+/// Files of `example-robot-data`: robots of their makers' or of ROS packages, with base and tip of six or seven turning joints.
+const FILES: [[&str; 3]; 7] = [
     ["ur_description/urdf/ur3_robot.urdf", "base_link", "tool0"],
     ["ur_description/urdf/ur5_robot.urdf", "base_link", "tool0"],
     ["ur_description/urdf/ur10_robot.urdf", "base_link", "tool0"],
     ["kinova_description/robots/kinova.urdf", "j2s6s200_link_base", "j2s6s200_end_effector"],
     ["z1_description/urdf/z1.urdf", "link00", "link06"],
+    ["panda_description/urdf/panda.urdf", "panda_link0", "panda_link8"],
+    ["xarm_description/urdf/xarm7.urdf", "link_base", "link_eef"],
 ];
 
+/// Those of seven.
+const SEVEN: [&str; 2] = ["panda_description/urdf/panda.urdf", "xarm_description/urdf/xarm7.urdf"];
+
 /// The arm of a URDF file, by way of a scene.
-fn of_file(text: &str, base: &str, tip: &str) -> ArmParameters {
+fn of_file(text: &str, base: &str, tip: &str, joints: usize) -> ArmParameters {
     // A start within every arm's ranges is not asked for here: the ranges are opened.
+    let angles = |deg: f64| list(&[deg; 7][..joints]);
     let keys = format!(
-        "[arm]\nurdf = \"a.urdf\"\nbase_link = \"{base}\"\ntip_link = \"{tip}\"\ninitial_joints_deg = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n\
-         lower_joints_deg = [-360.0, -360.0, -360.0, -360.0, -360.0, -360.0]\nupper_joints_deg = [360.0, 360.0, 360.0, 360.0, 360.0, 360.0]\n"
+        "[arm]\nurdf = \"a.urdf\"\nbase_link = \"{base}\"\ntip_link = \"{tip}\"\ninitial_joints_deg = {}\n\
+         lower_joints_deg = {}\nupper_joints_deg = {}\n",
+        angles(0.0),
+        angles(-360.0),
+        angles(360.0)
     );
     let read = |_: &Path| Ok(text.to_owned());
     let run = "name = \"a\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\n";
@@ -53,40 +63,41 @@ fn lines(out: &mut String, file: &str, [base, tip]: [&str; 2], geometry: &ArmGeo
         writeln!(
             out,
             r#"{{"file":"{file}","base":"{base}","tip":"{tip}","q_rad":{},"pose":{},"jacobian":{}}}"#,
-            list(&q),
+            list(&q[..geometry.joints()]),
             list(geometry.forward(&q).to_homogeneous().as_slice()),
-            list(geometry.frames(&q).jacobian().as_slice()),
+            list(geometry.frames(&q).jacobian().columns(0, geometry.joints()).as_slice()),
         )
         .unwrap();
     }
 }
 
-fn ask(python: &Path, argument: &str, lines: &str) -> serde_json::Value {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/arm_pinocchio.py");
+fn ask(python: &Path, arguments: &[&str], lines: &str) -> serde_json::Value {
+    let scripts = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python");
     let mut child = Command::new(python)
-        .arg(script)
-        .arg(argument)
+        .current_dir(scripts)
+        .args(arguments)
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();
     child.stdin.take().unwrap().write_all(lines.as_bytes()).unwrap();
-    let output = limited_output_of(child, COMMAND_LIMIT, "pinocchio");
+    let output = limited_output_of(child, COMMAND_LIMIT, arguments[0]);
     assert!(output.status.success());
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
 #[test]
-fn five_arms_out_of_their_files_agree_with_pinocchio() {
+fn arms_out_of_their_files_agree_with_pinocchio() {
     let Some(python) = python::or_skip("pin-4.1.0", &PACKAGES, "pinocchio") else { return };
-    let folder = ask(&python, "folder", "");
+    let folder = ask(&python, &["arm_pinocchio.py", "folder"], "");
     let folder = Path::new(folder.as_str().unwrap());
     for [name, base, tip] in FILES {
         let file = folder.join(name);
         let text = std::fs::read_to_string(&file).unwrap();
+        let joints = if SEVEN.contains(&name) { 7 } else { 6 };
         let mut asked = String::new();
-        lines(&mut asked, file.to_str().unwrap(), [base, tip], &of_file(&text, base, tip).geometry);
-        let worst = ask(&python, "compare", &asked);
+        lines(&mut asked, file.to_str().unwrap(), [base, tip], &of_file(&text, base, tip, joints).geometry);
+        let worst = ask(&python, &["arm_pinocchio.py", "compare"], &asked);
         println!("{name} against {}: {worst}", PACKAGES[0]);
         assert_eq!(worst["poses"], POSES);
         assert!(worst["forward"].as_f64().unwrap() < 1e-12, "{name}");
@@ -94,15 +105,36 @@ fn five_arms_out_of_their_files_agree_with_pinocchio() {
     }
 }
 
+#[test]
+fn arms_out_of_their_files_agree_with_yourdfpy_and_mujoco() {
+    let Some(python) = python::or_skip("pin-4.1.0", &PACKAGES, "pinocchio") else { return };
+    let Some(witnesses) = python::or_skip("arms-1", &WITNESSES, "yourdfpy, mujoco") else { return };
+    let folder = ask(&python, &["arm_pinocchio.py", "folder"], "");
+    let folder = Path::new(folder.as_str().unwrap());
+    for [name, base, tip] in FILES {
+        let file = folder.join(name);
+        let text = std::fs::read_to_string(&file).unwrap();
+        let joints = if SEVEN.contains(&name) { 7 } else { 6 };
+        let mut asked = String::new();
+        lines(&mut asked, file.to_str().unwrap(), [base, tip], &of_file(&text, base, tip, joints).geometry);
+        let worst = ask(&witnesses, &["arm_witnesses.py"], &asked);
+        println!("{name} against {WITNESSES:?}: {worst}");
+        assert_eq!(worst["poses"], POSES);
+        for (figure, most) in [("yourdfpy", 1e-12), ("mujoco", 1e-12), ("mujoco_jacobian", 1e-9)] {
+            assert!(worst[figure].as_f64().unwrap() < most, "{name}: {figure}");
+        }
+    }
+}
+
 /// Their base is ours turned by 180° about z, and their tool0 is our flange.
 #[test]
 fn the_ur3_and_the_ur5_are_those_of_the_ros_description() {
     let Some(python) = python::or_skip("pin-4.1.0", &PACKAGES, "pinocchio") else { return };
-    let folder = ask(&python, "folder", "");
+    let folder = ask(&python, &["arm_pinocchio.py", "folder"], "");
     let folder = Path::new(folder.as_str().unwrap());
     for ([name, base, tip], model) in FILES.into_iter().zip([ArmModel::Ur3, ArmModel::Ur5]) {
         let text = std::fs::read_to_string(folder.join(name)).unwrap();
-        let theirs = of_file(&text, base, tip).geometry;
+        let theirs = of_file(&text, base, tip, 6).geometry;
         let ours = ArmParameters::named(model, 1e-3);
         let half_turn = nalgebra::Matrix4::from_diagonal(&nalgebra::Vector4::new(-1.0, -1.0, 1.0, 1.0));
         let mut uniform = Uniform(32);

@@ -5,8 +5,8 @@
 mod common;
 
 use common::arm::{DT_S, Uniform, Used, about_pivot, finish_looking, guided_arm, run, t_flange_tool};
-use nalgebra::{Isometry3, Point3, Vector3};
-use simulation::arm::{Arm, ArmCommand, ArmError, ArmMode};
+use nalgebra::{Isometry3, Point3, SVector, Vector3};
+use simulation::arm::{Arm, ArmCommand, ArmError, ArmMode, Joints, six_joints};
 use std::f64::consts::PI;
 
 /// Distance of a pivot from the tool's axis.
@@ -26,14 +26,14 @@ fn the_tool_stands_at_the_flange_through_its_transform() {
     let expected = arm.parameters().t_world_arm_base * bare.forward(&arm.state().q_rad);
     assert!((expected.translation.vector - flange.translation.vector).norm() < 1e-15);
     let rates = Vector3::new(0.1, 0.2, 0.3);
-    let twist = arm.jacobian() * nalgebra::Vector6::new(rates.x, rates.y, rates.z, 0.0, 0.0, 0.0);
+    let twist = arm.jacobian() * SVector::from(six_joints([rates.x, rates.y, rates.z, 0.0, 0.0, 0.0]));
     assert!(twist.norm() > 0.01, "the Jacobian is that of the tool's base");
 }
 
 #[test]
 fn rates_are_reached_and_kept_and_a_joint_stops_at_the_end_of_its_range() {
     let mut arm = guided_arm();
-    let rates = [0.4, -0.3, 0.9, 0.0, -0.2, 1.1];
+    let rates = six_joints([0.4, -0.3, 0.9, 0.0, -0.2, 1.1]);
     arm.command(ArmCommand::ServoJv { qd_rad_s: rates }).unwrap();
     let mut used = Used::default();
     let mut elbow_stops_at_tick = None;
@@ -43,7 +43,7 @@ fn rates_are_reached_and_kept_and_a_joint_stops_at_the_end_of_its_range() {
         used.add(&arm, &before);
         if tick == 400 {
             assert_eq!(state.qd_rad_s, rates);
-            assert_eq!(state.qdd_rad_s2, [0.0; 6]);
+            assert_eq!(state.qdd_rad_s2, Joints::default());
         }
         if let Some(ArmError::JointRangeEnds { joint, .. }) = state.fault {
             assert_eq!(joint, 3);
@@ -56,22 +56,22 @@ fn rates_are_reached_and_kept_and_a_joint_stops_at_the_end_of_its_range() {
     assert!(elbow_stops_at_tick.is_some_and(|tick| (1_300..1_600).contains(&tick)));
     // Not beyond, and short of the end by less than a tick's way.
     assert!(state.q_rad[2] <= PI && state.q_rad[2] > PI - 0.9e-3 * 1.01);
-    assert_eq!(state.qd_rad_s, [0.4, -0.3, 0.0, 0.0, -0.2, 1.1], "the others go on");
+    assert_eq!(state.qd_rad_s, six_joints([0.4, -0.3, 0.0, 0.0, -0.2, 1.1]), "the others go on");
     assert_eq!(state.mode, ArmMode::ServoJv);
     used.check(1e-8);
 
     // Outward again: it stays. Back: it goes. Zero: it stops and is done.
-    arm.command(ArmCommand::ServoJv { qd_rad_s: [0.0, 0.0, 0.5, 0.0, 0.0, 0.0] }).unwrap();
+    arm.command(ArmCommand::ServoJv { qd_rad_s: six_joints([0.0, 0.0, 0.5, 0.0, 0.0, 0.0]) }).unwrap();
     run(&mut arm, 1_000);
     assert!(arm.state().done && arm.state().q_rad[2] <= PI);
-    arm.command(ArmCommand::ServoJv { qd_rad_s: [0.0, 0.0, -0.5, 0.0, 0.0, 0.0] }).unwrap();
+    arm.command(ArmCommand::ServoJv { qd_rad_s: six_joints([0.0, 0.0, -0.5, 0.0, 0.0, 0.0]) }).unwrap();
     run(&mut arm, 1_000);
     assert!(arm.state().q_rad[2] < PI - 0.4 && arm.state().fault.is_none());
-    arm.command(ArmCommand::ServoJv { qd_rad_s: [0.0; 6] }).unwrap();
+    arm.command(ArmCommand::ServoJv { qd_rad_s: Joints::default() }).unwrap();
     finish_looking(&mut arm, |_| ());
-    assert_eq!(arm.state().qd_rad_s, [0.0; 6]);
+    assert_eq!(arm.state().qd_rad_s, Joints::default());
 
-    let mut fast = [0.0; 6];
+    let mut fast = Joints::default();
     fast[4] = 3.2;
     let refused = arm.command(ArmCommand::ServoJv { qd_rad_s: fast });
     assert!(matches!(refused, Err(ArmError::JointRateOutsideLimits { joint: 5, .. })));

@@ -11,7 +11,7 @@ use simulation::{CtView, Simulation};
 const FACE_Z_M: f64 = -0.1;
 const VOXEL_M: f64 = 0.5e-3;
 /// Ticks in which every part is looked at.
-const PERIOD_TICKS: u64 = 64;
+const PERIOD_TICKS: u64 = 72;
 
 /// 3 mm/s along +z.
 fn feed(start: &State) -> Latched {

@@ -1,8 +1,8 @@
 //! UR5 kinematics against published poses, a second formulation, finite differences and its own inverse.
 
-use nalgebra::{Isometry3, Matrix3, Matrix4, Vector3, Vector6};
+use nalgebra::{Isometry3, Matrix3, Matrix4, SVector, Vector3, Vector6};
 use simulation::arm::{
-    ArmParameters, COMFORTABLE_Q_RAD, Joints, KinematicsError, UrGeometry, place_base_for,
+    ArmParameters, COMFORTABLE_Q_RAD, Joints, KinematicsError, UrGeometry, place_base_for, six_joints,
 };
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
@@ -21,7 +21,7 @@ impl Uniform {
     }
 
     fn joints(&mut self, range: f64) -> Joints {
-        std::array::from_fn(|_| self.between(-range, range))
+        six_joints(std::array::from_fn(|_| self.between(-range, range)))
     }
 }
 
@@ -61,14 +61,14 @@ fn product_of_exponentials(q: &Joints, lengths: [f64; 6]) -> Matrix4<f64> {
 fn forward_kinematics_match_published_poses() {
     // Universal Robots' URDF at zero: tool0 at (0.81725, 0.19145, -0.005491) of base_link, which is our base turned by
     // 180° about z.
-    let zero = UR5.forward(&[0.0; 6]).translation.vector;
+    let zero = UR5.forward(&Joints::default()).translation.vector;
     assert!((zero - Vector3::new(-0.81725, -0.19145, -0.005491)).norm() < 1e-12, "{zero}");
     // Straight up, flange at 1.001059 m.
-    let up = UR5.forward(&[0.0, -FRAC_PI_2, 0.0, -FRAC_PI_2, 0.0, 0.0]).translation.vector;
+    let up = UR5.forward(&six_joints([0.0, -FRAC_PI_2, 0.0, -FRAC_PI_2, 0.0, 0.0])).translation.vector;
     assert!((up - Vector3::new(0.0, -0.19145, 1.001059)).norm() < 1e-12, "{up}");
     // Modern Robotics, figure 4.6: q2 = -90°, q5 = 90°, printed in millimetres, hence 1 mm.
     let printed = Vector3::new(0.095, 0.109, 0.988);
-    let figure = UR5.forward(&[0.0, -FRAC_PI_2, 0.0, 0.0, FRAC_PI_2, 0.0]).translation.vector;
+    let figure = UR5.forward(&six_joints([0.0, -FRAC_PI_2, 0.0, 0.0, FRAC_PI_2, 0.0])).translation.vector;
     let turned = Vector3::new(-figure.x, -figure.y, figure.z);
     assert!((turned - printed).amax() < 1e-3, "{turned}");
 }
@@ -111,7 +111,7 @@ fn inverse_finds_every_pose_and_the_branch_it_came_from() {
             worst_pose = worst_pose.max((back.translation.vector - pose.translation.vector).norm()).max(turn);
         }
         // From a nearby reference the nearest branch is the one the pose came from, whole turns included.
-        let reference: Joints = std::array::from_fn(|i| q[i] + uniform.between(-1e-3, 1e-3));
+        let reference = six_joints(std::array::from_fn(|i| q[i] + uniform.between(-1e-3, 1e-3)));
         let nearest = UR5.inverse_nearest(&pose, &reference, &limits.lower_rad, &limits.upper_rad).unwrap();
         for i in 0..6 {
             worst_branch = worst_branch.max((nearest[i] - q[i]).abs());
@@ -142,11 +142,13 @@ fn jacobian_matches_finite_differences_and_its_determinant_the_closed_form() {
             let expected = difference(&UR5.forward(&ahead), &UR5.forward(&behind)) / (2.0 * step);
             worst = worst.max((jacobian.column(i) - expected).amax());
         }
-        assert!((jacobian.determinant().abs() - UR5.manipulability_m3(&q)).abs() < 1e-14);
+        assert!(
+            (jacobian.fixed_columns::<6>(0).determinant().abs() - UR5.manipulability_m3(&q)).abs() < 1e-14
+        );
 
         let rates = uniform.joints(2.0);
         let moved = |h: f64| UR5.frames(&std::array::from_fn(|i| q[i] + h * rates[i])).jacobian();
-        let change = (moved(step) - moved(-step)) / (2.0 * step) * Vector6::from(rates);
+        let change = (moved(step) - moved(-step)) / (2.0 * step) * SVector::from(rates);
         worst_bias = worst_bias.max((frames.bias_acceleration(&rates) - change).amax());
     }
     println!("Jacobian against central differences: {worst:.1e}; J̇q̇: {worst_bias:.1e}");
@@ -162,7 +164,7 @@ fn difference(to: &Isometry3<f64>, from: &Isometry3<f64>) -> Vector6<f64> {
 
 #[test]
 fn unreachable_and_singular_poses_are_told_apart() {
-    let mut far = UR5.forward(&[0.3, -1.0, 1.2, -0.5, 1.0, 0.2]);
+    let mut far = UR5.forward(&six_joints([0.3, -1.0, 1.2, -0.5, 1.0, 0.2]));
     far.translation.vector *= 3.0;
     assert!(matches!(UR5.inverse(&far), Err(KinematicsError::OutOfReach { .. })));
 
@@ -172,22 +174,22 @@ fn unreachable_and_singular_poses_are_told_apart() {
     assert!(matches!(UR5.inverse(&over_base), Err(KinematicsError::TooCloseToBase { .. })));
 
     // The other shoulder's solutions remain, but they are not near: no flip of the arm.
-    let straight = [0.3, -1.0, 1.2, -0.5, 0.0, 0.2];
+    let straight = six_joints([0.3, -1.0, 1.2, -0.5, 0.0, 0.2]);
     let wrist = UR5.forward(&straight);
     assert!(UR5.inverse(&wrist).unwrap().as_slice().iter().all(|q| (q[0] - straight[0]).abs() > 0.1));
-    let near = UR5.inverse_nearest(&wrist, &straight, &[-TAU; 6], &[TAU; 6]);
+    let near = UR5.inverse_nearest(&wrist, &straight, &[-TAU; 7], &[TAU; 7]);
     assert!(matches!(near, Err(KinematicsError::WristSingular { .. })), "{near:?}");
 
     // Stretched to the last digit: still reachable.
-    let stretched = UR5.forward(&[0.3, -1.0, 0.0, -0.5, 1.0, 0.2]);
+    let stretched = UR5.forward(&six_joints([0.3, -1.0, 0.0, -0.5, 1.0, 0.2]));
     assert!(UR5.inverse(&stretched).is_ok());
 
     let mut invalid = wrist;
     invalid.translation.x = f64::NAN;
     assert_eq!(UR5.inverse(&invalid), Err(KinematicsError::InvalidPose));
 
-    let q = [0.3, -1.0, 1.2, -0.5, 1.0, 0.2];
-    let narrow = UR5.inverse_nearest(&UR5.forward(&q), &q, &[-0.1; 6], &[0.1; 6]);
+    let q = six_joints([0.3, -1.0, 1.2, -0.5, 1.0, 0.2]);
+    let narrow = UR5.inverse_nearest(&UR5.forward(&q), &q, &[-0.1; 7], &[0.1; 7]);
     assert!(matches!(narrow, Err(KinematicsError::OutsideJointLimits { branches: 8 })), "{narrow:?}");
 }
 

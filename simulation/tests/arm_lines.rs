@@ -4,7 +4,7 @@ mod common;
 
 use common::arm::{DT_S, Uniform, Used, arm, finish, move_cp, moved, rest_to_rest_s};
 use nalgebra::{Isometry3, Vector3};
-use simulation::arm::{ArmCommand, ArmMode, ArmState};
+use simulation::arm::{ArmCommand, ArmMode, ArmState, six_joints};
 
 /// Distance of the flange from the straight line `from`-`to`, and the angle by which its turn misses the fixed-axis turn.
 fn off_line(state: &ArmState, from: &Isometry3<f64>, to: &Isometry3<f64>) -> (f64, f64) {
@@ -96,7 +96,7 @@ fn the_published_velocity_is_the_derivative_of_the_published_pose() {
     let mut arm = arm();
     let goal =
         moved(&arm.state().t_world_tool, Vector3::new(0.05, -0.04, 0.06), Vector3::new(0.3, 0.2, -0.1));
-    let q_goal = arm.state().q_rad.map(|q| q + 0.3);
+    let q_goal = six_joints(std::array::from_fn(|i| arm.state().q_rad[i] + 0.3));
     let mut worst = [0.0f64; 3];
     for command in [move_cp(goal), ArmCommand::MoveJp { q_rad: q_goal, speed_fraction: 0.3 }] {
         arm.command(command).unwrap();
@@ -113,7 +113,7 @@ fn the_published_velocity_is_the_derivative_of_the_published_pose() {
             worst[2] = worst[2].max((acceleration - second.linear_acceleration_m_s2).norm());
             (first, second) = (second, third);
         }
-        let twist = arm.jacobian() * nalgebra::Vector6::from(second.qd_rad_s);
+        let twist = arm.jacobian() * nalgebra::SVector::from(second.qd_rad_s);
         assert!((twist.fixed_rows::<3>(0) - second.linear_velocity_m_s).norm() < 1e-15);
     }
     println!(
@@ -205,7 +205,7 @@ fn a_line_can_be_extended_and_left() {
 fn a_line_begun_in_joint_motion_waits_for_the_stop() {
     let mut arm = arm();
     let goal = moved(&arm.state().t_world_tool, Vector3::new(0.03, 0.02, 0.05), Vector3::zeros());
-    let q_rad = arm.state().q_rad.map(|q| q + 0.5);
+    let q_rad = six_joints(std::array::from_fn(|i| arm.state().q_rad[i] + 0.5));
     let mut used = Used::default();
     arm.command(ArmCommand::ServoJp { q_rad, speed_fraction: 1.0 }).unwrap();
     for _ in 0..150 {

@@ -5,7 +5,7 @@ use nalgebra::{Isometry3, Vector3, Vector6};
 use scene::ArmModel;
 use simulation::arm::{
     Arm, ArmCommand, ArmError, ArmGeometry, ArmParameters, COMFORTABLE_Q_RAD, Joints, KinematicsError,
-    SerialGeometry, SerialJoint, mass_matrix, place_base_for,
+    Redundancy, SerialGeometry, SerialJoint, mass_matrix, place_base_for, six_joints,
 };
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -31,11 +31,11 @@ fn joint(position_m: [f64; 3], roll_rad: f64, turns: bool) -> SerialJoint {
 }
 
 /// A chain of Denavit-Hartenberg parameters a, d, alpha: after each joint stands `Tz(d) Tx(a) Rx(alpha)`.
-fn denavit_hartenberg(rows: [[f64; 3]; 6]) -> ArmGeometry {
+fn denavit_hartenberg<const N: usize>(rows: [[f64; 3]; N]) -> ArmGeometry {
     let after = rows.map(|[a, d, alpha]| ([a, 0.0, d], alpha));
     let mut joints = vec![joint([0.0; 3], 0.0, true)];
-    joints.extend(after.iter().enumerate().map(|(i, (place, alpha))| joint(*place, *alpha, i < 5)));
-    ArmGeometry::Serial(SerialGeometry::new(joints))
+    joints.extend(after.iter().enumerate().map(|(i, (place, alpha))| joint(*place, *alpha, i + 1 < N)));
+    ArmGeometry::Serial(SerialGeometry::new(joints, 2))
 }
 
 /// The PUMA 560: Corke and Armstrong-Helouvry, "A search for consensus among model parameters reported for the PUMA 560 robot",
@@ -51,6 +51,23 @@ fn puma() -> ArmGeometry {
     ])
 }
 
+/// A KUKA LBR iiwa 14 R820, seven joints: shoulder, elbow and wrist 360, 420 and 400 mm apart, flange 126 mm before the wrist (KUKA, "LBR
+/// iiwa 7 R800, LBR iiwa 14 R820, Specification", main dimensions).
+fn lbr_iiwa_14() -> ArmGeometry {
+    denavit_hartenberg([
+        [0.0, 0.36, -FRAC_PI_2],
+        [0.0, 0.0, FRAC_PI_2],
+        [0.0, 0.42, FRAC_PI_2],
+        [0.0, 0.0, -FRAC_PI_2],
+        [0.0, 0.4, -FRAC_PI_2],
+        [0.0, 0.0, FRAC_PI_2],
+        [0.0, 0.126, 0.0],
+    ])
+}
+
+/// Ranges of its joints, from the same source.
+const LBR_RANGES_DEG: [f64; 7] = [170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0];
+
 /// The arms, each with its ranges.
 fn arms() -> Vec<(String, ArmGeometry, [Joints; 2])> {
     let named = MODELS.map(|model| {
@@ -58,10 +75,21 @@ fn arms() -> Vec<(String, ArmGeometry, [Joints; 2])> {
         let limits = parameters.joint_limits;
         (format!("{model:?}"), parameters.geometry, [limits.lower_rad, limits.upper_rad])
     });
-    let upper = [160.0_f64, 110.0, 135.0, 266.0, 100.0, 266.0].map(f64::to_radians);
     let mut arms = named.to_vec();
-    arms.push(("Puma560".to_owned(), puma(), [upper.map(|x| -x), upper]));
+    for (name, geometry, upper_deg) in [
+        ("LbrIiwa14", lbr_iiwa_14(), LBR_RANGES_DEG),
+        ("Puma560", puma(), six_joints([160.0, 110.0, 135.0, 266.0, 100.0, 266.0])),
+    ] {
+        let upper = upper_deg.map(f64::to_radians);
+        arms.push((name.to_owned(), geometry, [upper.map(|x| -x), upper]));
+    }
     arms
+}
+
+/// `|det J|` of the six joints that move on a path: of seven all but the third.
+fn determinant_m3(geometry: &ArmGeometry, q: &Joints) -> f64 {
+    let held = if geometry.joints() == 7 { 2 } else { 6 };
+    geometry.frames(q).jacobian().remove_column(held).determinant().abs()
 }
 
 fn apart(a: &Isometry3<f64>, b: &Isometry3<f64>) -> f64 {
@@ -77,15 +105,20 @@ fn every_arm_comes_back_to_the_joints_that_its_pose_is_of() {
         let (mut worst_pose, mut worst_joint, mut tried) = (0.0f64, 0.0f64, 0);
         while tried < 2_000 {
             let q: Joints = std::array::from_fn(|i| uniform.between(lower[i], upper[i]) * 0.99);
-            if geometry.manipulability_m3(&q) < 1e-3 {
+            if determinant_m3(&geometry, &q) < 1e-3 {
                 continue;
             }
             tried += 1;
             let pose = geometry.forward(&q);
-            let near: Joints = std::array::from_fn(|i| q[i] + uniform.between(-1e-3, 1e-3));
-            let found = geometry.inverse_nearest(&pose, &near, &lower, &upper).unwrap();
+            let mut near: Joints = std::array::from_fn(|i| q[i] + uniform.between(-1e-3, 1e-3));
+            if geometry.joints() == 7 {
+                // Which of the many solutions is meant.
+                near[2] = q[2];
+            }
+            let found = geometry.inverse_nearest(&pose, &near, &lower, &upper, Redundancy::Held).unwrap();
             worst_pose = worst_pose.max(apart(&geometry.forward(&found), &pose));
-            worst_joint = (0..6).fold(worst_joint, |worst, i| worst.max((found[i] - q[i]).abs()));
+            worst_joint =
+                (0..geometry.joints()).fold(worst_joint, |worst, i| worst.max((found[i] - q[i]).abs()));
         }
         println!("{name}: worst pose {worst_pose:.1e} (m, rad), worst joint {worst_joint:.1e} rad");
         // What the numeric inverse promises, and the joints off by that over the least singular value of J at |det J| >= 1e-3 m³.
@@ -101,7 +134,7 @@ fn every_jacobian_is_the_derivative_of_the_pose_and_its_determinant_the_manipula
         for _ in 0..200 {
             let q: Joints = std::array::from_fn(|_| uniform.between(-PI, PI));
             let jacobian = geometry.frames(&q).jacobian();
-            for i in 0..6 {
+            for i in 0..7 {
                 let moved = |by: f64| {
                     let mut q = q;
                     q[i] += by;
@@ -114,7 +147,9 @@ fn every_jacobian_is_the_derivative_of_the_pose_and_its_determinant_the_manipula
                     / (2.0 * step);
                 worst = worst.max((jacobian.column(i) - expected).amax());
             }
-            worst_det = worst_det.max((jacobian.determinant().abs() - geometry.manipulability_m3(&q)).abs());
+            // Of seven joints the root of the sum of the squares over all six of them (Cauchy and Binet).
+            let minors = (0..7).map(|held| jacobian.remove_column(held).determinant().powi(2));
+            worst_det = worst_det.max((minors.sum::<f64>().sqrt() - geometry.manipulability_m3(&q)).abs());
         }
         println!("{name}: Jacobian against central differences {worst:.1e}, determinant {worst_det:.1e} m³");
         // Central differences at h = 1e-6: rounding of numbers up to 2 over h.
@@ -186,12 +221,13 @@ fn an_arm_described_joint_by_joint_is_the_named_one() {
 #[test]
 fn the_numeric_inverse_finds_far_goals_within_the_ranges() {
     let (_, geometry, [lower, upper]) = arms().pop().unwrap();
+    let near = six_joints([0.1; 6]);
     let mut uniform = Uniform(25);
     let (mut found, trials) = (0, 500);
     for _ in 0..trials {
         let q: Joints = std::array::from_fn(|i| uniform.between(lower[i], upper[i]) * 0.95);
         let pose = geometry.forward(&q);
-        let inverse = || geometry.inverse_nearest(&pose, &[0.1; 6], &lower, &upper);
+        let inverse = || geometry.inverse_nearest(&pose, &near, &lower, &upper, Redundancy::Free);
         let Ok(solution) = inverse() else { continue };
         found += 1;
         assert!((0..6).all(|i| (lower[i]..=upper[i]).contains(&solution[i])), "{solution:?}");
@@ -200,18 +236,21 @@ fn the_numeric_inverse_finds_far_goals_within_the_ranges() {
     }
     println!("{found} of {trials}");
     assert!(found > trials * 9 / 10);
-    let mut far = geometry.forward(&[0.1; 6]);
+    let mut far = geometry.forward(&near);
     far.translation.vector.x += 5.0;
-    let error = geometry.inverse_nearest(&far, &[0.1; 6], &lower, &upper).unwrap_err();
+    let error = geometry.inverse_nearest(&far, &near, &lower, &upper, Redundancy::Free).unwrap_err();
     assert!(matches!(error, KinematicsError::NotReached { missed_m, .. } if missed_m > 3.0), "{error}");
     far.translation.vector.x = f64::NAN;
-    assert_eq!(geometry.inverse_nearest(&far, &[0.1; 6], &lower, &upper), Err(KinematicsError::InvalidPose));
+    assert_eq!(
+        geometry.inverse_nearest(&far, &near, &lower, &upper, Redundancy::Free),
+        Err(KinematicsError::InvalidPose)
+    );
 }
 
 /// A path of an arm with a numeric inverse is as straight as one with a closed inverse.
 #[test]
 fn an_arm_described_joint_by_joint_follows_a_straight_line() {
-    let start_rad = [0.1, 0.8, 0.3, 0.2, 0.9, 0.1];
+    let start_rad = six_joints([0.1, 0.8, 0.3, 0.2, 0.9, 0.1]);
     let parameters = ArmParameters { geometry: puma(), ..ArmParameters::ur5(DT_S) };
     let mut arm = Arm::new(parameters, &start_rad).unwrap();
     let start = arm.state().t_world_tool;
@@ -237,14 +276,14 @@ fn a_fixed_tool_stays_and_says_why() {
     let mut parameters = ArmParameters::named(ArmModel::Fixed, DT_S);
     parameters.geometry = parameters.geometry.with_tool(Some(tool));
     let wanted = Isometry3::new(Vector3::new(0.1, -0.2, 0.3), Vector3::new(0.4, 0.5, -0.6));
-    parameters.t_world_arm_base = place_base_for(&parameters.geometry, &wanted, &[0.0; 6]);
-    let mut arm = Arm::new(parameters, &[0.0; 6]).unwrap();
+    parameters.t_world_arm_base = place_base_for(&parameters.geometry, &wanted, &Joints::default());
+    let mut arm = Arm::new(parameters, &Joints::default()).unwrap();
     let goal = moved_aside(&wanted);
     for command in [
         move_cp(goal),
         ArmCommand::ServoCp { t_world_tool: goal, speed_fraction: 1.0 },
-        ArmCommand::ServoJp { q_rad: [0.1; 6], speed_fraction: 1.0 },
-        ArmCommand::ServoJv { qd_rad_s: [0.1; 6] },
+        ArmCommand::ServoJp { q_rad: [0.1; 7], speed_fraction: 1.0 },
+        ArmCommand::ServoJv { qd_rad_s: [0.1; 7] },
         ArmCommand::Insert { axis_world: Vector3::z(), depth_m: 0.01, feed_m_s: 0.01 },
     ] {
         assert_eq!(arm.command(command), Err(ArmError::NoArm));
@@ -256,7 +295,7 @@ fn a_fixed_tool_stays_and_says_why() {
     }
     assert!(apart(&arm.state().t_world_tool, &wanted) < 1e-7);
     assert!((arm.state().t_world_tool.translation.vector - wanted.translation.vector).norm() < 1e-15);
-    assert_eq!((arm.state().q_rad, arm.state().done), ([0.0; 6], true));
+    assert_eq!((arm.state().q_rad, arm.state().done), (Joints::default(), true));
 }
 
 fn moved_aside(pose: &Isometry3<f64>) -> Isometry3<f64> {

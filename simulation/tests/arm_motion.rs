@@ -6,7 +6,7 @@ use common::arm::{DT_S, Uniform, Used, arm, finish, move_cp, moved, rest_to_rest
 use nalgebra::Vector3;
 use simulation::arm::{
     Arm, ArmCommand, ArmError, ArmMode, ArmParameters, ArmState, AxisLimits, AxisState, Goal, Joints,
-    Planner, Segment,
+    Planner, Segment, six_joints,
 };
 use std::f64::consts::TAU;
 
@@ -37,7 +37,7 @@ fn joint_moves_keep_their_limits_end_exactly_and_in_proportion() {
         let mut arm = arm();
         let start = arm.state().q_rad;
         let goal: Joints =
-            std::array::from_fn(|i| uniform.between(-1.0, 1.0) * if i == 2 { 3.1 } else { 6.2 });
+            six_joints(std::array::from_fn(|i| uniform.between(-1.0, 1.0) * if i == 2 { 3.1 } else { 6.2 }));
         let speed_fraction = uniform.between(0.2, 1.0);
         arm.command(ArmCommand::MoveJp { q_rad: goal, speed_fraction }).unwrap();
         for _ in 0..300 {
@@ -53,7 +53,7 @@ fn joint_moves_keep_their_limits_end_exactly_and_in_proportion() {
         }
         finish(&mut arm, &mut used);
         assert_eq!(arm.state().q_rad, goal);
-        assert_eq!(arm.state().qd_rad_s, [0.0; 6]);
+        assert_eq!(arm.state().qd_rad_s, Joints::default());
         assert_eq!(arm.state().mode, ArmMode::MoveJp);
     }
     println!("move_jp uses {used:?} of the limits");
@@ -68,12 +68,12 @@ fn a_hostile_servo_never_leaves_the_limits() {
     let mut used = Used::default();
     for tick in 0..100_000 {
         if uniform.between(0.0, 1.0) < if tick < 50_000 { 0.05 } else { 0.001 } {
-            let q_rad: Joints = std::array::from_fn(|i| {
+            let q_rad = six_joints(std::array::from_fn(|i| {
                 let range = if i == 2 { TAU / 2.0 } else { TAU };
                 let any = uniform.between(-1.3, 1.3).clamp(-1.0, 1.0) * range;
                 let near = (arm.state().q_rad[i] + uniform.between(-0.2, 0.2)).clamp(-range, range);
                 if uniform.between(0.0, 1.0) < 0.5 { any } else { near }
-            });
+            }));
             let speed_fraction = uniform.between(0.05, 1.0);
             let choice = uniform.between(0.0, 1.0);
             let command = if choice < 0.1 {
@@ -100,7 +100,7 @@ fn a_servo_follows_a_slow_sine_closely() {
     let mut worst: f64 = 0.0;
     for tick in 0..4_000 {
         let wave = 0.2 * (1.0 - (tick as f64 * DT_S * TAU * 0.5).cos());
-        let q_rad: Joints = std::array::from_fn(|i| start[i] + wave);
+        let q_rad = six_joints(std::array::from_fn(|i| start[i] + wave));
         arm.command(ArmCommand::ServoJp { q_rad, speed_fraction: 1.0 }).unwrap();
         arm.step();
         worst = worst.max((arm.state().q_rad[0] - q_rad[0]).abs());
@@ -132,10 +132,10 @@ fn servo_cp_reaches_its_pose() {
 fn refused_commands_leave_the_motion_as_it_was() {
     let (mut arm, mut undisturbed) = (arm(), arm());
     let goal = moved(&arm.state().t_world_tool, Vector3::new(0.02, 0.03, 0.06), Vector3::new(0.1, 0.0, 0.2));
-    let q_goal = arm.state().q_rad.map(|q| q - 0.4);
+    let q_goal = six_joints(std::array::from_fn(|i| arm.state().q_rad[i] - 0.4));
     let mut not_a_pose = goal;
     not_a_pose.translation.x = f64::NAN;
-    let nan_q = [f64::NAN; 6];
+    let nan_q = six_joints([f64::NAN; 6]);
     let mut wide_q = arm.state().q_rad;
     wide_q[2] = 3.2;
     let beyond = moved(&goal, Vector3::new(0.0, 0.0, 5.0), Vector3::zeros());
@@ -176,7 +176,7 @@ fn refused_commands_leave_the_motion_as_it_was() {
 fn a_repeated_command_changes_nothing() {
     let goal =
         moved(&arm().state().t_world_tool, Vector3::new(0.02, 0.03, 0.06), Vector3::new(0.1, 0.0, 0.2));
-    let q_rad = arm().state().q_rad.map(|q| q - 0.4);
+    let q_rad = six_joints(std::array::from_fn(|i| arm().state().q_rad[i] - 0.4));
     let commands = [
         ArmCommand::MoveJp { q_rad, speed_fraction: 0.5 },
         move_cp(goal),
@@ -197,9 +197,9 @@ fn a_repeated_command_changes_nothing() {
 fn a_line_through_a_singularity_is_refused() {
     let parameters = ArmParameters::ur5(DT_S);
     // Wrist 2 near straight; the goal is the mirrored wrist: the flange turns through q5 = 0.
-    let q = [0.0, -1.2, 1.8, -2.2, 0.3, 0.0];
+    let q = six_joints([0.0, -1.2, 1.8, -2.2, 0.3, 0.0]);
     let mut arm = Arm::new(parameters, &q).unwrap();
-    let goal = parameters.geometry.forward(&[0.0, -1.2, 1.8, -2.2, -0.3, 0.0]);
+    let goal = parameters.geometry.forward(&six_joints([0.0, -1.2, 1.8, -2.2, -0.3, 0.0]));
     let error = arm.command(move_cp(goal)).unwrap_err();
     println!("{error}");
     assert!(matches!(
@@ -213,7 +213,7 @@ fn a_line_through_a_singularity_is_refused() {
 #[test]
 fn a_line_on_which_the_joints_would_jump_is_refused_as_such_and_where() {
     let parameters = ArmParameters::ur5(DT_S);
-    let posture = |wrist_rad| [0.0, -1.2, 1.8, -2.2, wrist_rad, 0.0];
+    let posture = |wrist_rad| six_joints([0.0, -1.2, 1.8, -2.2, wrist_rad, 0.0]);
     for (from_rad, to_rad) in [(0.3, -0.25), (0.2, -0.1), (-0.3, 0.25), (0.02, -0.5)] {
         let mut arm = Arm::new(parameters, &posture(from_rad)).unwrap();
         let goal = parameters.geometry.forward(&posture(to_rad));
@@ -241,7 +241,7 @@ fn a_line_on_which_the_joints_would_jump_is_refused_as_such_and_where() {
 #[test]
 fn parameters_are_checked() {
     let good = ArmParameters::ur5(DT_S);
-    let q = [0.0, -1.2, 1.8, -2.2, -1.5, 0.0];
+    let q = six_joints([0.0, -1.2, 1.8, -2.2, -1.5, 0.0]);
     let build = |p: ArmParameters, q: &Joints| Arm::new(p, q).err();
     assert_eq!(build(good, &q), None);
     assert!(matches!(
@@ -257,12 +257,15 @@ fn parameters_are_checked() {
     parameters = good;
     parameters.t_world_arm_base.translation.x = f64::INFINITY;
     assert!(matches!(build(parameters, &q), Some(ArmError::BasePose(_))));
-    assert!(matches!(build(good, &[4.0; 6]), Some(ArmError::JointOutsideLimits { joint: 3, .. })));
+    assert!(matches!(
+        build(good, &six_joints([4.0; 6])),
+        Some(ArmError::JointOutsideLimits { joint: 3, .. })
+    ));
 }
 
 /// A stream of commands of every kind; the same for the same seed.
 fn random_command(uniform: &mut Uniform, state: &ArmState) -> ArmCommand {
-    let near: Joints = std::array::from_fn(|i| state.q_rad[i] + uniform.between(-0.3, 0.3));
+    let near = six_joints(std::array::from_fn(|i| state.q_rad[i] + uniform.between(-0.3, 0.3)));
     let speed_fraction = uniform.between(0.1, 1.0);
     let pose = moved(&state.t_world_tool, uniform.vector(0.05), uniform.vector(0.2));
     let ahead =

@@ -9,7 +9,9 @@ use common::arm::{
 };
 use nalgebra::{Isometry3, Vector3};
 use scene::ArmModel;
-use simulation::arm::{Arm, ArmCommand, ArmError, ArmParameters, ArmState, KinematicsError, place_base_for};
+use simulation::arm::{
+    Arm, ArmCommand, ArmError, ArmParameters, ArmState, Joints, KinematicsError, place_base_for,
+};
 
 const TRAVEL_MM: [f64; 3] = [120.0, 80.0, 200.0];
 
@@ -27,8 +29,8 @@ fn gantry() -> Arm {
     let mut parameters = ArmParameters::of(&scene, DT_S);
     parameters.geometry = parameters.geometry.with_tool(Some(tool));
     let wanted = Isometry3::new(Vector3::new(0.1, -0.2, 0.3), Vector3::new(0.4, 0.5, -0.6));
-    parameters.t_world_arm_base = place_base_for(&parameters.geometry, &wanted, &[0.0; 6]);
-    Arm::new(parameters, &[0.0; 6]).unwrap()
+    parameters.t_world_arm_base = place_base_for(&parameters.geometry, &wanted, &Joints::default());
+    Arm::new(parameters, &Joints::default()).unwrap()
 }
 
 /// Where the flange is along the gantry's axes, from the start.
@@ -148,7 +150,7 @@ fn any_commands_keep_travel_limits_orientation_and_derivatives_and_a_snapshot_co
 fn what_a_gantry_cannot_do_is_refused_with_what_it_can_and_changes_nothing() {
     let mut arm = gantry();
     let start = arm.state().t_world_tool;
-    let q_rad = [0.0; 6];
+    let q_rad = Joints::default();
     let of_joints = [
         ArmCommand::ServoJp { q_rad, speed_fraction: 1.0 },
         ArmCommand::MoveJp { q_rad, speed_fraction: 1.0 },

@@ -1,24 +1,24 @@
 //! The arm as the page draws it.
 
 use inputs::arm_meshes::{self, ArmMeshError, LoadedMesh};
-use ipc_types::messages::{ARM_JOINTS, Pose};
+use ipc_types::messages::Pose;
 use ipc_types::scene::{Arm, ArmMesh, Scene};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
-use simulation::arm::{ArmGeometry, ArmParameters};
+use simulation::arm::{ArmGeometry, ArmParameters, Joints, LinkFrames};
 use simulation::pose;
 use viewer_proc::ArmLooks;
 use viewer_proc::surface::link_mesh;
 
-/// The arm of a scene without its tool: frame 6 is the flange.
+/// The arm of a scene without its tool: the last frame is the flange.
 fn geometry(scene: &Scene) -> ArmGeometry {
     ArmParameters::of(&scene.arm, scene.dt_s()).geometry.with_tool(None)
 }
 
 /// The parts of the arm between its joints, as `ToolShape::arm_parts` has them.
-pub fn arm_parts(scene: &Scene) -> Option<[Pose; ARM_JOINTS]> {
+pub fn arm_parts(scene: &Scene) -> Option<Vec<Pose>> {
     let geometry = geometry(scene);
     let parts = geometry.fixed_parts();
-    geometry.turns().then(|| std::array::from_fn(|index| pose(&parts[index + 1])))
+    geometry.turns().then(|| parts[1..].iter().map(pose).collect())
 }
 
 /// The links of a scene's arm that have meshes.
@@ -28,7 +28,7 @@ pub fn arm_parts(scene: &Scene) -> Option<[Pose; ARM_JOINTS]> {
 pub fn arm_looks(scene: &Scene) -> Result<ArmLooks, ArmMeshError> {
     let loaded = arm_meshes::load(&scene.arm)?;
     let geometry = geometry(scene);
-    let mut links = vec![Vec::new(); ARM_JOINTS + 1];
+    let mut links = vec![Vec::new(); geometry.joints() + 1];
     for LoadedMesh { mesh, triangles } in &loaded {
         let (frame, t_frame_mesh) = placed(&scene.arm, mesh, &geometry);
         let place = |corner: &[f32; 3]| -> [f64; 3] {
@@ -49,7 +49,7 @@ pub fn arm_looks(scene: &Scene) -> Result<ArmLooks, ArmMeshError> {
     })
 }
 
-/// The frame that a mesh moves with, 0 to 6, and the mesh's frame in it. A link behind k joints that turn moves with frame k, whatever
+/// The frame that a mesh moves with, from 0, and the mesh's frame in it. A link behind k joints that turn moves with frame k, whatever
 /// joints that stand still are between.
 fn placed(arm: &Arm, mesh: &ArmMesh, geometry: &ArmGeometry) -> (usize, Isometry3<f64>) {
     let joints = arm.joint.as_deref().unwrap_or_default();
@@ -58,8 +58,10 @@ fn placed(arm: &Arm, mesh: &ArmMesh, geometry: &ArmGeometry) -> (usize, Isometry
     let t_base_link = before.iter().fold(Isometry3::identity(), |t_base_link, joint| {
         t_base_link * isometry(joint.position_mm, joint.roll_pitch_yaw_deg)
     });
-    let frame = before.iter().filter(|joint| joint.axis.is_some()).count().min(ARM_JOINTS);
-    let t_base_frame = geometry.frames(&[0.0; ARM_JOINTS]).t_base_link(frame);
+    let frame = before.iter().filter(|joint| joint.axis.is_some()).count().min(geometry.joints());
+    // The flange has the last frame.
+    let index = if frame == geometry.joints() { LinkFrames::TOOL } else { frame };
+    let t_base_frame = geometry.frames(&Joints::default()).t_base_link(index);
     let t_link_mesh = isometry(mesh.position_mm, mesh.roll_pitch_yaw_deg);
     (frame, t_base_frame.inverse() * t_base_link * t_link_mesh)
 }

@@ -3,7 +3,7 @@
 use ipc_types::scene::Scene;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde_json::{Value, json};
-use simulation::arm::{ArmParameters, initial_q_rad, place_base_for};
+use simulation::arm::{ArmParameters, Redundancy, initial_q_rad, place_base_for};
 use simulation::{Verdict, findings};
 use volume_io::Volume;
 
@@ -176,10 +176,9 @@ fn feed_mm(scene: &Scene, shapes: &Shapes) -> f64 {
     let (mut reached_mm, mut near) = (0, joints);
     for feed_mm in (FEED_STEP_MM..=FEED_MM).step_by(FEED_STEP_MM as usize) {
         let goal = t_arm_world * base(f64::from(feed_mm));
-        let Ok(found) = arm.geometry.inverse_nearest(&goal, &near, &limits.lower_rad, &limits.upper_rad)
-        else {
-            break;
-        };
+        let [lower_rad, upper_rad] = [&limits.lower_rad, &limits.upper_rad];
+        let found = arm.geometry.inverse_nearest(&goal, &near, lower_rad, upper_rad, Redundancy::Held);
+        let Ok(found) = found else { break };
         (reached_mm, near) = (feed_mm, found);
     }
     f64::from(reached_mm)

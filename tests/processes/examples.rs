@@ -7,10 +7,11 @@ use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Place, Run, assert_nothing_left, trabecula};
 
 /// Each scene, and the line by which it shows its feature.
-const GALLERY: [(&str, &str); 23] = [
+const GALLERY: [(&str, &str); 24] = [
     ("arm_compliance.toml", "[arm.compliance]"),
     ("arm_gantry.toml", "model = \"gantry\""),
     ("arm_joints.toml", "[[arm.joint]]"),
+    ("arm_seven_joints.toml", "name = \"A7\""),
     ("arm_model.toml", "model = \"ur10e\""),
     ("arm_urdf.toml", "urdf = \"../arms/puma560/puma560.urdf\""),
     ("contact_voxels.toml", "voxels = \"balls\""),

@@ -1,6 +1,6 @@
 //! Content of `/view/info`: the scene as the page needs it.
 
-use ipc_types::messages::{ARM_JOINTS, Pose};
+use ipc_types::messages::Pose;
 use ipc_types::scene::{Cutter, Holder, Scene, planned_path_in_bone_mm};
 use serde_json::{Value, json};
 use voxel_grid::slice::ANATOMICAL;
@@ -26,15 +26,15 @@ pub struct ToolShape {
     pub cutter: Cutter,
     /// What joins the tool to the arm.
     pub holder: Holder,
-    /// Parts of the arm between its joints: frame i + 1 in frame i while joint i + 1 is at zero; it turns about z of frame i, and frame 6 is
-    /// the flange. `None`: there is no arm.
-    pub arm_parts: Option<[Pose; ARM_JOINTS]>,
+    /// Parts of the arm between its joints: frame i + 1 in frame i while joint i + 1 is at zero; it turns about z of frame i, and the last
+    /// frame is the flange. `None`: there is no arm with joints.
+    pub arm_parts: Option<Vec<Pose>>,
 }
 
 /// The arm's links that have a mesh; the others are drawn as tubes.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ArmLooks {
-    /// A mesh a link, its block the frame that it moves with: 0, the arm's base, to 6, the flange.
+    /// A mesh a link, its block the frame that it moves with: 0, the arm's base, to the flange.
     pub meshes: Vec<BlockMesh>,
     /// What the user should know: why some are missing.
     pub notes: Vec<String>,
@@ -83,9 +83,7 @@ pub fn info(scene: &Scene, origin: &Origin, tool: &ToolShape, volume: Option<&Vo
         "kind": kind,
         "scene": scene_part(scene),
         "tool": tool_part(scene, tool),
-        "arm": tool.arm_parts.map(|parts| json!({"parts": parts.map(|part| {
-            json!({"position_m": part.position_m, "orientation_xyzw": part.orientation_xyzw})
-        })})),
+        "arm": tool.arm_parts.as_deref().map(|parts| json!({"parts": parts.iter().map(part).collect::<Vec<_>>()})),
         "volume": volume.map(|v| json!({"min_m": v.min_m, "max_m": v.max_m, "spacing_m": v.spacing_m})),
         "slices": scene.volume.as_ref().map(|_| slice_planes(scene)),
         "controllers": scene.controller_names(),
@@ -106,6 +104,10 @@ pub fn info(scene: &Scene, origin: &Origin, tool: &ToolShape, volume: Option<&Vo
     });
     value[key] = json!(place);
     value
+}
+
+fn part(pose: &Pose) -> Value {
+    json!({"position_m": pose.position_m, "orientation_xyzw": pose.orientation_xyzw})
 }
 
 fn metres(millimetres: f64) -> f64 {

@@ -31,9 +31,9 @@ extern "C" {
 
 /* Layouts of the messages below: what a program passes to trb_connect. */
 #define TRB_LAYOUTS \
-    "State=1752dcceb5be375b;" \
-    "Command=c8d0cd083b5f99f6;" \
-    "Latched=b309d74dc575e148;" \
+    "State=667f7e2cccade3c0;" \
+    "Command=b605ebd891a61955;" \
+    "Latched=614767b54ae410af;" \
     "Removed=5ce3babf608d61af;" \
     "SensorReading=c28288800b91c249;" \
     "Keyframe=e1b9ba2b5a994f57;" \
@@ -53,7 +53,7 @@ extern "C" {
     "Wrench=bf570e10fd89ea10;" \
     "Contact=c84e06f445b86662;" \
     "AppliedCommand=116d7b58e2c912bb;" \
-    "LatchedCommand=614dac6c95076e87;" \
+    "LatchedCommand=dcfc23c2f38f8931;" \
     "CArmGeometry=7864e87c0e8671ed;" \
     "CArmProjection=46e6726030fe2f0e;" \
     "Abi=a16e5544816b9fdc"
@@ -95,6 +95,9 @@ extern "C" {
 #define TRB_ARM_MOVING 0
 #define TRB_ARM_DONE 1
 #define TRB_ARM_FAULT 2
+#define TRB_PROTECTIVE_STOP_NONE 0
+#define TRB_PROTECTIVE_STOP_STOPPED 1
+#define TRB_PROTECTIVE_STOP_RELEASED 2
 #define TRB_BURR_NONE 0
 #define TRB_BURR_SPEED 1
 #define TRB_SOURCE_NONE 0
@@ -151,7 +154,7 @@ extern "C" {
 #define TRB_MAX_CONTACTS 40
 #define TRB_MAX_BODIES 4
 #define TRB_MAX_TENDONS 4
-#define TRB_ARM_JOINTS 6
+#define TRB_MAX_ARM_JOINTS 7
 #define TRB_MAX_CONTROLLERS 4
 #define TRB_MAX_SENSORS 8
 #define TRB_MAX_SENSOR_VALUES 32
@@ -262,6 +265,12 @@ typedef struct trb_state {
     uint32_t arm_mode;
     /* 0 moving, 1 at its goal and at rest, 2 motion aborted or a joint stopped at the end of its range. */
     uint32_t arm_status;
+    /* Number of the arm's joints that turn, 6 or 7; 0 for a gantry and where there is no arm. Entries
+     * behind them are 0. */
+    uint32_t arm_joint_count;
+    /* 0 none; 1 the arm stopped because the tool pressed too hard, and takes no command but hold; 2
+     * released, until the force is below the limit again. */
+    uint32_t arm_protective_stop;
     /* Flexure angles from base to tip, positive toward tendon 0. */
     double joint_position_rad[32];
     /* Flexure angle rates. */
@@ -270,6 +279,8 @@ typedef struct trb_state {
     double bend_rad;
     /* Angular speed of the burr. */
     double burr_speed_rad_per_s;
+    /* How far the motor is ahead of the burr: the wind-up of a drive shaft that twists; 0 without one. */
+    double drive_shaft_wind_up_rad;
     /* Normal force between burr and bone. */
     double burr_force_n;
     /* Sum of the normal forces on the tool, without the burr's. */
@@ -300,13 +311,14 @@ typedef struct trb_state {
     /* Pose of each link just after its flexure, base to tip. */
     trb_pose t_world_link[32];
     /* Arm joint angles, base to wrist. */
-    double arm_joint_position_rad[6];
+    double arm_joint_position_rad[7];
     /* Arm joint velocities. */
-    double arm_joint_velocity_rad_per_s[6];
+    double arm_joint_velocity_rad_per_s[7];
     /* Elastic deflection of the arm's joints, included in `arm_joint_position_rad`; 0 without joint
      * compliance. */
-    double arm_joint_deflection_rad[6];
-    /* Distance from singularity: Yoshikawa's manipulability |det J| in m³; for the UR5 mostly 0.05 to 0.1. */
+    double arm_joint_deflection_rad[7];
+    /* Distance from singularity: Yoshikawa's manipulability in m³, |det J| of six joints and the root of
+     * det(J Jᵀ) of seven; for the UR5 mostly 0.05 to 0.1. */
     double arm_manipulability_m3;
     /* Pose of the arm's flange. */
     trb_pose t_world_flange;
@@ -333,33 +345,36 @@ TRB_ASSERT(offsetof(trb_state, body_count) == 64, "trb_state.body_count");
 TRB_ASSERT(offsetof(trb_state, contact_iterations) == 68, "trb_state.contact_iterations");
 TRB_ASSERT(offsetof(trb_state, arm_mode) == 72, "trb_state.arm_mode");
 TRB_ASSERT(offsetof(trb_state, arm_status) == 76, "trb_state.arm_status");
-TRB_ASSERT(offsetof(trb_state, joint_position_rad) == 80, "trb_state.joint_position_rad");
-TRB_ASSERT(offsetof(trb_state, joint_velocity_rad_per_s) == 336, "trb_state.joint_velocity_rad_per_s");
-TRB_ASSERT(offsetof(trb_state, bend_rad) == 592, "trb_state.bend_rad");
-TRB_ASSERT(offsetof(trb_state, burr_speed_rad_per_s) == 600, "trb_state.burr_speed_rad_per_s");
-TRB_ASSERT(offsetof(trb_state, burr_force_n) == 608, "trb_state.burr_force_n");
-TRB_ASSERT(offsetof(trb_state, wall_force_n) == 616, "trb_state.wall_force_n");
-TRB_ASSERT(offsetof(trb_state, strength_share) == 624, "trb_state.strength_share");
-TRB_ASSERT(offsetof(trb_state, stop_excess_rad) == 632, "trb_state.stop_excess_rad");
-TRB_ASSERT(offsetof(trb_state, contact_residual_m_per_s) == 640, "trb_state.contact_residual_m_per_s");
-TRB_ASSERT(offsetof(trb_state, cutting_energy_j) == 648, "trb_state.cutting_energy_j");
-TRB_ASSERT(offsetof(trb_state, crushing_energy_j) == 656, "trb_state.crushing_energy_j");
-TRB_ASSERT(offsetof(trb_state, tendon_tension_n) == 664, "trb_state.tendon_tension_n");
-TRB_ASSERT(offsetof(trb_state, tendon_displacement_m) == 696, "trb_state.tendon_displacement_m");
-TRB_ASSERT(offsetof(trb_state, t_world_base) == 728, "trb_state.t_world_base");
-TRB_ASSERT(offsetof(trb_state, t_world_tip) == 784, "trb_state.t_world_tip");
-TRB_ASSERT(offsetof(trb_state, t_world_burr) == 840, "trb_state.t_world_burr");
-TRB_ASSERT(offsetof(trb_state, t_world_link) == 896, "trb_state.t_world_link");
-TRB_ASSERT(offsetof(trb_state, arm_joint_position_rad) == 2688, "trb_state.arm_joint_position_rad");
-TRB_ASSERT(offsetof(trb_state, arm_joint_velocity_rad_per_s) == 2736, "trb_state.arm_joint_velocity_rad_per_s");
-TRB_ASSERT(offsetof(trb_state, arm_joint_deflection_rad) == 2784, "trb_state.arm_joint_deflection_rad");
-TRB_ASSERT(offsetof(trb_state, arm_manipulability_m3) == 2832, "trb_state.arm_manipulability_m3");
-TRB_ASSERT(offsetof(trb_state, t_world_flange) == 2840, "trb_state.t_world_flange");
-TRB_ASSERT(offsetof(trb_state, flange_wrench) == 2896, "trb_state.flange_wrench");
-TRB_ASSERT(offsetof(trb_state, t_world_body) == 2944, "trb_state.t_world_body");
-TRB_ASSERT(offsetof(trb_state, contacts) == 3168, "trb_state.contacts");
-TRB_ASSERT(offsetof(trb_state, applied) == 7008, "trb_state.applied");
-TRB_ASSERT(sizeof(trb_state) == 7104, "trb_state");
+TRB_ASSERT(offsetof(trb_state, arm_joint_count) == 80, "trb_state.arm_joint_count");
+TRB_ASSERT(offsetof(trb_state, arm_protective_stop) == 84, "trb_state.arm_protective_stop");
+TRB_ASSERT(offsetof(trb_state, joint_position_rad) == 88, "trb_state.joint_position_rad");
+TRB_ASSERT(offsetof(trb_state, joint_velocity_rad_per_s) == 344, "trb_state.joint_velocity_rad_per_s");
+TRB_ASSERT(offsetof(trb_state, bend_rad) == 600, "trb_state.bend_rad");
+TRB_ASSERT(offsetof(trb_state, burr_speed_rad_per_s) == 608, "trb_state.burr_speed_rad_per_s");
+TRB_ASSERT(offsetof(trb_state, drive_shaft_wind_up_rad) == 616, "trb_state.drive_shaft_wind_up_rad");
+TRB_ASSERT(offsetof(trb_state, burr_force_n) == 624, "trb_state.burr_force_n");
+TRB_ASSERT(offsetof(trb_state, wall_force_n) == 632, "trb_state.wall_force_n");
+TRB_ASSERT(offsetof(trb_state, strength_share) == 640, "trb_state.strength_share");
+TRB_ASSERT(offsetof(trb_state, stop_excess_rad) == 648, "trb_state.stop_excess_rad");
+TRB_ASSERT(offsetof(trb_state, contact_residual_m_per_s) == 656, "trb_state.contact_residual_m_per_s");
+TRB_ASSERT(offsetof(trb_state, cutting_energy_j) == 664, "trb_state.cutting_energy_j");
+TRB_ASSERT(offsetof(trb_state, crushing_energy_j) == 672, "trb_state.crushing_energy_j");
+TRB_ASSERT(offsetof(trb_state, tendon_tension_n) == 680, "trb_state.tendon_tension_n");
+TRB_ASSERT(offsetof(trb_state, tendon_displacement_m) == 712, "trb_state.tendon_displacement_m");
+TRB_ASSERT(offsetof(trb_state, t_world_base) == 744, "trb_state.t_world_base");
+TRB_ASSERT(offsetof(trb_state, t_world_tip) == 800, "trb_state.t_world_tip");
+TRB_ASSERT(offsetof(trb_state, t_world_burr) == 856, "trb_state.t_world_burr");
+TRB_ASSERT(offsetof(trb_state, t_world_link) == 912, "trb_state.t_world_link");
+TRB_ASSERT(offsetof(trb_state, arm_joint_position_rad) == 2704, "trb_state.arm_joint_position_rad");
+TRB_ASSERT(offsetof(trb_state, arm_joint_velocity_rad_per_s) == 2760, "trb_state.arm_joint_velocity_rad_per_s");
+TRB_ASSERT(offsetof(trb_state, arm_joint_deflection_rad) == 2816, "trb_state.arm_joint_deflection_rad");
+TRB_ASSERT(offsetof(trb_state, arm_manipulability_m3) == 2872, "trb_state.arm_manipulability_m3");
+TRB_ASSERT(offsetof(trb_state, t_world_flange) == 2880, "trb_state.t_world_flange");
+TRB_ASSERT(offsetof(trb_state, flange_wrench) == 2936, "trb_state.flange_wrench");
+TRB_ASSERT(offsetof(trb_state, t_world_body) == 2984, "trb_state.t_world_body");
+TRB_ASSERT(offsetof(trb_state, contacts) == 3208, "trb_state.contacts");
+TRB_ASSERT(offsetof(trb_state, applied) == 7048, "trb_state.applied");
+TRB_ASSERT(sizeof(trb_state) == 7144, "trb_state");
 
 /* A controller's command. Mode names follow CRTK. Mode 0 leaves tendons, arm or burr at their previous
  * command; a controller may drive only what the scene's `drives` allows. */
@@ -381,9 +396,9 @@ typedef struct trb_command {
     /* Displacements for servo_jp and move_jp; positive pulls. */
     double tendon_displacement_m[4];
     /* Joint angles for the arm's servo_jp and move_jp. */
-    double arm_joint_position_rad[6];
+    double arm_joint_position_rad[7];
     /* Joint velocities for the arm's servo_jv. */
-    double arm_joint_velocity_rad_per_s[6];
+    double arm_joint_velocity_rad_per_s[7];
     /* Goal of the arm's servo_cp, move_cp and rcm: pose of the tool base, not counting the mount's
      * deflection. */
     trb_pose t_world_base;
@@ -407,14 +422,14 @@ TRB_ASSERT(offsetof(trb_command, reserved) == 28, "trb_command.reserved");
 TRB_ASSERT(offsetof(trb_command, tendon_force_n) == 32, "trb_command.tendon_force_n");
 TRB_ASSERT(offsetof(trb_command, tendon_displacement_m) == 64, "trb_command.tendon_displacement_m");
 TRB_ASSERT(offsetof(trb_command, arm_joint_position_rad) == 96, "trb_command.arm_joint_position_rad");
-TRB_ASSERT(offsetof(trb_command, arm_joint_velocity_rad_per_s) == 144, "trb_command.arm_joint_velocity_rad_per_s");
-TRB_ASSERT(offsetof(trb_command, t_world_base) == 192, "trb_command.t_world_base");
-TRB_ASSERT(offsetof(trb_command, arm_speed_m_per_s) == 248, "trb_command.arm_speed_m_per_s");
-TRB_ASSERT(offsetof(trb_command, arm_axis) == 256, "trb_command.arm_axis");
-TRB_ASSERT(offsetof(trb_command, arm_depth_m) == 280, "trb_command.arm_depth_m");
-TRB_ASSERT(offsetof(trb_command, arm_pivot_m) == 288, "trb_command.arm_pivot_m");
-TRB_ASSERT(offsetof(trb_command, burr_speed_rad_per_s) == 312, "trb_command.burr_speed_rad_per_s");
-TRB_ASSERT(sizeof(trb_command) == 320, "trb_command");
+TRB_ASSERT(offsetof(trb_command, arm_joint_velocity_rad_per_s) == 152, "trb_command.arm_joint_velocity_rad_per_s");
+TRB_ASSERT(offsetof(trb_command, t_world_base) == 208, "trb_command.t_world_base");
+TRB_ASSERT(offsetof(trb_command, arm_speed_m_per_s) == 264, "trb_command.arm_speed_m_per_s");
+TRB_ASSERT(offsetof(trb_command, arm_axis) == 272, "trb_command.arm_axis");
+TRB_ASSERT(offsetof(trb_command, arm_depth_m) == 296, "trb_command.arm_depth_m");
+TRB_ASSERT(offsetof(trb_command, arm_pivot_m) == 304, "trb_command.arm_pivot_m");
+TRB_ASSERT(offsetof(trb_command, burr_speed_rad_per_s) == 328, "trb_command.burr_speed_rad_per_s");
+TRB_ASSERT(sizeof(trb_command) == 336, "trb_command");
 
 /* One controller's part of u_k. */
 typedef struct trb_latched_command {
@@ -431,7 +446,7 @@ TRB_ASSERT(offsetof(trb_latched_command, source) == 0, "trb_latched_command.sour
 TRB_ASSERT(offsetof(trb_latched_command, controller_index) == 4, "trb_latched_command.controller_index");
 TRB_ASSERT(offsetof(trb_latched_command, age_ticks) == 8, "trb_latched_command.age_ticks");
 TRB_ASSERT(offsetof(trb_latched_command, command) == 16, "trb_latched_command.command");
-TRB_ASSERT(sizeof(trb_latched_command) == 336, "trb_latched_command");
+TRB_ASSERT(sizeof(trb_latched_command) == 352, "trb_latched_command");
 
 /* u_k: all external input of tick k, and the only non-deterministic input of a run. Published before
  * the state that it leads to. */
@@ -449,7 +464,7 @@ TRB_ASSERT(offsetof(trb_latched, tick) == 0, "trb_latched.tick");
 TRB_ASSERT(offsetof(trb_latched, controller_count) == 8, "trb_latched.controller_count");
 TRB_ASSERT(offsetof(trb_latched, reset) == 12, "trb_latched.reset");
 TRB_ASSERT(offsetof(trb_latched, commands) == 16, "trb_latched.commands");
-TRB_ASSERT(sizeof(trb_latched) == 1360, "trb_latched");
+TRB_ASSERT(sizeof(trb_latched) == 1424, "trb_latched");
 
 /* Voxels that are removed from this tick on. Published before the tick's state, and only for ticks
  * that remove voxels; a tick that removes more than 4096 has several, in order of their `sequence`.

@@ -107,7 +107,7 @@ class Truth:
         rows["burr"].append(pose(raw["t_world_burr"]))
         rows["base"].append(pose(raw["t_world_base"]))
         rows["links"].append(pose(raw["t_world_link"][: state.joint_count]))
-        rows["joints"].append(raw["arm_joint_position_rad"].copy())
+        rows["joints"].append(raw["arm_joint_position_rad"][: state.arm_joint_count].copy())
         rows["tension"].append(raw["tendon_tension_n"][: state.tendon_count].copy())
         rows["wrench"].append(np.concatenate([raw["flange_wrench"]["force_n"], raw["flange_wrench"]["torque_nm"]]))
 
@@ -145,7 +145,7 @@ def command(sim_tick: int, start_rad: Array) -> trabecula.Command:
     made.tendon_force_n[0] = 4.0 + 3.5 * float(signal.chirp(t, 1.0, end_s, 18.0))
     made.tendon_force_n[1] = 1.0 + 0.5 * float(signal.chirp(t, 2.0, end_s, 13.0))
     made.arm_mode = trabecula.ArmMode.SERVO_JP
-    made.arm_joint_position_rad[:] = start_rad + 0.01 * float(signal.chirp(t, 0.5, end_s, 4.0, phi=90.0))
+    made.arm_joint_position_rad = start_rad + 0.01 * float(signal.chirp(t, 0.5, end_s, 4.0, phi=90.0))
     return made
 
 

@@ -13,9 +13,9 @@ from ._view import ArrayField, ElementsField, View, field, nested
 VERSION = "0.1.0"
 
 LAYOUTS = (
-    "State=1752dcceb5be375b;"
-    "Command=c8d0cd083b5f99f6;"
-    "Latched=b309d74dc575e148;"
+    "State=667f7e2cccade3c0;"
+    "Command=b605ebd891a61955;"
+    "Latched=614767b54ae410af;"
     "Removed=5ce3babf608d61af;"
     "SensorReading=c28288800b91c249;"
     "Keyframe=e1b9ba2b5a994f57;"
@@ -35,7 +35,7 @@ LAYOUTS = (
     "Wrench=bf570e10fd89ea10;"
     "Contact=c84e06f445b86662;"
     "AppliedCommand=116d7b58e2c912bb;"
-    "LatchedCommand=614dac6c95076e87;"
+    "LatchedCommand=dcfc23c2f38f8931;"
     "CArmGeometry=7864e87c0e8671ed;"
     "CArmProjection=46e6726030fe2f0e;"
     "Abi=a16e5544816b9fdc"
@@ -69,7 +69,7 @@ MAX_JOINTS = 32
 MAX_CONTACTS = 40
 MAX_BODIES = 4
 MAX_TENDONS = 4
-ARM_JOINTS = 6
+MAX_ARM_JOINTS = 7
 MAX_CONTROLLERS = 4
 MAX_SENSORS = 8
 MAX_SENSOR_VALUES = 32
@@ -135,6 +135,21 @@ class ArmStatus(IntEnum):
 ARM_MOVING = ArmStatus.MOVING
 ARM_DONE = ArmStatus.DONE
 ARM_FAULT = ArmStatus.FAULT
+
+
+class ArmProtectiveStop(IntEnum):
+    """`State::arm_protective_stop`: whether the arm stopped because the tool pressed too hard on
+    its flange.
+    """
+
+    STOP_NONE = 0
+    STOP_STOPPED = 1
+    STOP_RELEASED = 2
+
+
+PROTECTIVE_STOP_NONE = ArmProtectiveStop.STOP_NONE
+PROTECTIVE_STOP_STOPPED = ArmProtectiveStop.STOP_STOPPED
+PROTECTIVE_STOP_RELEASED = ArmProtectiveStop.STOP_RELEASED
 
 
 class BurrMode(IntEnum):
@@ -399,10 +414,10 @@ class State(View):
 
     dtype = np.dtype(
         {
-            "names": ["tick", "sim_time_s", "hash", "removed_total", "removed_in_tick", "joint_count", "tendon_count", "contact_count", "contact_total", "controller_count", "body_count", "contact_iterations", "arm_mode", "arm_status", "joint_position_rad", "joint_velocity_rad_per_s", "bend_rad", "burr_speed_rad_per_s", "burr_force_n", "wall_force_n", "strength_share", "stop_excess_rad", "contact_residual_m_per_s", "cutting_energy_j", "crushing_energy_j", "tendon_tension_n", "tendon_displacement_m", "t_world_base", "t_world_tip", "t_world_burr", "t_world_link", "arm_joint_position_rad", "arm_joint_velocity_rad_per_s", "arm_joint_deflection_rad", "arm_manipulability_m3", "t_world_flange", "flange_wrench", "t_world_body", "contacts", "applied"],
-            "formats": ["<u8", "<f8", ("<u8", (2,)), "<u8", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", ("<f8", (32,)), ("<f8", (32,)), "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", ("<f8", (4,)), ("<f8", (4,)), Pose.dtype, Pose.dtype, Pose.dtype, (Pose.dtype, (32,)), ("<f8", (6,)), ("<f8", (6,)), ("<f8", (6,)), "<f8", Pose.dtype, Wrench.dtype, (Pose.dtype, (4,)), (Contact.dtype, (40,)), (AppliedCommand.dtype, (4,))],
-            "offsets": [0, 8, 16, 32, 40, 44, 48, 52, 56, 60, 64, 68, 72, 76, 80, 336, 592, 600, 608, 616, 624, 632, 640, 648, 656, 664, 696, 728, 784, 840, 896, 2688, 2736, 2784, 2832, 2840, 2896, 2944, 3168, 7008],
-            "itemsize": 7104,
+            "names": ["tick", "sim_time_s", "hash", "removed_total", "removed_in_tick", "joint_count", "tendon_count", "contact_count", "contact_total", "controller_count", "body_count", "contact_iterations", "arm_mode", "arm_status", "arm_joint_count", "arm_protective_stop", "joint_position_rad", "joint_velocity_rad_per_s", "bend_rad", "burr_speed_rad_per_s", "drive_shaft_wind_up_rad", "burr_force_n", "wall_force_n", "strength_share", "stop_excess_rad", "contact_residual_m_per_s", "cutting_energy_j", "crushing_energy_j", "tendon_tension_n", "tendon_displacement_m", "t_world_base", "t_world_tip", "t_world_burr", "t_world_link", "arm_joint_position_rad", "arm_joint_velocity_rad_per_s", "arm_joint_deflection_rad", "arm_manipulability_m3", "t_world_flange", "flange_wrench", "t_world_body", "contacts", "applied"],
+            "formats": ["<u8", "<f8", ("<u8", (2,)), "<u8", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", ("<f8", (32,)), ("<f8", (32,)), "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", ("<f8", (4,)), ("<f8", (4,)), Pose.dtype, Pose.dtype, Pose.dtype, (Pose.dtype, (32,)), ("<f8", (7,)), ("<f8", (7,)), ("<f8", (7,)), "<f8", Pose.dtype, Wrench.dtype, (Pose.dtype, (4,)), (Contact.dtype, (40,)), (AppliedCommand.dtype, (4,))],
+            "offsets": [0, 8, 16, 32, 40, 44, 48, 52, 56, 60, 64, 68, 72, 76, 80, 84, 88, 344, 600, 608, 616, 624, 632, 640, 648, 656, 664, 672, 680, 712, 744, 800, 856, 912, 2704, 2760, 2816, 2872, 2880, 2936, 2984, 3208, 7048],
+            "itemsize": 7144,
         }
     )
     tick: int = field("<Q", 0, "Number of ticks since the start of the run; a reset does not change it.")
@@ -419,29 +434,32 @@ class State(View):
     contact_iterations: int = field("<I", 68, "Iterations of the contact solver in this tick.")
     arm_mode: ArmMode = field("<I", 72, "The arm's current mode, coded as the command's `arm_mode`; 5 while it stops or is at rest.", ArmMode)
     arm_status: ArmStatus = field("<I", 76, "0 moving, 1 at its goal and at rest, 2 motion aborted or a joint stopped at the end of its range.", ArmStatus)
+    arm_joint_count: int = field("<I", 80, "Number of the arm's joints that turn, 6 or 7; 0 for a gantry and where there is no arm. Entries behind them are 0.")
+    arm_protective_stop: ArmProtectiveStop = field("<I", 84, "0 none; 1 the arm stopped because the tool pressed too hard, and takes no command but hold; 2 released, until the force is below the limit again.", ArmProtectiveStop)
     joint_position_rad = ArrayField(np.float64, "Flexure angles from base to tip, positive toward tendon 0.", "joint_count")
     joint_velocity_rad_per_s = ArrayField(np.float64, "Flexure angle rates.", "joint_count")
-    bend_rad: float = field("<d", 592, "Sum of the flexure angles: the bend of the tip relative to the base.")
-    burr_speed_rad_per_s: float = field("<d", 600, "Angular speed of the burr.")
-    burr_force_n: float = field("<d", 608, "Normal force between burr and bone.")
-    wall_force_n: float = field("<d", 616, "Sum of the normal forces on the tool, without the burr's.")
-    strength_share: float = field("<d", 624, "Largest force of a contact as a share of what the bone there bears; 1 where bone yields, 0 while no contact carries more than any bone bears.")
-    stop_excess_rad: float = field("<d", 632, "Farthest that a flexure is past its stop; 0 if none is.")
-    contact_residual_m_per_s: float = field("<d", 640, "Largest speed by which a contact (m/s) or a stop (rad/s) misses its law after the solver's iterations.")
-    cutting_energy_j: float = field("<d", 648, "Energy spent on cutting since the start.")
-    crushing_energy_j: float = field("<d", 656, "Energy that bone absorbed where it was crushed, since the start.")
+    bend_rad: float = field("<d", 600, "Sum of the flexure angles: the bend of the tip relative to the base.")
+    burr_speed_rad_per_s: float = field("<d", 608, "Angular speed of the burr.")
+    drive_shaft_wind_up_rad: float = field("<d", 616, "How far the motor is ahead of the burr: the wind-up of a drive shaft that twists; 0 without one.")
+    burr_force_n: float = field("<d", 624, "Normal force between burr and bone.")
+    wall_force_n: float = field("<d", 632, "Sum of the normal forces on the tool, without the burr's.")
+    strength_share: float = field("<d", 640, "Largest force of a contact as a share of what the bone there bears; 1 where bone yields, 0 while no contact carries more than any bone bears.")
+    stop_excess_rad: float = field("<d", 648, "Farthest that a flexure is past its stop; 0 if none is.")
+    contact_residual_m_per_s: float = field("<d", 656, "Largest speed by which a contact (m/s) or a stop (rad/s) misses its law after the solver's iterations.")
+    cutting_energy_j: float = field("<d", 664, "Energy spent on cutting since the start.")
+    crushing_energy_j: float = field("<d", 672, "Energy that bone absorbed where it was crushed, since the start.")
     tendon_tension_n = ArrayField(np.float64, "Tension at the proximal end of each tendon.", "tendon_count")
     tendon_displacement_m = ArrayField(np.float64, "Displacement of each tendon from its straight, unloaded length; positive when pulled.", "tendon_count")
-    t_world_base: Pose = nested(Pose, 728, "Pose of the tool base (start of the rigid shaft), including the mount's deflection; +z along the straight tool, +x toward tendon 0.")
-    t_world_tip: Pose = nested(Pose, 784, "Pose of the tip, the front of the burr: its centre plus its radius along the last link's +z.")
-    t_world_burr: Pose = nested(Pose, 840, "Pose of the burr: its centre, axes of the last link.")
+    t_world_base: Pose = nested(Pose, 744, "Pose of the tool base (start of the rigid shaft), including the mount's deflection; +z along the straight tool, +x toward tendon 0.")
+    t_world_tip: Pose = nested(Pose, 800, "Pose of the tip, the front of the burr: its centre plus its radius along the last link's +z.")
+    t_world_burr: Pose = nested(Pose, 856, "Pose of the burr: its centre, axes of the last link.")
     t_world_link = ElementsField(Pose, "Pose of each link just after its flexure, base to tip.", "joint_count")
-    arm_joint_position_rad = ArrayField(np.float64, "Arm joint angles, base to wrist.")
-    arm_joint_velocity_rad_per_s = ArrayField(np.float64, "Arm joint velocities.")
-    arm_joint_deflection_rad = ArrayField(np.float64, "Elastic deflection of the arm's joints, included in `arm_joint_position_rad`; 0 without joint compliance.")
-    arm_manipulability_m3: float = field("<d", 2832, "Distance from singularity: Yoshikawa's manipulability |det J| in m³; for the UR5 mostly 0.05 to 0.1.")
-    t_world_flange: Pose = nested(Pose, 2840, "Pose of the arm's flange.")
-    flange_wrench: Wrench = nested(Wrench, 2896, "Wrench that the tool exerts on the flange, about the tool base, world axes.")
+    arm_joint_position_rad = ArrayField(np.float64, "Arm joint angles, base to wrist.", "arm_joint_count")
+    arm_joint_velocity_rad_per_s = ArrayField(np.float64, "Arm joint velocities.", "arm_joint_count")
+    arm_joint_deflection_rad = ArrayField(np.float64, "Elastic deflection of the arm's joints, included in `arm_joint_position_rad`; 0 without joint compliance.", "arm_joint_count")
+    arm_manipulability_m3: float = field("<d", 2872, "Distance from singularity: Yoshikawa's manipulability in m³, |det J| of six joints and the root of det(J Jᵀ) of seven; for the UR5 mostly 0.05 to 0.1.")
+    t_world_flange: Pose = nested(Pose, 2880, "Pose of the arm's flange.")
+    flange_wrench: Wrench = nested(Wrench, 2936, "Wrench that the tool exerts on the flange, about the tool base, world axes.")
     t_world_body = ElementsField(Pose, "Pose of each rigid body, in the scene's order.", "body_count")
     contacts = ElementsField(Contact, "Contacts that carry force, in the order of their spheres.", "contact_count")
     applied = ElementsField(AppliedCommand, "The command of each controller that this tick applied.", "controller_count")
@@ -458,9 +476,9 @@ class Command(View):
     dtype = np.dtype(
         {
             "names": ["sequence", "state_tick", "tendon_mode", "arm_mode", "burr_mode", "reserved", "tendon_force_n", "tendon_displacement_m", "arm_joint_position_rad", "arm_joint_velocity_rad_per_s", "t_world_base", "arm_speed_m_per_s", "arm_axis", "arm_depth_m", "arm_pivot_m", "burr_speed_rad_per_s"],
-            "formats": ["<u8", "<u8", "<u4", "<u4", "<u4", "<u4", ("<f8", (4,)), ("<f8", (4,)), ("<f8", (6,)), ("<f8", (6,)), Pose.dtype, "<f8", ("<f8", (3,)), "<f8", ("<f8", (3,)), "<f8"],
-            "offsets": [0, 8, 16, 20, 24, 28, 32, 64, 96, 144, 192, 248, 256, 280, 288, 312],
-            "itemsize": 320,
+            "formats": ["<u8", "<u8", "<u4", "<u4", "<u4", "<u4", ("<f8", (4,)), ("<f8", (4,)), ("<f8", (7,)), ("<f8", (7,)), Pose.dtype, "<f8", ("<f8", (3,)), "<f8", ("<f8", (3,)), "<f8"],
+            "offsets": [0, 8, 16, 20, 24, 28, 32, 64, 96, 152, 208, 264, 272, 296, 304, 328],
+            "itemsize": 336,
         }
     )
     sequence: int = field("<Q", 0, "Sequence number of this controller's commands: 1, 2, 3 and so on.")
@@ -469,16 +487,16 @@ class Command(View):
     arm_mode: ArmMode = field("<I", 20, "0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp, 5 hold, 6 servo_jv, 7 insert, 8 rcm.", ArmMode)
     burr_mode: BurrMode = field("<I", 24, "0 none, 1 speed.", BurrMode)
     reserved: int = field("<I", 28, "Always 0.")
-    tendon_force_n = ArrayField(np.float64, "Tensions for servo_jf, 0 or more.")
-    tendon_displacement_m = ArrayField(np.float64, "Displacements for servo_jp and move_jp; positive pulls.")
-    arm_joint_position_rad = ArrayField(np.float64, "Joint angles for the arm's servo_jp and move_jp.")
-    arm_joint_velocity_rad_per_s = ArrayField(np.float64, "Joint velocities for the arm's servo_jv.")
-    t_world_base: Pose = nested(Pose, 192, "Goal of the arm's servo_cp, move_cp and rcm: pose of the tool base, not counting the mount's deflection.")
-    arm_speed_m_per_s: float = field("<d", 248, "Speed limit of move_cp and rcm; 0 selects the scene's limit. Feed rate of insert, above 0.")
+    tendon_force_n = ArrayField(np.float64, "Tensions for servo_jf, 0 or more.", fewer_fit=True)
+    tendon_displacement_m = ArrayField(np.float64, "Displacements for servo_jp and move_jp; positive pulls.", fewer_fit=True)
+    arm_joint_position_rad = ArrayField(np.float64, "Joint angles for the arm's servo_jp and move_jp.", fewer_fit=True)
+    arm_joint_velocity_rad_per_s = ArrayField(np.float64, "Joint velocities for the arm's servo_jv.", fewer_fit=True)
+    t_world_base: Pose = nested(Pose, 208, "Goal of the arm's servo_cp, move_cp and rcm: pose of the tool base, not counting the mount's deflection.")
+    arm_speed_m_per_s: float = field("<d", 264, "Speed limit of move_cp and rcm; 0 selects the scene's limit. Feed rate of insert, above 0.")
     arm_axis = ArrayField(np.float64, "Axis of insert: unit vector in the patient frame.")
-    arm_depth_m: float = field("<d", 280, "Depth of insert, from the tool base position at which the insertion along this axis began.")
+    arm_depth_m: float = field("<d", 296, "Depth of insert, from the tool base position at which the insertion along this axis began.")
     arm_pivot_m = ArrayField(np.float64, "Remote centre of motion of rcm, patient frame.")
-    burr_speed_rad_per_s: float = field("<d", 312, "Angular speed of the burr.")
+    burr_speed_rad_per_s: float = field("<d", 328, "Angular speed of the burr.")
 
 
 class LatchedCommand(View):
@@ -492,7 +510,7 @@ class LatchedCommand(View):
             "names": ["source", "controller_index", "age_ticks", "command"],
             "formats": ["<u4", "<u4", "<u8", Command.dtype],
             "offsets": [0, 4, 8, 16],
-            "itemsize": 336,
+            "itemsize": 352,
         }
     )
     source: CommandSource = field("<I", 0, "0 none, 1 fresh, 2 held, 3 safe command.", CommandSource)
@@ -514,7 +532,7 @@ class Latched(View):
             "names": ["tick", "controller_count", "reset", "commands"],
             "formats": ["<u8", "<u4", "<u4", (LatchedCommand.dtype, (4,))],
             "offsets": [0, 8, 12, 16],
-            "itemsize": 1360,
+            "itemsize": 1424,
         }
     )
     tick: int = field("<Q", 0, "k: the tick that advances `State.tick` from k to k+1.")
@@ -1030,6 +1048,7 @@ __all__ = [
     "TendonMode",
     "ArmMode",
     "ArmStatus",
+    "ArmProtectiveStop",
     "BurrMode",
     "CommandSource",
     "ContactPart",
@@ -1097,6 +1116,9 @@ __all__ = [
     "ARM_MOVING",
     "ARM_DONE",
     "ARM_FAULT",
+    "PROTECTIVE_STOP_NONE",
+    "PROTECTIVE_STOP_STOPPED",
+    "PROTECTIVE_STOP_RELEASED",
     "BURR_NONE",
     "BURR_SPEED",
     "SOURCE_NONE",
@@ -1153,7 +1175,7 @@ __all__ = [
     "MAX_CONTACTS",
     "MAX_BODIES",
     "MAX_TENDONS",
-    "ARM_JOINTS",
+    "MAX_ARM_JOINTS",
     "MAX_CONTROLLERS",
     "MAX_SENSORS",
     "MAX_SENSOR_VALUES",

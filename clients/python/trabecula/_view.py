@@ -242,10 +242,12 @@ def _array_of(owner: Type[View], name: str) -> tuple[np.dtype[Any], int, int]:
 
 
 class ArrayField(_Member, Generic[_S]):
-    """The attribute of a fixed array of numbers; `count` names the field that says how many are used."""
+    """The attribute of a fixed array of numbers; `count` names the field that says how many are used. Where there is room for more than a tool
+    or an arm has (`fewer_fit`), fewer numbers may be set, and the others become 0."""
 
-    def __init__(self, element: Type[_S], doc: str, count: Optional[str] = None) -> None:
+    def __init__(self, element: Type[_S], doc: str, count: Optional[str] = None, fewer_fit: bool = False) -> None:
         self._count = count
+        self._fewer_fit = fewer_fit
         self.__doc__ = doc
 
     def __set_name__(self, owner: Type[View], name: str) -> None:
@@ -275,11 +277,14 @@ class ArrayField(_Member, Generic[_S]):
             given = np.asarray(value, self._element)
         except (TypeError, ValueError, OverflowError):
             given = np.empty(0, self._element)
-        if given.shape != own.shape:
-            count = own.shape[0]
-            text = f"{self._of(view)} is {value!r}, expected {count} numbers; one of them is written as `{self._name}[0] = …`"
+        count = own.shape[0]
+        fits = given.shape == own.shape or (self._fewer_fit and given.ndim == 1 and 0 < len(given) < count)
+        if not fits:
+            fewer = " or fewer" if self._fewer_fit else ""
+            text = f"{self._of(view)} is {value!r}, expected {count} numbers{fewer}; one of them is written as `{self._name}[0] = …`"
             raise ArgumentError(text)
-        own[...] = given
+        own[: len(given)] = given
+        own[len(given) :] = 0
 
 
 class ElementsField(_Member, Generic[_V]):

@@ -1,12 +1,16 @@
 //! What relates the keys of `[arm]` to each other.
 
+use core::ops::RangeInclusive;
+
+use messages::MAX_ARM_JOINTS;
+
 use super::Checker;
 use crate::declaration::Range;
 use crate::error::SceneError;
 use crate::model::{Arm, ArmJoint, ArmModel};
 
-/// Joints that turn. The messages have room for so many, and a tool is placed and turned freely by no fewer.
-pub(crate) const TURNING: usize = 6;
+/// Joints that turn: a tool is placed and turned freely by no fewer, and the messages have room for no more.
+pub(crate) const TURNING: RangeInclusive<usize> = 6..=MAX_ARM_JOINTS;
 
 /// Least factor of a mesh, m for a unit of its file: micrometres.
 const LEAST_SCALE: f64 = 1e-6;
@@ -31,17 +35,30 @@ pub(super) fn check(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
     let [lower, upper] = match &arm.joint {
         None => {
             let standard = [360.0, 360.0, 180.0, 360.0, 360.0, 360.0];
-            [standard.map(|angle: f64| -angle), standard]
+            [standard.map(|angle: f64| -angle).to_vec(), standard.to_vec()]
         }
         Some(joints) => check_joints(arm, joints, checker)?,
     };
-    let lower = arm.lower_joints_deg.unwrap_or(lower);
-    let upper = arm.upper_joints_deg.unwrap_or(upper);
-    for i in 0..TURNING {
+    check_redundant(arm, checker)?;
+    let count = lower.len();
+    for (key, given) in [
+        ("arm.lower_joints_deg", &arm.lower_joints_deg),
+        ("arm.upper_joints_deg", &arm.upper_joints_deg),
+        ("arm.initial_joints_deg", &arm.initial_joints_deg),
+    ] {
+        if let Some(given) = given.as_ref().filter(|given| given.len() != count) {
+            let problem =
+                format!("has {} angles, expected {count}: one for each joint that turns", given.len());
+            return Err(checker.invalid(key, problem));
+        }
+    }
+    let lower = arm.lower_joints_deg.as_ref().unwrap_or(&lower);
+    let upper = arm.upper_joints_deg.as_ref().unwrap_or(&upper);
+    for i in 0..count {
         // The ends of an arm's own ranges may lie beyond those that the keys take: 2 pi in a file is a little more than 360 degrees.
         let above = Range { lowest: lower[i] + 1e-3, highest: upper[i].max(360.0), or_zero: false };
         checker.range("arm.upper_joints_deg", upper[i], above)?;
-        if let Some(start) = arm.initial_joints_deg {
+        if let Some(start) = &arm.initial_joints_deg {
             let joint = Range { lowest: lower[i], highest: upper[i], or_zero: false };
             checker.range("arm.initial_joints_deg", start[i], joint)?;
         }
@@ -77,6 +94,23 @@ fn check_bench(arm: &Arm, model: ArmModel, checker: &Checker) -> Result<(), Scen
     }
 }
 
+/// The redundant joint is one that turns, of seven.
+fn check_redundant(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
+    let Some(name) = &arm.redundant_joint else { return Ok(()) };
+    let joints = arm.joint.as_deref().unwrap_or_default();
+    let turning: Vec<&str> =
+        joints.iter().filter(|joint| joint.axis.is_some()).map(|joint| joint.name.as_str()).collect();
+    let problem = if turning.len() != MAX_ARM_JOINTS {
+        format!("is for an arm of {MAX_ARM_JOINTS} joints that turn; this one has none to spare")
+    } else if turning.contains(&name.as_str()) {
+        return Ok(());
+    } else {
+        let known = turning.iter().map(|name| foreign_text::foreign(name).to_string()).collect::<Vec<_>>();
+        format!("is `{}`, expected a joint that turns: {}", foreign_text::foreign(name), known.join(", "))
+    };
+    Err(checker.invalid("arm.redundant_joint", problem))
+}
+
 /// Each mesh moves with a joint that is there, and has an extent.
 fn check_meshes(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
     let Some(meshes) = &arm.mesh else { return Ok(()) };
@@ -102,7 +136,7 @@ fn check_meshes(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
 }
 
 /// The ends of the ranges of an arm that the scene describes.
-fn check_joints(arm: &Arm, joints: &[ArmJoint], checker: &Checker) -> Result<[[f64; 6]; 2], SceneError> {
+fn check_joints(arm: &Arm, joints: &[ArmJoint], checker: &Checker) -> Result<[Vec<f64>; 2], SceneError> {
     let refused = |key: &str, problem: String| Err(checker.invalid(key, problem));
     if arm.model.is_some() {
         return refused(
@@ -118,9 +152,10 @@ fn check_joints(arm: &Arm, joints: &[ArmJoint], checker: &Checker) -> Result<[[f
     }
     let turning: Vec<&ArmJoint> = joints.iter().filter(|joint| joint.axis.is_some()).collect();
     let count = turning.len();
-    if count != TURNING {
+    if !TURNING.contains(&count) {
+        let (least, most) = (TURNING.start(), TURNING.end());
         let problem = format!(
-            "has {count} joints that turn, expected {TURNING}: a state has room for so many, and fewer cannot place a tool"
+            "has {count} joints that turn, expected {least} or {most}: fewer cannot place a tool, and a state has room for no more"
         );
         return refused("arm.joint", problem);
     }
@@ -132,8 +167,8 @@ fn check_joints(arm: &Arm, joints: &[ArmJoint], checker: &Checker) -> Result<[[f
             );
         }
     }
-    let mut ends = [[0.0; TURNING]; 2];
-    for (index, joint) in turning.into_iter().enumerate() {
+    let mut ends = [Vec::new(), Vec::new()];
+    for joint in turning {
         let name = foreign_text::foreign(&joint.name);
         let length = joint.axis.unwrap_or_default().iter().map(|x| x * x).sum::<f64>().sqrt();
         if length < 1e-6 {
@@ -150,7 +185,8 @@ fn check_joints(arm: &Arm, joints: &[ArmJoint], checker: &Checker) -> Result<[[f
             return refused("arm.joint", problem);
         };
         checker.at_least("arm.joint.upper_deg", upper, lower + 1e-3)?;
-        (ends[0][index], ends[1][index]) = (lower, upper);
+        ends[0].push(lower);
+        ends[1].push(upper);
     }
     if arm.initial_joints_deg.is_none() {
         let problem =

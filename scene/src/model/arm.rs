@@ -13,7 +13,7 @@ pub struct Arm {
     /// An arm of Universal Robots by its name; `gantry`: three linear axes that do not turn the tool; or `fixed`: no arm, the tool's base is
     /// held where `[tool]` says. Absent: `ur5`.
     pub model: Option<ArmModel>,
-    /// URDF file of another serial arm with six turning joints, from the scene file's folder; in place of `model`. The joints between its
+    /// URDF file of another serial arm with six or seven turning joints, from the scene file's folder; in place of `model`. The joints between its
     /// base and its tip become `[[arm.joint]]`, so a log needs no file.
     #[schemars(extend("x-kind" = "path", "x-absent" = "none"))]
     pub urdf: Option<PathBuf>,
@@ -54,16 +54,20 @@ pub struct Arm {
     /// Largest jerk of each joint; 50 rad/s³ by default.
     #[schemars(range(min = 1.0, max = 1e6))]
     pub max_joint_jerk_deg_per_s3: Option<f64>,
-    /// Least angles of the six joints; −360, elbow −180 by default.
-    #[schemars(inner(range(min = -360.0, max = 360.0)))]
-    pub lower_joints_deg: Option<[f64; 6]>,
-    /// Greatest angles of the six joints, each above the least; 360, elbow 180 by default.
-    #[schemars(inner(range(min = -360.0, max = 360.0)))]
-    pub upper_joints_deg: Option<[f64; 6]>,
+    /// Least angles of the joints, one each; −360, elbow −180 by default.
+    #[schemars(length(min = 6, max = 7), inner(range(min = -360.0, max = 360.0)))]
+    pub lower_joints_deg: Option<Vec<f64>>,
+    /// Greatest angles of the joints, each above the least; 360, elbow 180 by default.
+    #[schemars(length(min = 6, max = 7), inner(range(min = -360.0, max = 360.0)))]
+    pub upper_joints_deg: Option<Vec<f64>>,
     /// Joint angles at the start, each within its range. The arm's base stands where the tool then is as `[tool]` says.
     /// Far from every singularity by default.
-    #[schemars(inner(range(min = -360.0, max = 360.0)))]
-    pub initial_joints_deg: Option<[f64; 6]>,
+    #[schemars(length(min = 6, max = 7), inner(range(min = -360.0, max = 360.0)))]
+    pub initial_joints_deg: Option<Vec<f64>>,
+    /// The joint of `[[arm.joint]]` that keeps its angle while an arm of seven joints moves the tool on a path (`move_cp`, `insert`, `rcm`),
+    /// by its name. Absent: the third that turns, as KUKA's E1 and Franka's elbow.
+    #[schemars(extend("x-absent" = "the third that turns"))]
+    pub redundant_joint: Option<String>,
     /// How far each axis of a gantry goes to either side of its start; 250 by default. The axes are those of the flange's frame, whose
     /// limits are those of the tool's base.
     #[schemars(inner(range(min = 1.0, max = 5000.0)))]
@@ -87,7 +91,7 @@ pub struct Arm {
     /// Elastic joints; absent: stiff, at no cost.
     #[schemars(extend("x-absent" = "none"))]
     pub compliance: Option<ArmCompliance>,
-    /// The joints of another serial arm, from base to flange, as `urdf` makes them; in place of `model`. Six of them turn.
+    /// The joints of another serial arm, from base to flange, as `urdf` makes them; in place of `model`. Six or seven of them turn.
     #[schemars(length(max = 64), extend("x-absent" = "none"))]
     pub joint: Option<Vec<ArmJoint>>,
     /// Meshes that the arm is drawn with, as `urdf` finds them; links without one are drawn as tubes. Only the looks of the arm.
@@ -118,6 +122,7 @@ impl Default for Arm {
             lower_joints_deg: None,
             upper_joints_deg: None,
             initial_joints_deg: None,
+            redundant_joint: None,
             travel_mm: None,
             tool_position_mm: [0.0; 3],
             tool_rotation_vector_deg: [0.0; 3],

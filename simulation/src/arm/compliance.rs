@@ -1,6 +1,6 @@
 //! Elastic joints: a spring and a damper between each gearbox and its link. Optional, for scenes that depend on arm compliance.
 //!
-//! The links obey `M(q) (v̇ + q̈) + D v + K d = Jᵀ w`, with joint deflection d and its rate v, commanded acceleration q̈, the tool's
+//! For arms of six joints whose links' masses are known. The links obey `M(q) (v̇ + q̈) + D v + K d = Jᵀ w`, with joint deflection d and its rate v, commanded acceleration q̈, the tool's
 //! wrench w on its base, and the mass matrix M of the arm's links. One step is linearly implicit Euler, as in the manipulator: `(M + A +
 //! h D + h² K) Δv = h (Jᵀ w - K (d + h v) - D v - M q̈)`, `d += h (v + Δv)`. At rest `d = K⁻¹ Jᵀ w`; to first order the tool's base has
 //! then moved by `J K⁻¹ Jᵀ w`.
@@ -14,7 +14,7 @@
 //! acceleration terms at drilling speeds.
 
 use super::geometry::ArmGeometry;
-use super::kinematics::{Joints, LinkFrames, stack};
+use super::kinematics::{Jacobian, Joints, LinkFrames, UR_JOINTS, stack};
 use super::models::Link;
 use super::{Arm, ArmError};
 use nalgebra::{Isometry3, Matrix6, Vector3, Vector6};
@@ -24,11 +24,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ComplianceParameters {
     /// The arm's links.
-    pub links: [Link; 6],
+    pub links: [Link; UR_JOINTS],
     /// Stiffness of each joint, N m/rad.
-    pub stiffness_nm_per_rad: Joints,
+    pub stiffness_nm_per_rad: [f64; UR_JOINTS],
     /// Damping of each joint, N m s/rad.
-    pub damping_nms_per_rad: Joints,
+    pub damping_nms_per_rad: [f64; UR_JOINTS],
     /// Upper bound of the tool's stiffness toward its base: its mount and a contact, N/m.
     pub tool_stiffness_n_per_m: f64,
     /// Damping of the tool's mount, N s/m.
@@ -111,12 +111,12 @@ impl Compliance {
         let mass = mass_matrix(&arm.parameters().geometry, &self.parameters.links, &self.joints(arm));
         let turn = arm.parameters().t_world_arm_base.rotation.inverse();
         let wrench = stack(&(turn * force_n), &(turn * torque_nm));
-        let jacobian = frames.jacobian();
-        let (d, v) = (Vector6::from(self.state.deflection_rad), Vector6::from(self.state.rate_rad_s));
+        let jacobian = of_six(&frames.jacobian());
+        let (d, v) = (six(&self.state.deflection_rad), six(&self.state.rate_rad_s));
         let stiffness = Vector6::from(self.parameters.stiffness_nm_per_rad);
         let damping = Vector6::from(self.parameters.damping_nms_per_rad);
         let springs = stiffness.component_mul(&(d + v * h)) + damping.component_mul(&v);
-        let commanded = mass * Vector6::from(arm.state().qdd_rad_s2);
+        let commanded = mass * six(&arm.state().qdd_rad_s2);
         let rhs = (jacobian.transpose() * wrench - springs - commanded) * h;
         let mut operator = mass + self.added_mass(&frames, &jacobian, h);
         for i in 0..6 {
@@ -124,8 +124,8 @@ impl Compliance {
         }
         let factored = operator.cholesky().ok_or(ArmError::ComplianceFailed)?;
         let v = v + factored.solve(&rhs);
-        self.state.rate_rad_s = v.into();
-        self.state.deflection_rad = (d + v * h).into();
+        self.state.rate_rad_s = v.push(0.0).into();
+        self.state.deflection_rad = (d + v * h).push(0.0).into();
         Ok(self.base(arm))
     }
 
@@ -133,10 +133,10 @@ impl Compliance {
     pub fn base(&self, arm: &Arm) -> DeflectedBase {
         let frames = self.frames(arm);
         let base = &arm.parameters().t_world_arm_base;
-        let rates = Vector6::from(arm.state().qd_rad_s) + Vector6::from(self.state.rate_rad_s);
-        let velocity = frames.jacobian() * rates;
+        let rates = six(&arm.state().qd_rad_s) + six(&self.state.rate_rad_s);
+        let velocity = of_six(&frames.jacobian()) * rates;
         DeflectedBase {
-            t_world_tool: base * frames.t_base_link(6),
+            t_world_tool: base * frames.t_base_tool(),
             linear_velocity_m_s: base.rotation * velocity.fixed_rows::<3>(0).into_owned(),
             angular_velocity_rad_s: base.rotation * velocity.fixed_rows::<3>(3).into_owned(),
         }
@@ -155,15 +155,24 @@ impl Compliance {
     fn added_mass(&self, frames: &LinkFrames, jacobian: &Matrix6<f64>, h: f64) -> Matrix6<f64> {
         let p = &self.parameters;
         let mass_kg = h * h * p.tool_stiffness_n_per_m + h * p.tool_damping_n_s_per_m;
-        let along = frames.rotation[6].column(2) * p.tool_length_m;
+        let along = frames.rotation[LinkFrames::TOOL].column(2) * p.tool_length_m;
         let linear = jacobian.fixed_rows::<3>(0);
         let at_tip = linear - along.cross_matrix() * jacobian.fixed_rows::<3>(3);
         (linear.transpose() * linear + at_tip.transpose() * at_tip) * mass_kg
     }
 }
 
+/// The six joints of an arm whose links' masses are known.
+fn six(joints: &Joints) -> Vector6<f64> {
+    Vector6::from_column_slice(&joints[..UR_JOINTS])
+}
+
+fn of_six(jacobian: &Jacobian) -> Matrix6<f64> {
+    jacobian.fixed_columns::<UR_JOINTS>(0).into_owned()
+}
+
 /// Mass matrix of an arm's links, kg m²: the sum of `m Jvᵀ Jv + Jωᵀ I Jω`. Excludes the tool.
-pub fn mass_matrix(geometry: &ArmGeometry, links: &[Link; 6], q_rad: &Joints) -> Matrix6<f64> {
+pub fn mass_matrix(geometry: &ArmGeometry, links: &[Link; UR_JOINTS], q_rad: &Joints) -> Matrix6<f64> {
     let frames = geometry.with_tool(None).frames(q_rad);
     let mut mass = Matrix6::zeros();
     for (index, link) in links.iter().enumerate() {

@@ -2,6 +2,9 @@
 
 use super::motion::{JointMotion, Motion, NextPath, PathMotion};
 use super::path::{JointsOnPath, Path, PathFollower};
+use messages::MAX_ARM_JOINTS;
+use nalgebra::SVector;
+
 use super::{Arm, ArmCommand, ArmError, ArmMode, AxisLimits, AxisState, Goal, LinkFrames, Segment};
 
 /// The arm abandons a path if a joint would exceed its velocity limit by this factor.
@@ -16,7 +19,7 @@ impl Arm {
         }
     }
 
-    pub(super) fn joint_state(&self) -> AxisState<6> {
+    pub(super) fn joint_state(&self) -> AxisState<MAX_ARM_JOINTS> {
         AxisState {
             position: self.state.q_rad,
             velocity: self.state.qd_rad_s,
@@ -24,7 +27,7 @@ impl Arm {
         }
     }
 
-    pub(super) fn joint_axis_limits(&self, speed_fraction: f64) -> AxisLimits<6> {
+    pub(super) fn joint_axis_limits(&self, speed_fraction: f64) -> AxisLimits<MAX_ARM_JOINTS> {
         let limits = &self.parameters.joint_limits;
         AxisLimits {
             velocity: limits.velocity_rad_s.map(|v| v * speed_fraction),
@@ -74,7 +77,7 @@ impl Arm {
             Ok(on_path) => {
                 let (rate, change) = (parameter.velocity[0], parameter.acceleration[0]);
                 let mut joints = AxisState::at_rest(on_path.q_rad);
-                for i in 0..6 {
+                for i in 0..MAX_ARM_JOINTS {
                     joints.velocity[i] = on_path.first[i] * rate;
                     joints.acceleration[i] = on_path.first[i] * change + on_path.second[i] * rate * rate;
                 }
@@ -95,7 +98,7 @@ impl Arm {
             .follower()
             .joints_at(path, fraction, &self.state.q_rad)
             .map_err(|reason| ArmError::PathUnreachable { fraction, reason })?;
-        let swings = (0..6).any(|i| {
+        let swings = (0..MAX_ARM_JOINTS).any(|i| {
             let most = PATH_FAULT_FACTOR * self.parameters.joint_limits.velocity_rad_s[i];
             let step_rad = on_path.q_rad[i] - self.state.q_rad[i];
             step_rad.abs() > most * self.parameters.dt_s
@@ -131,7 +134,7 @@ impl Arm {
         self.last_command = ArmCommand::Hold;
         let limits = self.joint_axis_limits(1.0);
         let mut start = self.joint_state();
-        for i in 0..6 {
+        for i in 0..MAX_ARM_JOINTS {
             start.velocity[i] = start.velocity[i].clamp(-limits.velocity[i], limits.velocity[i]);
             start.acceleration[i] =
                 start.acceleration[i].clamp(-limits.acceleration[i], limits.acceleration[i]);
@@ -151,18 +154,18 @@ impl Arm {
     }
 
     /// Writes joints and tool base into the state.
-    pub(super) fn publish(&mut self, frames: &LinkFrames, joints: &AxisState<6>) {
+    pub(super) fn publish(&mut self, frames: &LinkFrames, joints: &AxisState<MAX_ARM_JOINTS>) {
         let base = &self.parameters.t_world_arm_base;
         let geometry = &self.parameters.geometry;
         let jacobian = geometry.jacobian(frames);
-        let velocity = jacobian * nalgebra::Vector6::from(joints.velocity);
-        let acceleration = jacobian * nalgebra::Vector6::from(joints.acceleration)
+        let velocity = jacobian * SVector::from(joints.velocity);
+        let acceleration = jacobian * SVector::from(joints.acceleration)
             + geometry.bias_acceleration(frames, &joints.velocity);
         let state = &mut self.state;
         state.q_rad = joints.position;
         state.qd_rad_s = joints.velocity;
         state.qdd_rad_s2 = joints.acceleration;
-        state.t_world_tool = base * frames.t_base_link(6);
+        state.t_world_tool = base * frames.t_base_tool();
         state.linear_velocity_m_s = base.rotation * velocity.fixed_rows::<3>(0).into_owned();
         state.angular_velocity_rad_s = base.rotation * velocity.fixed_rows::<3>(3).into_owned();
         state.linear_acceleration_m_s2 = base.rotation * acceleration.fixed_rows::<3>(0).into_owned();

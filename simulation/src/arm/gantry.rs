@@ -2,7 +2,7 @@
 
 use super::inverse::{KinematicsError, check_pose};
 use super::kinematics::{Joints, LinkFrames};
-use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
 /// How far a goal may be turned against the tool: what clients lose by rounding an orientation to four single-precision numbers.
 const TURN_TOLERANCE_RAD: f64 = 1e-6;
@@ -15,15 +15,11 @@ pub struct GantryGeometry {
 }
 
 impl GantryGeometry {
-    /// Frames 0 to 3: the base, then each axis at its place; the rest stand at the flange, the last at the tool's base. `place` holds the
-    /// axes' places in m, then three zeros.
+    /// The base, and the tool's base where the axes are: `place` holds their places in m, then zeros.
     pub(super) fn frames(&self, place: &Joints) -> LinkFrames {
-        let at = |axes: usize| Vector3::from_fn(|axis, _| if axis < axes { place[axis] } else { 0.0 });
-        let mut frames = LinkFrames {
-            rotation: [Matrix3::identity(); 7],
-            origin_m: std::array::from_fn(|frame| at(frame.min(3))),
-        };
+        let mut frames = LinkFrames::standing(0);
         frames.attach(self.t_flange_tool.as_ref());
+        frames.origin_m[LinkFrames::TOOL] += Vector3::from_column_slice(&place[..3]);
         frames
     }
 
@@ -33,7 +29,7 @@ impl GantryGeometry {
         mut t_base_tool: Isometry3<f64>,
     ) -> Result<Isometry3<f64>, KinematicsError> {
         self.check_turn(&t_base_tool)?;
-        t_base_tool.rotation = self.frames(&[0.0; 6]).t_base_link(6).rotation;
+        t_base_tool.rotation = self.frames(&Joints::default()).t_base_tool().rotation;
         Ok(t_base_tool)
     }
 
@@ -46,7 +42,7 @@ impl GantryGeometry {
         }
     }
 
-    /// Places of the axes, m, that put the tool's base at `t_base_tool`, then three zeros.
+    /// Places of the axes, m, that put the tool's base at `t_base_tool`, then zeros.
     ///
     /// # Errors
     /// The pose is invalid, turned against the tool by more than 1e-6 rad, or beyond the travel of an axis.
@@ -66,7 +62,9 @@ impl GantryGeometry {
                 return Err(KinematicsError::BeyondTravel { axis: AXES[axis], given_m, lower_m, upper_m });
             }
         }
-        Ok([place_m.x, place_m.y, place_m.z, 0.0, 0.0, 0.0])
+        let mut place = Joints::default();
+        place[..3].copy_from_slice(place_m.as_slice());
+        Ok(place)
     }
 }
 

@@ -2,9 +2,9 @@
 
 use super::gantry::GantryGeometry;
 use super::inverse::KinematicsError;
-use super::kinematics::{Joints, LinkFrames, UrGeometry};
-use super::serial::SerialGeometry;
-use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3, Vector6};
+use super::kinematics::{Jacobian, Joints, LinkFrames, UR_JOINTS, UrGeometry, without};
+use super::serial::{Redundancy, SerialGeometry};
+use nalgebra::{Isometry3, Vector6};
 
 /// The kinematics of an arm.
 #[allow(clippy::large_enum_variant, reason = "a simulation has one, and a tick allocates nothing for it")]
@@ -12,9 +12,9 @@ use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3, Vector6};
 pub enum ArmGeometry {
     /// An arm of Universal Robots, with a closed inverse.
     Ur(UrGeometry),
-    /// Another arm of six turning joints, with a numeric inverse.
+    /// Another arm of six or seven turning joints, with a numeric inverse.
     Serial(SerialGeometry),
-    /// Three linear axes. They stand in the first three [`Joints`], in metres; the other three are 0.
+    /// Three linear axes. They stand in the first three [`Joints`], in metres; the others are 0.
     Gantry(GantryGeometry),
     /// No arm: the flange is the base, whatever the joint angles.
     Fixed {
@@ -35,9 +35,27 @@ impl ArmGeometry {
         !matches!(self, ArmGeometry::Fixed { .. })
     }
 
-    /// Whether the arm has joints that turn, which commands and states name by angles.
+    /// Number of joints that turn, which commands and states name by angles.
+    pub fn joints(&self) -> usize {
+        match self {
+            ArmGeometry::Ur(_) => UR_JOINTS,
+            ArmGeometry::Serial(serial) => serial.joints(),
+            ArmGeometry::Gantry(_) | ArmGeometry::Fixed { .. } => 0,
+        }
+    }
+
+    /// Whether the arm has joints that turn.
     pub fn turns(&self) -> bool {
-        matches!(self, ArmGeometry::Ur(_) | ArmGeometry::Serial(_))
+        self.joints() > 0
+    }
+
+    /// The joint, from 0, that keeps its angle while the tool's base moves on a path: the redundant one of seven. Of another arm the entry
+    /// behind its joints.
+    pub(super) fn held_joint(&self) -> usize {
+        match self {
+            ArmGeometry::Serial(serial) => serial.held_joint(),
+            ArmGeometry::Ur(_) | ArmGeometry::Gantry(_) | ArmGeometry::Fixed { .. } => UR_JOINTS,
+        }
     }
 
     /// T_flange_tool: pose of the tool's base on the flange; `None` means identity.
@@ -69,8 +87,7 @@ impl ArmGeometry {
             ArmGeometry::Serial(serial) => serial.frames(q_rad),
             ArmGeometry::Gantry(gantry) => gantry.frames(q_rad),
             ArmGeometry::Fixed { t_flange_tool } => {
-                let mut frames =
-                    LinkFrames { rotation: [Matrix3::identity(); 7], origin_m: [Vector3::zeros(); 7] };
+                let mut frames = LinkFrames::standing(0);
                 frames.attach(t_flange_tool.as_ref());
                 frames
             }
@@ -78,10 +95,10 @@ impl ArmGeometry {
     }
 
     /// Geometric Jacobian of the tool's base at these frames, base axes: [`LinkFrames::jacobian`]. A gantry's is the identity: its
-    /// coordinates are the place itself, and its last three, which never change, would turn the tool about the base's axes.
-    pub(super) fn jacobian(&self, frames: &LinkFrames) -> Matrix6<f64> {
+    /// coordinates are the place itself, and three more, which never change, would turn the tool about the base's axes.
+    pub(super) fn jacobian(&self, frames: &LinkFrames) -> Jacobian {
         match self {
-            ArmGeometry::Gantry(_) => Matrix6::identity(),
+            ArmGeometry::Gantry(_) => Jacobian::identity(),
             ArmGeometry::Ur(_) | ArmGeometry::Serial(_) | ArmGeometry::Fixed { .. } => frames.jacobian(),
         }
     }
@@ -91,33 +108,54 @@ impl ArmGeometry {
         if self.turns() { frames.bias_acceleration(qd_rad_s) } else { Vector6::zeros() }
     }
 
-    /// The parts of the chain that do not turn: frame i is frame i - 1 turned about its z by joint i, then moved by part i; part 0 places
-    /// frame 0 in the arm's base. For an arm of Universal Robots the identity, then `Tz(d_i) Tx(a_i) Rx(alpha_i)`.
-    pub fn fixed_parts(&self) -> [Isometry3<f64>; 7] {
-        let straight = self.frames(&[0.0; 6]);
-        std::array::from_fn(|index| match index {
-            0 => straight.t_base_link(0),
-            _ => straight.t_base_link(index - 1).inverse() * straight.t_base_link(index),
-        })
+    /// The parts of the chain that do not turn, one more than joints: frame i is frame i - 1 turned about its z by joint i, then moved by
+    /// part i; part 0 places frame 0 in the arm's base, and the last part ends at the tool's base. For an arm of Universal Robots the
+    /// identity, then `Tz(d_i) Tx(a_i) Rx(alpha_i)`.
+    pub fn fixed_parts(&self) -> Vec<Isometry3<f64>> {
+        let (straight, joints) = (self.frames(&Joints::default()), self.joints());
+        let frame =
+            |index: usize| straight.t_base_link(if index == joints { LinkFrames::TOOL } else { index });
+        let first = straight.t_base_link(0);
+        let between = (1..=joints).map(|index| frame(index - 1).inverse() * frame(index));
+        core::iter::once(first).chain(between).collect()
     }
 
     /// `T_base_tool`: pose of the tool's base in the arm's base frame; without a tool transform, of the flange.
     pub fn forward(&self, q_rad: &Joints) -> Isometry3<f64> {
-        self.frames(q_rad).t_base_link(6)
+        self.frames(q_rad).t_base_tool()
     }
 
-    /// `|det J|` in m³, Yoshikawa's manipulability of a six-joint arm; 0 without joints that turn.
+    /// Yoshikawa's manipulability in m³: `|det J|` of six joints, the root of `det(J Jᵀ)` of seven; 0 without joints that turn.
     pub fn manipulability_m3(&self, q_rad: &Joints) -> f64 {
         match self {
             ArmGeometry::Ur(ur) => ur.manipulability_m3(q_rad),
-            ArmGeometry::Serial(serial) => serial.frames(q_rad).jacobian().determinant().abs(),
+            ArmGeometry::Serial(serial) => {
+                let jacobian = serial.frames(q_rad).jacobian();
+                match serial.is_redundant() {
+                    true => libm::sqrt((jacobian * jacobian.transpose()).determinant().max(0.0)),
+                    false => self.determinant_m3(&jacobian).abs(),
+                }
+            }
             ArmGeometry::Gantry(_) | ArmGeometry::Fixed { .. } => 0.0,
         }
     }
 
+    /// Manipulability in m³ of the joints that move on a path: `|det J|` of all but the one that is held.
+    pub(crate) fn manipulability_on_path_m3(&self, q_rad: &Joints) -> f64 {
+        match self {
+            ArmGeometry::Serial(serial) => self.determinant_m3(&serial.frames(q_rad).jacobian()).abs(),
+            _ => self.manipulability_m3(q_rad),
+        }
+    }
+
+    /// Determinant of the Jacobian without the joint that is held on a path.
+    fn determinant_m3(&self, jacobian: &Jacobian) -> f64 {
+        without(jacobian, self.held_joint()).determinant()
+    }
+
     /// Joint angles within the limits that put the tool's base at `t_base_tool`, as near to `q_reference_rad` as the arm's inverse finds
-    /// them: [`UrGeometry::inverse_nearest`], [`SerialGeometry::inverse_nearest`],
-    /// [`GantryGeometry::inverse`].
+    /// them: [`UrGeometry::inverse_nearest`], [`SerialGeometry::inverse_nearest`], [`GantryGeometry::inverse`]. Of seven joints the
+    /// redundant one keeps the reference's angle, unless that leads nowhere and `redundancy` lets it move.
     ///
     /// # Errors
     /// The pose is invalid, out of reach or singular, or no solution lies within the limits.
@@ -127,11 +165,12 @@ impl ArmGeometry {
         q_reference_rad: &Joints,
         lower_rad: &Joints,
         upper_rad: &Joints,
+        redundancy: Redundancy,
     ) -> Result<Joints, KinematicsError> {
         match self {
             ArmGeometry::Ur(ur) => ur.inverse_nearest(t_base_tool, q_reference_rad, lower_rad, upper_rad),
             ArmGeometry::Serial(serial) => {
-                serial.inverse_nearest(t_base_tool, q_reference_rad, lower_rad, upper_rad)
+                serial.inverse_nearest(t_base_tool, q_reference_rad, lower_rad, upper_rad, redundancy)
             }
             ArmGeometry::Gantry(gantry) => gantry.inverse(t_base_tool, lower_rad, upper_rad),
             ArmGeometry::Fixed { .. } => Err(KinematicsError::NoJoints),
@@ -145,7 +184,9 @@ impl ArmGeometry {
                 let f = ur.singularity_factors(q_rad);
                 [f.elbow > 0.0, f.wrist > 0.0, f.shoulder_m > 0.0]
             }
-            ArmGeometry::Serial(serial) => [serial.frames(q_rad).jacobian().determinant() > 0.0, true, true],
+            ArmGeometry::Serial(serial) => {
+                [self.determinant_m3(&serial.frames(q_rad).jacobian()) > 0.0, true, true]
+            }
             ArmGeometry::Gantry(_) | ArmGeometry::Fixed { .. } => [true; 3],
         }
     }

@@ -142,7 +142,7 @@ impl UrGeometry {
         // The wrist's offset d4 along the shoulder's axis (sin q1, -cos q1, 0) fixes q1.
         let direction = libm::atan2(flange.wrist_m.y, flange.wrist_m.x) + FRAC_PI_2;
         let half_angle = libm::acos(self.d4_m / radius_m);
-        let mut found = InverseSolutions { q_rad: [[0.0; 6]; 8], count: 0, wrist_singular: None };
+        let mut found = InverseSolutions { q_rad: [Joints::default(); 8], count: 0, wrist_singular: None };
         let mut reach = ClosestMiss::default();
         for q1 in [direction + half_angle, direction - half_angle] {
             self.solve_wrist(&flange, q1, &mut found, &mut reach);
@@ -171,7 +171,7 @@ impl UrGeometry {
         for solution in solutions.as_slice() {
             let Some(q) = unwrap_towards(solution, q_reference_rad, lower_rad, upper_rad) else { continue };
             let distance: f64 =
-                (0..6).map(|i| (q[i] - q_reference_rad[i]) * (q[i] - q_reference_rad[i])).sum();
+                (0..q.len()).map(|i| (q[i] - q_reference_rad[i]) * (q[i] - q_reference_rad[i])).sum();
             if best.is_none_or(|(least, _)| distance < least) {
                 best = Some((distance, q));
             }
@@ -238,7 +238,7 @@ impl UrGeometry {
         for q3 in [elbow, -elbow] {
             let (sin3, cos3) = libm::sincos(q3);
             let q2 = libm::atan2(plane[1], plane[0]) - libm::atan2(a3 * sin3, a2 + a3 * cos3);
-            let q = [q1, q2, q3, q234 - q2 - q3, q5, q6];
+            let q = [q1, q2, q3, q234 - q2 - q3, q5, q6, 0.0];
             found.q_rad[found.count] = q.map(|angle| libm::remainder(angle, TAU));
             found.count += 1;
         }
@@ -296,7 +296,7 @@ pub(super) fn check_pose(pose: &Isometry3<f64>) -> Result<(), KinematicsError> {
 /// `q` plus whole turns, each joint as close to the reference as its limits allow; `None` if a joint has no such angle.
 fn unwrap_towards(q: &Joints, reference: &Joints, lower: &Joints, upper: &Joints) -> Option<Joints> {
     let mut unwrapped = *q;
-    for i in 0..6 {
+    for i in 0..q.len() {
         let turns = libm::rint((reference[i] - q[i]) / TAU);
         let nearest = [turns, turns - 1.0, turns + 1.0].map(|n| q[i] + n * TAU);
         unwrapped[i] = nearest.into_iter().find(|angle| (lower[i]..=upper[i]).contains(angle))?;

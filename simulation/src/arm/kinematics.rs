@@ -1,17 +1,32 @@
-//! Forward and differential kinematics of the Universal Robots six-joint arms (UR3 to UR20: one geometry).
+//! The frames of an arm and its Jacobian, and the forward kinematics of the Universal Robots six-joint arms (UR3 to UR20: one geometry).
 //!
-//! Standard Denavit-Hartenberg convention: `T_{i-1,i} = Rz(q_i) Tz(d_i) Tx(a_i) Rx(alpha_i)`; frame 0 is the arm's base, frame 6 the
+//! Universal Robots: standard Denavit-Hartenberg convention: `T_{i-1,i} = Rz(q_i) Tz(d_i) Tx(a_i) Rx(alpha_i)`; frame 0 is the arm's base, frame 6 the
 //! flange. The twists alpha are 90, 0, 0, 90, -90, 0 degrees. Their sines and cosines are exact 0 and ±1 in the code, so no rounding of
 //! pi/2 enters a pose.
 
-use nalgebra::{Isometry3, Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
+use messages::MAX_ARM_JOINTS;
+use nalgebra::{
+    Isometry3, Matrix3, Matrix6, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector3, Vector6,
+};
 
-/// Six values, one per joint, from base to wrist. Of a gantry the first three belong to its linear axes, in m where an angle would be in
-/// rad; the last three are 0.
-pub type Joints = [f64; 6];
+/// A value per joint, from base to wrist; entries behind the arm's last joint are 0. Of a gantry the first three belong to its linear
+/// axes, in m where an angle would be in rad.
+pub type Joints = [f64; MAX_ARM_JOINTS];
+
+/// The values of an arm of six joints.
+pub const fn six_joints([a, b, c, d, e, f]: [f64; UR_JOINTS]) -> Joints {
+    [a, b, c, d, e, f, 0.0]
+}
+
+/// Geometric Jacobian of the tool's base: rows 0..3 linear velocity of its origin (m/rad), rows 3..6 angular velocity (rad/rad); a column
+/// per joint, 0 behind the arm's last one.
+pub type Jacobian = SMatrix<f64, 6, MAX_ARM_JOINTS>;
+
+/// Joints of the arms of Universal Robots.
+pub(super) const UR_JOINTS: usize = 6;
 
 /// Cosine and sine of the link twists alpha_1..alpha_6 (90, 0, 0, 90, -90, 0 degrees).
-const TWIST_COS_SIN: [(f64, f64); 6] =
+const TWIST_COS_SIN: [(f64, f64); UR_JOINTS] =
     [(0.0, 1.0), (1.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (1.0, 0.0)];
 
 /// Denavit-Hartenberg lengths of a Universal Robots arm (standard convention); all others are zero.
@@ -38,9 +53,9 @@ impl UrGeometry {
     pub fn frames(&self, q_rad: &Joints) -> LinkFrames {
         let d = [self.d1_m, 0.0, 0.0, self.d4_m, self.d5_m, self.d6_m];
         let a = [0.0, self.a2_m, self.a3_m, 0.0, 0.0, 0.0];
-        let mut rotation = [Matrix3::identity(); 7];
-        let mut origin_m = [Vector3::zeros(); 7];
-        for i in 0..6 {
+        let mut frames = LinkFrames::standing(UR_JOINTS);
+        let LinkFrames { rotation, origin_m, .. } = &mut frames;
+        for i in 0..UR_JOINTS {
             let (sin, cos) = libm::sincos(q_rad[i]);
             let (twist_cos, twist_sin) = TWIST_COS_SIN[i];
             #[rustfmt::skip]
@@ -52,14 +67,13 @@ impl UrGeometry {
             origin_m[i + 1] = origin_m[i] + rotation[i] * Vector3::new(a[i] * cos, a[i] * sin, d[i]);
             rotation[i + 1] = rotation[i] * link;
         }
-        let mut frames = LinkFrames { rotation, origin_m };
         frames.attach(self.t_flange_tool.as_ref());
         frames
     }
 
     /// `T_base_tool`: pose of the tool's base in the arm's base frame; without a tool transform, of the flange.
     pub fn forward(&self, q_rad: &Joints) -> Isometry3<f64> {
-        self.frames(q_rad).t_base_link(6)
+        self.frames(q_rad).t_base_tool()
     }
 
     /// The three factors of the Jacobian determinant, `det J = a2 a3 · elbow · wrist · shoulder` up to sign: `sin q3`, `sin q5` and
@@ -92,47 +106,65 @@ pub struct SingularityFactors {
     pub shoulder_m: f64,
 }
 
-/// The frames of the base (index 0), the links (1..=5) and the tool's base (6), in the arm's base frame. Joint i + 1 turns about z of
-/// frame i; in an arm that is not of Universal Robots, frame 0 is that of the first joint.
+/// The frames of the base, the links and the tool's base, in the arm's base frame. Frame i is that of link i, and joint i + 1 turns about
+/// its z; in an arm that is not of Universal Robots, frame 0 is that of the first joint. The flange is the last link.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinkFrames {
-    /// Rotation of each frame.
-    pub rotation: [Matrix3<f64>; 7],
+    /// Rotation of each frame; [`LinkFrames::TOOL`] is that of the tool's base.
+    pub rotation: [Matrix3<f64>; MAX_ARM_JOINTS + 1],
     /// Origin of each frame.
-    pub origin_m: [Vector3<f64>; 7],
+    pub origin_m: [Vector3<f64>; MAX_ARM_JOINTS + 1],
+    /// Number of joints that turn.
+    joints: usize,
 }
 
 impl LinkFrames {
-    /// `T_base_link` of frame `index` (0 = base, 6 = tool's base); any larger index returns the tool's base.
+    /// Index of the tool's base. In an arm of seven joints the flange, too, has no other: it stands there if no tool is attached.
+    pub const TOOL: usize = MAX_ARM_JOINTS;
+
+    /// All frames in the base's.
+    pub(super) fn standing(joints: usize) -> Self {
+        let (rotation, origin_m) = ([Matrix3::identity(); _], [Vector3::zeros(); _]);
+        Self { rotation, origin_m, joints }
+    }
+
+    /// `T_base_link` of frame `index`; any index beyond [`LinkFrames::TOOL`] returns the tool's base.
     pub fn t_base_link(&self, index: usize) -> Isometry3<f64> {
-        let i = index.min(6);
+        let i = index.min(Self::TOOL);
         let rotation =
             UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(self.rotation[i]));
         Isometry3::from_parts(Translation3::from(self.origin_m[i]), rotation)
     }
 
-    /// Moves the last frame from the flange to the tool's base.
+    /// `T_base_tool`: pose of the tool's base.
+    pub fn t_base_tool(&self) -> Isometry3<f64> {
+        self.t_base_link(Self::TOOL)
+    }
+
+    /// Puts the tool's base on the flange.
     pub(super) fn attach(&mut self, t_flange_tool: Option<&Isometry3<f64>>) {
+        let flange = self.joints;
+        (self.rotation[Self::TOOL], self.origin_m[Self::TOOL]) =
+            (self.rotation[flange], self.origin_m[flange]);
         if let Some(tool) = t_flange_tool {
-            self.origin_m[6] += self.rotation[6] * tool.translation.vector;
-            self.rotation[6] *= tool.rotation.to_rotation_matrix().matrix();
+            self.origin_m[Self::TOOL] += self.rotation[Self::TOOL] * tool.translation.vector;
+            self.rotation[Self::TOOL] *= tool.rotation.to_rotation_matrix().matrix();
         }
     }
 
-    /// Axis of joint `i` (0..=5) in the base frame.
+    /// Axis of joint `i`, from 0, in the base frame.
     fn axis(&self, i: usize) -> Vector3<f64> {
         self.rotation[i].column(2).into_owned()
     }
 
-    /// Geometric Jacobian of the tool's base, in base axes: rows 0..3 linear velocity of its origin (m/rad), rows 3..6 angular velocity
-    /// (rad/rad).
-    pub fn jacobian(&self) -> Matrix6<f64> {
-        let mut jacobian = Matrix6::zeros();
-        for i in 0..6 {
+    /// Geometric Jacobian of the tool's base, in base axes.
+    pub fn jacobian(&self) -> Jacobian {
+        let mut jacobian = Jacobian::zeros();
+        for i in 0..self.joints {
             let axis = self.axis(i);
             jacobian
                 .fixed_view_mut::<3, 1>(0, i)
-                .copy_from(&axis.cross(&(self.origin_m[6] - self.origin_m[i])));
+                .copy_from(&axis.cross(&(self.origin_m[Self::TOOL] - self.origin_m[i])));
             jacobian.fixed_view_mut::<3, 1>(3, i).copy_from(&axis);
         }
         jacobian
@@ -144,11 +176,12 @@ impl LinkFrames {
         let mut angular = Vector3::zeros();
         let mut angular_acceleration = Vector3::zeros();
         let mut linear_acceleration = Vector3::zeros();
-        for (i, rate) in qd_rad_s.iter().enumerate() {
+        for (i, rate) in qd_rad_s[..self.joints].iter().enumerate() {
             let spin = self.axis(i) * *rate;
             angular_acceleration += angular.cross(&spin);
             angular += spin;
-            let arm = self.origin_m[i + 1] - self.origin_m[i];
+            let next = if i + 1 == self.joints { Self::TOOL } else { i + 1 };
+            let arm = self.origin_m[next] - self.origin_m[i];
             linear_acceleration += angular_acceleration.cross(&arm) + angular.cross(&angular.cross(&arm));
         }
         stack(&linear_acceleration, &angular_acceleration)
@@ -160,8 +193,15 @@ pub(super) fn stack(linear: &Vector3<f64>, angular: &Vector3<f64>) -> Vector6<f6
     Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
 }
 
-/// Joint rates that give the tool's base the velocity `twist` (linear first, base axes); `None` if the Jacobian is singular.
-pub(super) fn solve_rates(jacobian: &Matrix6<f64>, twist: &Vector6<f64>) -> Option<Joints> {
-    let rates = jacobian.lu().solve(twist)?;
-    rates.iter().all(|x| x.is_finite()).then(|| rates.into())
+/// The Jacobian of the joints that move while joint `held`, from 0, keeps its angle.
+pub(super) fn without(jacobian: &Jacobian, held: usize) -> Matrix6<f64> {
+    jacobian.remove_column(held)
+}
+
+/// Joint rates that give the tool's base the velocity `twist` (linear first, base axes) while joint `held` keeps its angle; `None` if
+/// the Jacobian of the others is singular.
+pub(super) fn solve_rates(jacobian: &Jacobian, held: usize, twist: &Vector6<f64>) -> Option<Joints> {
+    let rates = without(jacobian, held).lu().solve(twist)?;
+    let all = rates.insert_row(held, 0.0);
+    all.iter().all(|x| x.is_finite()).then(|| all.into())
 }

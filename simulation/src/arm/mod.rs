@@ -29,16 +29,17 @@ pub use compliance::{Compliance, ComplianceParameters, ComplianceState, Deflecte
 pub use gantry::GantryGeometry;
 pub use geometry::ArmGeometry;
 pub use inverse::{InverseSolutions, KinematicsError};
-pub use kinematics::{Joints, LinkFrames, SingularityFactors, UrGeometry};
+pub use kinematics::{Jacobian, Joints, LinkFrames, SingularityFactors, UrGeometry, six_joints};
 pub use models::{Link, initial_q_rad};
 pub use parameters::{
     ArmCommand, ArmError, ArmParameters, COMFORTABLE_Q_RAD, CartesianLimits, JointLimits, place_base_for,
 };
 pub(crate) use path::LEAST_MANIPULABILITY_M3;
-pub use serial::{SerialGeometry, SerialJoint};
+pub use serial::{Redundancy, SerialGeometry, SerialJoint};
 pub use state::{ArmMode, ArmState, ProtectiveStop, RELEASED_SHARE};
 pub use trajectory::{AxisLimits, AxisState, Goal, Planner, Segment, TrajectoryError};
 
+use messages::MAX_ARM_JOINTS;
 use motion::Motion;
 use nalgebra::{Isometry3, Vector3};
 use path::PathSpeed;
@@ -59,7 +60,7 @@ pub struct ArmSnapshot {
 /// Not `Send`: Ruckig's objects stay on the thread that created them. Send an [`ArmSnapshot`] instead.
 pub struct Arm {
     parameters: ArmParameters,
-    joint_planner: Planner<6>,
+    joint_planner: Planner<MAX_ARM_JOINTS>,
     path_planner: Planner<1>,
     motion: Motion,
     insertion: Option<Insertion>,
@@ -80,8 +81,8 @@ impl Arm {
             insertion: None,
             state: ArmState {
                 q_rad: *initial_q_rad,
-                qd_rad_s: [0.0; 6],
-                qdd_rad_s2: [0.0; 6],
+                qd_rad_s: Joints::default(),
+                qdd_rad_s2: Joints::default(),
                 t_world_tool: Isometry3::identity(),
                 linear_velocity_m_s: Vector3::zeros(),
                 angular_velocity_rad_s: Vector3::zeros(),
@@ -117,11 +118,11 @@ impl Arm {
     }
 
     /// Geometric Jacobian at the current joint angles, world axes: rows linear velocity of the tool base's origin, then angular velocity.
-    pub fn jacobian(&self) -> nalgebra::Matrix6<f64> {
+    pub fn jacobian(&self) -> Jacobian {
         let geometry = &self.parameters.geometry;
         let mut jacobian = geometry.jacobian(&geometry.frames(&self.state.q_rad));
         let turn = self.parameters.t_world_arm_base.rotation;
-        for column in 0..6 {
+        for column in 0..MAX_ARM_JOINTS {
             for row in [0, 3] {
                 let turned = turn * jacobian.fixed_view::<3, 1>(row, column).into_owned();
                 jacobian.fixed_view_mut::<3, 1>(row, column).copy_from(&turned);
@@ -303,7 +304,7 @@ mod tests {
     /// A wrist that goes over to its other side on the way would turn by radians in a tick: the arm stops before.
     #[test]
     fn a_line_on_which_the_joints_jump_ends_in_that_fault() {
-        let posture = |wrist_rad| [0.0, -1.2, 1.8, -2.2, wrist_rad, 0.0];
+        let posture = |wrist_rad| [0.0, -1.2, 1.8, -2.2, wrist_rad, 0.0, 0.0];
         let geometry = ArmParameters::ur5(1e-3).geometry;
         let mut arm = on_its_way(&posture(0.3), |_| geometry.forward(&posture(-0.25)));
         let mut fault = None;
@@ -328,7 +329,7 @@ mod tests {
             let before = arm.state;
             let state = *arm.step();
             ticks_of_fault += usize::from(state.fault.is_some());
-            for i in 0..6 {
+            for i in 0..MAX_ARM_JOINTS {
                 let step_rad = (state.q_rad[i] - before.q_rad[i]).abs();
                 assert!(
                     step_rad <= 1.5e-3 * parameters.joint_limits.velocity_rad_s[i],
@@ -337,7 +338,7 @@ mod tests {
             }
         }
         println!("fault: {:?}, {ticks_of_fault} ticks ago", arm.state.fault);
-        assert!(arm.state.done && arm.state.qd_rad_s == [0.0; 6] && arm.state.mode == ArmMode::Hold);
+        assert!(arm.state.done && arm.state.qd_rad_s == Joints::default() && arm.state.mode == ArmMode::Hold);
         let fault = arm.state.fault;
         assert!(
             matches!(

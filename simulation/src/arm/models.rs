@@ -7,9 +7,10 @@
 
 use super::gantry::GantryGeometry;
 use super::geometry::ArmGeometry;
-use super::kinematics::{Joints, UrGeometry};
+use super::kinematics::{Joints, UR_JOINTS, UrGeometry};
 use super::parameters::{ArmParameters, COMFORTABLE_Q_RAD, CartesianLimits, JointLimits};
 use super::serial::{SerialGeometry, SerialJoint};
+use messages::MAX_ARM_JOINTS;
 use nalgebra::{Isometry3, Matrix3, Vector3};
 use scene::{ArmJoint, ArmModel};
 use std::f64::consts::{PI, TAU};
@@ -22,8 +23,13 @@ const JERK_RAD_S3: f64 = 50.0;
 
 /// Travel of a gantry's axes to either side of the start, where a scene says none: enough for a femur of half a metre.
 const GANTRY_TRAVEL_MM: [f64; 3] = [250.0; 3];
-/// Range of the three coordinates that a gantry does not have and that stay 0.
-const NO_TRAVEL_M: f64 = 1e-9;
+/// Range of the joints that an arm does not have and that stay 0, rad or m.
+const NO_TRAVEL: f64 = 1e-9;
+
+/// Speed of the joints that an arm does not have, which a planner of motions wants above 0.
+const NO_SPEED_DEG_S: f64 = 1.0;
+/// The joint whose angle KUKA (E1) and Franka (elbow) take for the redundancy of seven joints, from 0.
+const THIRD: usize = 2;
 
 /// A link: mass, centre of mass in its Denavit-Hartenberg frame, and inertia about that frame's axes through the centre of mass.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,9 +62,9 @@ const fn plain(mass_kg: f64, centre_m: [f64; 3], [xx, yy, zz]: [f64; 3]) -> Link
 /// What is published of an arm of Universal Robots.
 struct Published {
     geometry: UrGeometry,
-    velocity_deg_s: Joints,
+    velocity_deg_s: [f64; UR_JOINTS],
     payload_kg: f64,
-    links: [Link; 6],
+    links: [Link; UR_JOINTS],
 }
 
 const fn lengths([d1_m, a2_m, a3_m, d4_m, d5_m, d6_m]: [f64; 6]) -> UrGeometry {
@@ -212,7 +218,7 @@ impl ArmParameters {
     /// The arm that a scene describes, its base at the world's origin.
     pub fn of(arm: &scene::Arm, dt_s: f64) -> Self {
         let mut parameters = match &arm.joint {
-            Some(joints) => Self::serial(joints, dt_s),
+            Some(joints) => Self::serial(joints, arm.redundant_joint.as_deref(), dt_s),
             None => Self::named(arm.model.unwrap_or_default(), dt_s),
         };
         if arm.tool_position_mm != [0.0; 3] || arm.tool_rotation_vector_deg != [0.0; 3] {
@@ -229,18 +235,23 @@ impl ArmParameters {
     /// halves the elbow's, because links meet beyond it); wrist 3 of UR3 and UR3e turns without end and has ±360° here. The path limits
     /// suit a careful insertion.
     pub fn named(model: ArmModel, dt_s: f64) -> Self {
-        let range_rad = [TAU, TAU, PI, TAU, TAU, TAU];
+        let range_rad = all_joints([TAU, TAU, PI, TAU, TAU, TAU], NO_TRAVEL);
         let found = published(model);
         let geometry = match (found, model) {
             (Some(arm), _) => arm.geometry.into(),
             (None, ArmModel::Gantry) => ArmGeometry::Gantry(GantryGeometry { t_flange_tool: None }),
             (None, _) => ArmGeometry::Fixed { t_flange_tool: None },
         };
-        let velocity_deg_s = found.map_or([180.0; 6], |arm| arm.velocity_deg_s);
+        let velocity_deg_s = found.map_or([180.0; UR_JOINTS], |arm| arm.velocity_deg_s);
         Self {
             links: found.map(|arm| arm.links),
             payload_kg: found.map(|arm| arm.payload_kg),
-            ..Self::moving(geometry, [range_rad.map(|x| -x), range_rad], velocity_deg_s, dt_s)
+            ..Self::moving(
+                geometry,
+                [range_rad.map(|x| -x), range_rad],
+                all_joints(velocity_deg_s, NO_SPEED_DEG_S),
+                dt_s,
+            )
         }
     }
 
@@ -250,22 +261,27 @@ impl ArmParameters {
     }
 
     /// An arm that a scene describes joint by joint.
-    fn serial(joints: &[ArmJoint], dt_s: f64) -> Self {
+    fn serial(joints: &[ArmJoint], redundant: Option<&str>, dt_s: f64) -> Self {
         let of = |joint: &ArmJoint| SerialJoint {
             position_m: Vector3::from(joint.position_mm) * 1e-3,
             roll_pitch_yaw_rad: Vector3::from(joint.roll_pitch_yaw_deg) * RAD_PER_DEG,
             axis: joint.axis.map(Vector3::from),
         };
         let turning: Vec<&ArmJoint> = joints.iter().filter(|joint| joint.axis.is_some()).collect();
-        // A checked scene has six joints that turn, each with all three.
-        let figures = |of: fn(&ArmJoint) -> Option<f64>| -> Joints {
-            std::array::from_fn(|i| turning.get(i).and_then(|joint| of(joint)).unwrap_or(0.0))
+        // Each joint that turns has all three in a checked scene.
+        let figures = |of: fn(&ArmJoint) -> Option<f64>, absent: f64| -> Joints {
+            std::array::from_fn(|i| turning.get(i).and_then(|joint| of(joint)).unwrap_or(absent))
         };
-        let ends = [figures(|joint| joint.lower_deg), figures(|joint| joint.upper_deg)];
+        let no_travel_deg = NO_TRAVEL / RAD_PER_DEG;
+        let ends = [
+            figures(|joint| joint.lower_deg, -no_travel_deg),
+            figures(|joint| joint.upper_deg, no_travel_deg),
+        ];
+        let named = redundant.and_then(|name| turning.iter().position(|joint| joint.name == name));
         Self::moving(
-            ArmGeometry::Serial(SerialGeometry::new(joints.iter().map(of))),
+            ArmGeometry::Serial(SerialGeometry::new(joints.iter().map(of), named.unwrap_or(THIRD))),
             ends.map(|deg| deg.map(|deg| deg * RAD_PER_DEG)),
-            figures(|joint| joint.max_speed_deg_per_s),
+            figures(|joint| joint.max_speed_deg_per_s, NO_SPEED_DEG_S),
             dt_s,
         )
     }
@@ -285,8 +301,8 @@ impl ArmParameters {
                 lower_rad,
                 upper_rad,
                 velocity_rad_s: velocity_deg_s.map(|deg| deg * RAD_PER_DEG),
-                acceleration_rad_s2: [ACCELERATION_RAD_S2; 6],
-                jerk_rad_s3: [JERK_RAD_S3; 6],
+                acceleration_rad_s2: [ACCELERATION_RAD_S2; MAX_ARM_JOINTS],
+                jerk_rad_s3: [JERK_RAD_S3; MAX_ARM_JOINTS],
             },
             cartesian_limits: CartesianLimits {
                 speed_m_s: 0.1,
@@ -316,35 +332,45 @@ impl ArmParameters {
             *limits = gantry_limits(path, travel_m);
             return;
         }
-        for i in 0..6 {
+        for i in 0..self.geometry.joints() {
             let own = limits.velocity_rad_s[i];
             set(&mut limits.velocity_rad_s[i], arm.max_joint_speed_deg_per_s);
             limits.velocity_rad_s[i] = limits.velocity_rad_s[i].min(own);
             set(&mut limits.acceleration_rad_s2[i], arm.max_joint_acceleration_deg_per_s2);
             set(&mut limits.jerk_rad_s3[i], arm.max_joint_jerk_deg_per_s3);
-            set(&mut limits.lower_rad[i], arm.lower_joints_deg.map(|q| q[i]));
-            set(&mut limits.upper_rad[i], arm.upper_joints_deg.map(|q| q[i]));
+            set(&mut limits.lower_rad[i], given(&arm.lower_joints_deg, i));
+            set(&mut limits.upper_rad[i], given(&arm.upper_joints_deg, i));
         }
     }
 }
 
+/// Values of six joints, and that of a seventh.
+const fn all_joints([a, b, c, d, e, f]: [f64; UR_JOINTS], seventh: f64) -> Joints {
+    [a, b, c, d, e, f, seventh]
+}
+
+/// A value that a scene gives for a joint.
+fn given(values: &Option<Vec<f64>>, joint: usize) -> Option<f64> {
+    values.as_ref()?.get(joint).copied()
+}
+
 /// The limits of a gantry's axes: each has those of the tool's base on a path.
 fn gantry_limits(path: &CartesianLimits, travel_m: [f64; 3]) -> JointLimits {
-    let upper_m = std::array::from_fn(|i| travel_m.get(i).copied().unwrap_or(NO_TRAVEL_M));
+    let upper_m = std::array::from_fn(|i| travel_m.get(i).copied().unwrap_or(NO_TRAVEL));
     JointLimits {
         lower_rad: upper_m.map(|m: f64| -m),
         upper_rad: upper_m,
-        velocity_rad_s: [path.speed_m_s; 6],
-        acceleration_rad_s2: [path.acceleration_m_s2; 6],
-        jerk_rad_s3: [path.jerk_m_s3; 6],
+        velocity_rad_s: [path.speed_m_s; MAX_ARM_JOINTS],
+        acceleration_rad_s2: [path.acceleration_m_s2; MAX_ARM_JOINTS],
+        jerk_rad_s3: [path.jerk_m_s3; MAX_ARM_JOINTS],
     }
 }
 
 /// Joint angles at the start of a scene.
 pub fn initial_q_rad(arm: &scene::Arm) -> Joints {
-    match (arm.initial_joints_deg, arm.model) {
-        (Some(deg), _) => deg.map(|angle| angle * RAD_PER_DEG),
-        (None, Some(ArmModel::Fixed | ArmModel::Gantry)) => [0.0; 6],
+    match (&arm.initial_joints_deg, arm.model) {
+        (Some(deg), _) => std::array::from_fn(|i| deg.get(i).map_or(0.0, |angle| angle * RAD_PER_DEG)),
+        (None, Some(ArmModel::Fixed | ArmModel::Gantry)) => Joints::default(),
         (None, _) => COMFORTABLE_Q_RAD,
     }
 }

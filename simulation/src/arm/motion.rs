@@ -1,5 +1,6 @@
 //! The motion in progress as plain data. Together with the tick count, a snapshot needs nothing else to continue bit for bit.
 
+use messages::MAX_ARM_JOINTS;
 use serde::{Deserialize, Serialize};
 
 use super::path::Path;
@@ -19,7 +20,7 @@ pub(super) enum Motion {
 /// A joint-space segment.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct JointMotion {
-    pub(super) segment: Segment<6>,
+    pub(super) segment: Segment<MAX_ARM_JOINTS>,
     pub(super) duration_s: f64,
     /// Ticks since the segment's start.
     pub(super) tick: u64,

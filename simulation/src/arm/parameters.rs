@@ -2,10 +2,11 @@
 
 use super::geometry::ArmGeometry;
 use super::inverse::{KinematicsError, check_pose};
-use super::kinematics::Joints;
+use super::kinematics::{Joints, UR_JOINTS};
 use super::models::Link;
 use super::path::LEAST_MANIPULABILITY_M3;
 use super::trajectory::TrajectoryError;
+use messages::MAX_ARM_JOINTS;
 use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, TAU};
@@ -49,7 +50,7 @@ pub struct ArmParameters {
     /// Kinematics.
     pub geometry: ArmGeometry,
     /// The links' masses, for elastic joints; `None`: not known.
-    pub links: Option<[Link; 6]>,
+    pub links: Option<[Link; UR_JOINTS]>,
     /// What the arm may carry, by its maker's figure; `None`: not known.
     pub payload_kg: Option<f64>,
     /// T_world_arm_base: pose of the arm's base (Denavit-Hartenberg frame 0) in the patient frame.
@@ -84,7 +85,7 @@ impl ArmParameters {
         if let ArmGeometry::Ur(g) = &self.geometry {
             positive("geometry", &[g.d1_m, -g.a2_m, -g.a3_m, g.d4_m, g.d5_m, g.d6_m])?;
         }
-        for i in 0..6 {
+        for i in 0..MAX_ARM_JOINTS {
             let (lower, upper) = (j.lower_rad[i], j.upper_rad[i]);
             if !(lower < upper && lower >= -2.0 * TAU && upper <= 2.0 * TAU) {
                 return Err(ArmError::InvalidRange { joint: i + 1, lower_rad: lower, upper_rad: upper });
@@ -93,7 +94,17 @@ impl ArmParameters {
         Ok(())
     }
 
+    /// Refuses a value for a joint that the arm does not have.
+    pub(super) fn check_absent(&self, values: &Joints) -> Result<(), ArmError> {
+        let joints = self.geometry.joints();
+        match values.iter().enumerate().skip(joints).find(|(_, value)| **value != 0.0) {
+            Some((i, &given)) if joints > 0 => Err(ArmError::NoSuchJoint { joint: i + 1, joints, given }),
+            _ => Ok(()),
+        }
+    }
+
     pub(super) fn check_joints(&self, q_rad: &Joints) -> Result<(), ArmError> {
+        self.check_absent(q_rad)?;
         let limits = &self.joint_limits;
         for (i, &given_rad) in q_rad.iter().enumerate() {
             let (lower_rad, upper_rad) = (limits.lower_rad[i], limits.upper_rad[i]);
@@ -107,7 +118,7 @@ impl ArmParameters {
 
 /// A comfortable configuration of the arms of Universal Robots: far from every singularity and limit (manipulability 0.093 m³ for the
 /// UR5, 0.018 m³ for the UR3).
-pub const COMFORTABLE_Q_RAD: Joints = [0.0, -1.2, 1.8, -2.2, -FRAC_PI_2, 0.0];
+pub const COMFORTABLE_Q_RAD: Joints = [0.0, -1.2, 1.8, -2.2, -FRAC_PI_2, 0.0, 0.0];
 
 /// `T_world_arm_base` that puts the tool's base at `t_world_tool` with the joint angles `q_rad`.
 ///
@@ -206,7 +217,7 @@ pub enum ArmError {
         "joint {joint} has the range {lower_rad} to {upper_rad} rad; lower < upper within ±4 pi is needed"
     )]
     InvalidRange {
-        /// Joint, 1 to 6.
+        /// Joint, from 1.
         joint: usize,
         /// Lower limit.
         lower_rad: f64,
@@ -218,7 +229,7 @@ pub enum ArmError {
         "joint {joint} was given {given_rad} rad, its range is {lower_rad} to {upper_rad} rad; send an angle in it"
     )]
     JointOutsideLimits {
-        /// Joint, 1 to 6.
+        /// Joint, from 1.
         joint: usize,
         /// Given angle.
         given_rad: f64,
@@ -226,6 +237,16 @@ pub enum ArmError {
         lower_rad: f64,
         /// Upper limit.
         upper_rad: f64,
+    },
+    /// A joint was given an angle or a rate that the arm does not have.
+    #[error("joint {joint} was given {given}, the arm has {joints} joints; send 0 for the others")]
+    NoSuchJoint {
+        /// Joint, from 1.
+        joint: usize,
+        /// Joints that the arm has.
+        joints: usize,
+        /// Given angle or rate.
+        given: f64,
     },
     /// A speed or speed fraction is NaN, not positive or above the arm's.
     #[error("{name} is {given}; a number above 0 and up to {maximum} is needed")]
@@ -242,7 +263,7 @@ pub enum ArmError {
         "joint {joint} was given {given_rad_s} rad/s, allowed is ±{maximum_rad_s}; send a rate within that"
     )]
     JointRateOutsideLimits {
-        /// Joint, 1 to 6.
+        /// Joint, from 1.
         joint: usize,
         /// Given rate.
         given_rad_s: f64,
@@ -254,7 +275,7 @@ pub enum ArmError {
         "joint {joint} reaches the end of its range {lower_rad} to {upper_rad} rad; send a rate that leads back, or another goal"
     )]
     JointRangeEnds {
-        /// Joint, 1 to 6.
+        /// Joint, from 1.
         joint: usize,
         /// Lower limit.
         lower_rad: f64,

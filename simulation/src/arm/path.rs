@@ -5,7 +5,9 @@ use super::geometry::ArmGeometry;
 use super::inverse::KinematicsError;
 use super::kinematics::{Joints, LinkFrames, solve_rates, stack};
 use super::parameters::{ArmError, CartesianLimits, JointLimits};
+use super::serial::Redundancy;
 use super::trajectory::AxisLimits;
+use messages::MAX_ARM_JOINTS;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
@@ -140,7 +142,8 @@ pub(super) struct PathFollower<'a> {
 }
 
 impl PathFollower<'_> {
-    /// Joint angles that put the tool's base exactly on the path, in the branch nearest to `q_near_rad`.
+    /// Joint angles that put the tool's base exactly on the path, in the branch nearest to `q_near_rad`. The redundant one of seven joints
+    /// keeps its angle of there.
     pub(super) fn joints_at(
         &self,
         path: &Path,
@@ -149,14 +152,17 @@ impl PathFollower<'_> {
     ) -> Result<JointsOnPath, KinematicsError> {
         let limits = self.joint_limits;
         let pose = path.pose(parameter);
-        let q_rad = self.geometry.inverse_nearest(&pose, q_near_rad, &limits.lower_rad, &limits.upper_rad)?;
+        let [lower_rad, upper_rad] = [&limits.lower_rad, &limits.upper_rad];
+        let q_rad =
+            self.geometry.inverse_nearest(&pose, q_near_rad, lower_rad, upper_rad, Redundancy::Held)?;
         let frames = self.geometry.frames(&q_rad);
-        let jacobian = self.geometry.jacobian(&frames);
+        let (jacobian, held) = (self.geometry.jacobian(&frames), self.geometry.held_joint());
         let singular = self.geometry.singular(&q_rad);
         let (twist, curve) = path.derivatives(parameter, &pose);
-        let first = solve_rates(&jacobian, &twist).ok_or(singular)?;
-        let second = solve_rates(&jacobian, &(curve - self.geometry.bias_acceleration(&frames, &first)))
-            .ok_or(singular)?;
+        let first = solve_rates(&jacobian, held, &twist).ok_or(singular)?;
+        let second =
+            solve_rates(&jacobian, held, &(curve - self.geometry.bias_acceleration(&frames, &first)))
+                .ok_or(singular)?;
         let origin_m = [&twist, &curve].map(|derivative| derivative.fixed_rows::<3>(0).into_owned());
         Ok(JointsOnPath { q_rad, first, second, frames, origin_m })
     }
@@ -188,8 +194,8 @@ impl PathFollower<'_> {
         let mut jerk = cap(PARAMETER_CEILING[2], third * c.jerk_m_s3, c.angular_jerk_rad_s3);
         let j = self.joint_limits;
         // The axes of a gantry have the limits of the tool's base, which it has by now.
-        let joints = if self.geometry.turns() { 0..6 } else { 0..0 };
-        for i in joints.clone() {
+        let joints = self.geometry.joints();
+        for i in 0..joints {
             velocity = velocity
                 .min(j.velocity_rad_s[i] / bend.first[i])
                 .min(libm::sqrt(0.5 * j.acceleration_rad_s2[i] / bend.second[i]))
@@ -197,7 +203,7 @@ impl PathFollower<'_> {
             acceleration = acceleration.min(0.5 * j.acceleration_rad_s2[i] / bend.first[i]);
             jerk = jerk.min(j.jerk_rad_s3[i] / (3.0 * bend.first[i]));
         }
-        for i in joints {
+        for i in 0..joints {
             acceleration = acceleration.min(j.jerk_rad_s3[i] / (9.0 * bend.second[i] * velocity));
         }
         acceleration = acceleration.min(c.jerk_m_s3 / (9.0 * curve_m * velocity));
@@ -209,7 +215,7 @@ impl PathFollower<'_> {
         let Stretch { from, to } = stretch;
         let step = (to - from) / PATH_INTERVALS as f64;
         let branch = self.geometry.branch(q_start_rad);
-        let mut bend = Bend { first: [0.0; 6], second: [0.0; 6], third: [0.0; 6], origin_m: [0.0; 3] };
+        let mut bend = Bend::default();
         let mut previous: Option<JointsOnPath> = None;
         for sample in 0..=PATH_INTERVALS {
             let fraction = sample as f64 / PATH_INTERVALS as f64;
@@ -217,7 +223,7 @@ impl PathFollower<'_> {
             let here = self
                 .joints_at(path, from + (to - from) * fraction, &near)
                 .map_err(|reason| ArmError::PathUnreachable { fraction, reason })?;
-            let manipulability_m3 = self.geometry.manipulability_m3(&here.q_rad);
+            let manipulability_m3 = self.geometry.manipulability_on_path_m3(&here.q_rad);
             if self.geometry.turns() && manipulability_m3 < LEAST_MANIPULABILITY_M3 {
                 return Err(ArmError::PathSingular { fraction, manipulability_m3 });
             }
@@ -236,7 +242,7 @@ impl PathFollower<'_> {
 impl JointsOnPath {
     /// True if the mean of both slopes over `step` predicts `next`.
     fn predicts(&self, next: &Self, step: f64) -> bool {
-        (0..6).all(|i| {
+        (0..MAX_ARM_JOINTS).all(|i| {
             let predicted = self.q_rad[i] + 0.5 * step * (self.first[i] + next.first[i]);
             (next.q_rad[i] - predicted).abs() <= PREDICTION_TOLERANCE_RAD
         })
@@ -244,6 +250,7 @@ impl JointsOnPath {
 }
 
 /// Maximum absolute derivatives with respect to the path parameter.
+#[derive(Default)]
 struct Bend {
     first: Joints,
     second: Joints,
@@ -257,14 +264,14 @@ impl Bend {
         for (greatest, derivative) in self.origin_m.iter_mut().zip(&here.origin_m) {
             *greatest = greatest.max(derivative.norm());
         }
-        for i in 0..6 {
+        for i in 0..MAX_ARM_JOINTS {
             self.first[i] = self.first[i].max(here.first[i].abs());
             self.second[i] = self.second[i].max(here.second[i].abs());
         }
         let Some(previous) = previous.filter(|_| step != 0.0) else { return };
         let third_m = (here.origin_m[1] - previous.origin_m[1]).norm() / step.abs();
         self.origin_m[2] = self.origin_m[2].max(third_m);
-        for i in 0..6 {
+        for i in 0..MAX_ARM_JOINTS {
             let third = (here.second[i] - previous.second[i]) / step;
             self.third[i] = self.third[i].max(third.abs());
         }

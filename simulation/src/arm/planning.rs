@@ -4,8 +4,10 @@ use super::inverse;
 use super::kinematics::Joints;
 use super::motion::{JointMotion, Motion, NextPath, PathMotion};
 use super::path::{Path, PathSpeed, Stretch};
+use super::serial::Redundancy;
 use super::trajectory::{AxisLimits, AxisState, Goal, Segment};
 use super::{Arm, ArmError, ArmGeometry};
+use messages::MAX_ARM_JOINTS;
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -100,13 +102,13 @@ impl Arm {
         let limits = &self.parameters.joint_limits;
         self.parameters
             .geometry
-            .inverse_nearest(&goal, &self.state.q_rad, &limits.lower_rad, &limits.upper_rad)
+            .inverse_nearest(&goal, &self.state.q_rad, &limits.lower_rad, &limits.upper_rad, Redundancy::Free)
             .map_err(ArmError::Goal)
     }
 
     pub(super) fn go_to_joints(
         &mut self,
-        goal: Goal<6>,
+        goal: Goal<MAX_ARM_JOINTS>,
         q_rad: &Joints,
         speed_fraction: f64,
     ) -> Result<(), ArmError> {

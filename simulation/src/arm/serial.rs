@@ -1,10 +1,14 @@
-//! Any serial arm of six turning joints: kinematics from the joints' places and axes, and a numeric inverse.
+//! Any serial arm of six or seven turning joints: kinematics from the joints' places and axes, and a numeric inverse.
 //!
 //! The joints are those of URDF: joint i stands at `T_i` in the frame of the joint before it and turns about a unit vector of its own
-//! frame. Written with frames whose z is the axis, the pose is `G_0 Rz(q_1) G_1 .. Rz(q_6) G_6`, with constant `G`.
+//! frame. Written with frames whose z is the axis, the pose is `G_0 Rz(q_1) G_1 .. Rz(q_n) G_n`, with constant `G`.
+//!
+//! Of seven joints one is redundant. As KUKA's E1 and Franka's elbow do, its angle says which of the many solutions is meant; both makers
+//! take the third joint. On a path it keeps its angle, so the joints are a function of the place on the path alone.
 
 use super::inverse::{KinematicsError, check_pose};
-use super::kinematics::{Joints, LinkFrames};
+use super::kinematics::{Jacobian, Joints, LinkFrames};
+use messages::MAX_ARM_JOINTS;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Rotation3, UnitQuaternion, Vector3, Vector6};
 
 /// Iterations from one start; Newton's method needs some five near a solution.
@@ -50,46 +54,74 @@ pub struct SerialJoint {
     pub axis: Option<Vector3<f64>>,
 }
 
-/// The kinematics of a serial arm of six turning joints.
+/// Whether the redundant one of seven joints may leave the reference's angle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Redundancy {
+    /// It may not: on a path.
+    Held,
+    /// It may, where no angles of the others within their limits reach the goal.
+    Free,
+}
+
+/// The kinematics of a serial arm of six or seven turning joints.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SerialGeometry {
-    /// `G_0` .. `G_6`.
-    parts: [Part; 7],
+    /// `G_0` .. `G_n`.
+    parts: [Part; MAX_ARM_JOINTS + 1],
+    /// Number of joints that turn.
+    joints: usize,
+    /// The redundant one of seven joints, from 0.
+    redundant: usize,
     /// T_flange_tool: pose of the tool's base on the flange; `None` means identity.
     pub t_flange_tool: Option<Isometry3<f64>>,
 }
 
 impl SerialGeometry {
-    /// The chain of `joints` from base to flange. Joints that turn beyond the sixth stand still, and absent ones change nothing; a
-    /// checked scene has six.
-    pub fn new(joints: impl IntoIterator<Item = SerialJoint>) -> Self {
-        let mut parts = [Part::IDENTITY; 7];
+    /// The chain of `joints` from base to flange, of which six or seven turn; the joint `redundant` of seven, from 0, keeps its angle on a
+    /// path. Joints that turn beyond the seventh stand still; a checked scene has none.
+    pub fn new(joints: impl IntoIterator<Item = SerialJoint>, redundant: usize) -> Self {
+        let mut parts = [Part::IDENTITY; MAX_ARM_JOINTS + 1];
         let mut turning = 0;
         for joint in joints {
             let place =
                 Part { rotation: roll_pitch_yaw(&joint.roll_pitch_yaw_rad), origin_m: joint.position_m };
             parts[turning] = parts[turning].then(&place);
-            if let Some(axis) = joint.axis.filter(|_| turning < 6) {
+            if let Some(axis) = joint.axis.filter(|_| turning < MAX_ARM_JOINTS) {
                 let onto_axis = Part { rotation: z_onto(&axis.normalize()), origin_m: Vector3::zeros() };
                 parts[turning] = parts[turning].then(&onto_axis);
                 turning += 1;
                 parts[turning].rotation = onto_axis.rotation.transpose();
             }
         }
-        Self { parts, t_flange_tool: None }
+        Self { parts, joints: turning, redundant: redundant.min(MAX_ARM_JOINTS - 1), t_flange_tool: None }
+    }
+
+    /// Number of joints that turn.
+    pub fn joints(&self) -> usize {
+        self.joints
+    }
+
+    /// Whether there is a joint more than a pose needs.
+    pub fn is_redundant(&self) -> bool {
+        self.joints == MAX_ARM_JOINTS
+    }
+
+    /// The joint, from 0, that keeps its angle on a path; of six joints the entry behind them.
+    pub(super) fn held_joint(&self) -> usize {
+        if self.is_redundant() { self.redundant } else { MAX_ARM_JOINTS - 1 }
     }
 
     /// All link frames at joint angles `q_rad`: index i has the axis of joint i + 1 as its z, the last one is the tool's base.
     pub fn frames(&self, q_rad: &Joints) -> LinkFrames {
-        let mut rotation = [self.parts[0].rotation; 7];
-        let mut origin_m = [self.parts[0].origin_m; 7];
-        for (i, angle_rad) in q_rad.iter().enumerate() {
+        let mut frames = LinkFrames::standing(self.joints);
+        let LinkFrames { rotation, origin_m, .. } = &mut frames;
+        (rotation[0], origin_m[0]) = (self.parts[0].rotation, self.parts[0].origin_m);
+        for (i, angle_rad) in q_rad[..self.joints].iter().enumerate() {
             let (sin, cos) = libm::sincos(*angle_rad);
             let turned = rotation[i] * Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
             origin_m[i + 1] = origin_m[i] + turned * self.parts[i + 1].origin_m;
             rotation[i + 1] = turned * self.parts[i + 1].rotation;
         }
-        let mut frames = LinkFrames { rotation, origin_m };
         frames.attach(self.t_flange_tool.as_ref());
         frames
     }
@@ -98,8 +130,10 @@ impl SerialGeometry {
     ///
     /// Levenberg and Marquardt's method, damped by the squared error (Sugihara, "Solvability-Unconcerned Inverse Kinematics by the
     /// Levenberg-Marquardt Method", IEEE Trans. Robotics 27 (2011), eq. 22), with joints at the end of their range held there. It starts
-    /// at the reference, and ends near it where the goal is near. If that leads nowhere, it starts at twelve other fixed places within
-    /// half a turn of the reference, and the solution nearest to the reference counts.
+    /// at the reference, and ends near it where the goal is near; of seven joints the redundant one is held there first. If that leads
+    /// nowhere, it may move by `redundancy`: then the method's damped least squares move all seven as little as the goal needs. If that
+    /// leads nowhere either, it starts at twelve other fixed places within half a turn of the reference, and the solution nearest to the
+    /// reference counts.
     ///
     /// # Errors
     /// The pose is invalid, or no start leads to it.
@@ -109,21 +143,31 @@ impl SerialGeometry {
         q_reference_rad: &Joints,
         lower_rad: &Joints,
         upper_rad: &Joints,
+        redundancy: Redundancy,
     ) -> Result<Joints, KinematicsError> {
         check_pose(t_base_tool)?;
-        let goal = Goal {
+        let mut goal = Goal {
             rotation: *t_base_tool.rotation.to_rotation_matrix().matrix(),
             origin_m: t_base_tool.translation.vector,
             lower_rad,
             upper_rad,
+            held: Some(self.held_joint()),
         };
-        let first = self.descend(&goal, q_reference_rad);
+        let mut first = self.descend(&goal, q_reference_rad);
+        if first.missed.norm() > REACHED && self.is_redundant() && redundancy == Redundancy::Free {
+            goal.held = None;
+            first = self.descend(&goal, q_reference_rad);
+        }
         if first.missed.norm() <= REACHED {
             return Ok(first.q_rad);
         }
         let (mut closest, mut nearest) = (first, None::<(f64, Joints)>);
         for start in 1..=OTHER_STARTS {
-            let ended = self.descend(&goal, &spread(start, q_reference_rad, lower_rad, upper_rad));
+            let mut from = spread(start, q_reference_rad, lower_rad, upper_rad);
+            if let Some(held) = goal.held {
+                from[held] = q_reference_rad[held];
+            }
+            let ended = self.descend(&goal, &from);
             if ended.missed.norm() < closest.missed.norm() {
                 closest = ended;
             }
@@ -185,6 +229,8 @@ struct Goal<'a> {
     origin_m: Vector3<f64>,
     lower_rad: &'a Joints,
     upper_rad: &'a Joints,
+    /// The joint that keeps its angle.
+    held: Option<usize>,
 }
 
 impl Goal<'_> {
@@ -194,26 +240,30 @@ impl Goal<'_> {
 
     /// The way from the tool's base to the goal: linear m, then angular: the axis times twice the sine of half of the angle, rad.
     fn missed(&self, frames: &LinkFrames) -> Vector6<f64> {
-        let turn = Rotation3::from_matrix_unchecked(self.rotation * frames.rotation[6].transpose());
+        let turn =
+            Rotation3::from_matrix_unchecked(self.rotation * frames.rotation[LinkFrames::TOOL].transpose());
         let turn = UnitQuaternion::from_rotation_matrix(&turn);
         let sign = if turn.w < 0.0 { -2.0 } else { 2.0 };
-        super::kinematics::stack(&(self.origin_m - frames.origin_m[6]), &(turn.imag() * sign))
+        super::kinematics::stack(&(self.origin_m - frames.origin_m[LinkFrames::TOOL]), &(turn.imag() * sign))
     }
 
     /// The joints after one damped step. A joint that the step would push out of its range stays at its end, and the others make up for
     /// it.
     fn step(
         &self,
-        jacobian: &Matrix6<f64>,
+        jacobian: &Jacobian,
         missed: &Vector6<f64>,
         q_rad: &Joints,
         damping: f64,
     ) -> Option<Joints> {
         let mut jacobian = *jacobian;
-        for _ in 0..6 {
+        if let Some(held) = self.held {
+            jacobian.set_column(held, &Vector6::zeros());
+        }
+        for _ in 0..MAX_ARM_JOINTS {
             let normal = jacobian * jacobian.transpose() + Matrix6::identity() * damping;
             let step = jacobian.transpose() * normal.cholesky()?.solve(missed);
-            let blocked = (0..6).find(|&i| {
+            let blocked = (0..MAX_ARM_JOINTS).find(|&i| {
                 (step[i] > 0.0 && q_rad[i] >= self.upper_rad[i])
                     || (step[i] < 0.0 && q_rad[i] <= self.lower_rad[i])
             });
@@ -230,7 +280,8 @@ impl Goal<'_> {
 }
 
 /// The n-th of a fixed sequence of places that fills the joints' ranges evenly, within half a turn of the reference: the additive
-/// recurrence with the powers of the root of `x^7 = x + 1` (Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018).
+/// recurrence with the powers of the root of `x^7 = x + 1` (Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018),
+/// which is that of six joints; the seventh power serves the seventh.
 fn spread(n: usize, q_reference_rad: &Joints, lower_rad: &Joints, upper_rad: &Joints) -> Joints {
     const ROOT: f64 = 1.112_775_684_278_705_5;
     let mut share = 1.0;

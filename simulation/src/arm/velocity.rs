@@ -5,12 +5,14 @@ use super::kinematics::Joints;
 use super::motion::{JointMotion, Motion};
 use super::trajectory::{AxisState, Goal, Segment};
 use super::{Arm, ArmError, ArmGeometry};
+use messages::MAX_ARM_JOINTS;
 
 /// Rounding may push a joint this far beyond its range.
 const RANGE_SLACK_RAD: f64 = 1e-9;
 
 impl Arm {
     pub(super) fn turn_joints(&mut self, qd_rad_s: &Joints) -> Result<(), ArmError> {
+        self.parameters.check_absent(qd_rad_s)?;
         let limits = self.parameters.joint_limits.velocity_rad_s;
         for (i, (&given_rad_s, &maximum_rad_s)) in qd_rad_s.iter().zip(&limits).enumerate() {
             // A NaN is in no range, so this refuses it too.
@@ -27,14 +29,16 @@ impl Arm {
     /// Refuses to switch from a path to joint space if a joint could not stop within its range.
     pub(super) fn check_stop(&self) -> Result<(), ArmError> {
         let now = self.joint_state();
-        (0..6).try_for_each(|i| if self.overruns(&now, i) { Err(self.range_ends(i)) } else { Ok(()) })
+        (0..MAX_ARM_JOINTS)
+            .try_for_each(|i| if self.overruns(&now, i) { Err(self.range_ends(i)) } else { Ok(()) })
     }
 
     /// One tick at rates. A joint that could no longer stop in time after this tick starts its stop now.
     pub(super) fn step_rates(&mut self, mut motion: JointMotion, mut rates: Joints) {
         motion.tick += 1;
         let next = self.at_rates(&motion, &rates);
-        let ends: [bool; 6] = std::array::from_fn(|i| rates[i] != 0.0 && self.overruns(&next, i));
+        let ends: [bool; MAX_ARM_JOINTS] =
+            std::array::from_fn(|i| rates[i] != 0.0 && self.overruns(&next, i));
         let Some(first) = ends.iter().position(|ends| *ends) else {
             self.publish(&self.parameters.geometry.frames(&next.position), &next);
             self.motion = Motion::Joint(motion);
@@ -51,7 +55,7 @@ impl Arm {
     }
 
     fn plan_rates(&mut self, rates: &Joints) -> Result<JointMotion, ArmError> {
-        let goal = if *rates == [0.0; 6] { Goal::Standstill } else { Goal::Velocity(*rates) };
+        let goal = if *rates == Joints::default() { Goal::Standstill } else { Goal::Velocity(*rates) };
         let segment = Segment { start: self.joint_state(), goal, limits: self.joint_axis_limits(1.0) };
         let duration_s = self.joint_planner.plan(&segment)?;
         self.joint_planner.commit();
@@ -59,7 +63,7 @@ impl Arm {
     }
 
     /// Joints at the motion's tick: on the plan until its end, then at constant rates.
-    fn at_rates(&self, motion: &JointMotion, rates: &Joints) -> AxisState<6> {
+    fn at_rates(&self, motion: &JointMotion, rates: &Joints) -> AxisState<MAX_ARM_JOINTS> {
         let time_s = self.time_s(motion.tick);
         let mut joints = self.joint_planner.sample(time_s);
         let beyond_s = time_s - motion.duration_s;
@@ -67,13 +71,13 @@ impl Arm {
             for (position, rate) in joints.position.iter_mut().zip(rates) {
                 *position += rate * beyond_s;
             }
-            (joints.velocity, joints.acceleration) = (*rates, [0.0; 6]);
+            (joints.velocity, joints.acceleration) = (*rates, Joints::default());
         }
         joints
     }
 
     /// True if joint `i` leaves its range even when it stops from here in minimum time.
-    fn overruns(&self, joints: &AxisState<6>, i: usize) -> bool {
+    fn overruns(&self, joints: &AxisState<MAX_ARM_JOINTS>, i: usize) -> bool {
         let limits = &self.parameters.joint_limits;
         let (least, most) = stop_range(
             joints.velocity[i],

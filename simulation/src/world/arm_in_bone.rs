@@ -6,17 +6,17 @@
 
 use core::f64::consts::TAU;
 
-use messages::{ArmEntry, State};
+use messages::{ArmEntry, MAX_ARM_JOINTS, State};
 use nalgebra::{Isometry3, Vector3};
 use scene::Holder;
 
 use super::Simulation;
-use crate::arm::{ArmParameters, Joints};
+use crate::arm::{ArmParameters, Joints, Redundancy};
 use crate::bone::Voxels;
 use crate::manipulator::ManipulatorModel;
 
 /// Links, holder and shaft.
-const PIECES: usize = 8;
+const PIECES: usize = MAX_ARM_JOINTS + 2;
 /// Ticks between two looks at a piece.
 const TICKS_PER_PIECE: u64 = 8;
 /// Ticks in which every piece is looked at once.
@@ -38,6 +38,11 @@ const LINKS: [(&str, f64); 6] = [
     ("wrist 2", 0.045),
     ("wrist 3", 0.045),
 ];
+
+/// Names of the links of an arm of seven joints. All are given the radius of the upper arm above, which is about that of a Franka's or a
+/// KUKA LBR's links.
+const SEVEN_LINKS: [&str; MAX_ARM_JOINTS] =
+    ["link 1", "link 2", "link 3", "link 4", "link 5", "link 6", "link 7"];
 
 /// A capsule, or a cylinder where an end is flat.
 #[derive(Debug, Clone, Copy)]
@@ -75,7 +80,13 @@ pub(super) struct Fixture {
     pub(super) shaft_radius_m: f64,
 }
 
-/// One of the pieces: links from the base on, then the holder, then the shaft. `None` where the arm has none.
+/// Name and radius, m, of a link, from 0.
+fn link(index: usize, joints: usize) -> Option<(&'static str, f64)> {
+    let seven = || SEVEN_LINKS.get(index).map(|name| (*name, LINKS[1].1));
+    if joints == MAX_ARM_JOINTS { seven() } else { LINKS.get(index).filter(|_| index < joints).copied() }
+}
+
+/// One of the pieces: places for seven links from the base on, then the holder, then the shaft. `None` where the arm has none.
 pub(super) fn piece(
     index: usize,
     arm: &ArmParameters,
@@ -83,23 +94,22 @@ pub(super) fn piece(
     posture: &Posture,
 ) -> Option<Piece> {
     let flange_m = Vector3::from(posture.flange_m);
-    let Some(&(name, radius_m)) = LINKS.get(index) else {
+    if index >= MAX_ARM_JOINTS {
         let front_m = Vector3::from(fixture.holder.front_m(posture.flange_m, posture.base_m)?);
         let is_round = [false; 2];
-        let (name, from_m, to_m, radius_m) = if index == LINKS.len() {
+        let (name, from_m, to_m, radius_m) = if index == MAX_ARM_JOINTS {
             ("holder", flange_m, front_m, fixture.holder.radius_m)
         } else {
             ("shaft behind its base", front_m, Vector3::from(posture.base_m), fixture.shaft_radius_m)
         };
         return ((to_m - from_m).norm() > 1e-6).then_some(Piece { name, from_m, to_m, radius_m, is_round });
-    };
-    if !arm.geometry.turns() {
-        return None;
     }
+    let joints = arm.geometry.joints();
+    let (name, radius_m) = link(index, joints)?;
     let frames = arm.geometry.frames(&posture.q_rad);
     let world = |at: usize| arm.t_world_arm_base.transform_point(&frames.origin_m[at].into()).coords;
-    let is_last = index + 1 == LINKS.len();
-    // The last frame is that of the tool's base.
+    let is_last = index + 1 == joints;
+    // The tool's base may stand off the flange.
     let to_m = if is_last { flange_m } else { world(index + 1) };
     Some(Piece { name, from_m: world(index), to_m, radius_m, is_round: [true, !is_last] })
 }
@@ -223,12 +233,15 @@ impl Simulation<'_> {
         let t_base_tool = arm.t_world_arm_base.inverse() * t_world_tool;
         let limits = &arm.joint_limits;
         let (now_rad, lower_rad, upper_rad) = (&self.arm.state().q_rad, &limits.lower_rad, &limits.upper_rad);
-        let q_rad = arm.geometry.inverse_nearest(&t_base_tool, now_rad, lower_rad, upper_rad).ok()?;
+        let q_rad = arm
+            .geometry
+            .inverse_nearest(&t_base_tool, now_rad, lower_rad, upper_rad, Redundancy::Held)
+            .ok()?;
         let t_tool_flange = arm.geometry.t_flange_tool().map_or_else(Isometry3::identity, Isometry3::inverse);
         let flange_m = (t_world_tool * t_tool_flange).translation.vector.into();
         let posture = Posture { q_rad, flange_m, base_m: t_world_tool.translation.vector.into() };
         let fixture = self.fixture();
-        let pieces = (0..=LINKS.len()).filter_map(|index| piece(index, arm, &fixture, &posture));
+        let pieces = (0..=MAX_ARM_JOINTS).filter_map(|index| piece(index, arm, &fixture, &posture));
         Some(pieces.filter_map(|piece| Some((piece.name, piece.depth_m(voxels)?))).collect())
     }
 

@@ -170,11 +170,6 @@ impl Simulation<'_> {
         self.manipulator.set_burr_turns(self.burr_speed_rad_per_s != 0.0);
     }
 
-    /// How far the motor is ahead of the burr, rad: the wind-up of a drive shaft that twists. 0 without one.
-    pub fn drive_shaft_wind_up_rad(&self) -> f64 {
-        self.burr_drive.state.shaft.wind_up_rad
-    }
-
     /// The force of the last tick's cutting on the tool's tip.
     pub(super) fn cutting_wrench(&self) -> Wrench {
         let BurrDriveState { side_force_n, side_torque_nm, .. } = self.burr_drive.state;

@@ -1,10 +1,12 @@
 //! Writes the state message.
 
-use messages::{AppliedCommand, ArmStatus, Contact, ContactPart, Latched, Pose, Wrench};
+use messages::{
+    AppliedCommand, ArmProtectiveStop, ArmStatus, Contact, ContactPart, Latched, MAX_ARM_JOINTS, Pose, Wrench,
+};
 use nalgebra::{Isometry3, Vector3};
 
 use super::{Simulation, numbers};
-use crate::arm::ArmMode;
+use crate::arm::{ArmMode, ProtectiveStop};
 use crate::manipulator::{ManipulatorModel, SphereKind};
 
 impl Simulation<'_> {
@@ -22,6 +24,7 @@ impl Simulation<'_> {
         state.removed_in_tick = removed as u32;
         state.removed_total = self.bone.as_ref().map_or(0, |bone| bone.field.voxels().removed_total());
         state.burr_speed_rad_per_s = self.burr_speed_rad_per_s;
+        state.drive_shaft_wind_up_rad = self.burr_drive.state.shaft.wind_up_rad;
         state.cutting_energy_j = self.cutting_energy_j;
         state.crushing_energy_j = self.crushing_energy_j;
         state.controller_count = latched.controller_count;
@@ -120,11 +123,18 @@ impl Simulation<'_> {
             (None, false) => ArmStatus::Moving,
         };
         self.state.arm_status = status.code();
+        self.state.arm_joint_count = self.arm.parameters().geometry.joints() as u32;
+        self.state.arm_protective_stop = match arm.protective_stop {
+            ProtectiveStop::Armed => ArmProtectiveStop::None,
+            ProtectiveStop::Stopped { .. } => ArmProtectiveStop::Stopped,
+            ProtectiveStop::Released { .. } => ArmProtectiveStop::Released,
+        }
+        .code();
         self.state.arm_manipulability_m3 = self.arm.parameters().geometry.manipulability_m3(&arm.q_rad);
         self.state.t_world_flange = pose(&self.arm.t_world_flange());
         if let Some(compliance) = &self.compliance {
             let (deflected, elastic) = (compliance.base(&self.arm), compliance.state());
-            for i in 0..6 {
+            for i in 0..MAX_ARM_JOINTS {
                 self.state.arm_joint_position_rad[i] += elastic.deflection_rad[i];
                 self.state.arm_joint_velocity_rad_per_s[i] += elastic.rate_rad_s[i];
             }

@@ -1,7 +1,11 @@
 //! Arms, random numbers and limits that the arm's tests share.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use simulation::arm::{Arm, ArmCommand, ArmParameters, ArmState, COMFORTABLE_Q_RAD, place_base_for};
+use scene::Scene;
+use simulation::arm::{
+    Arm, ArmCommand, ArmParameters, ArmState, COMFORTABLE_Q_RAD, initial_q_rad, place_base_for,
+};
+use std::path::Path;
 
 pub const DT_S: f64 = 1e-3;
 
@@ -47,6 +51,16 @@ pub fn guided_arm() -> Arm {
     Arm::new(parameters, &COMFORTABLE_Q_RAD).unwrap()
 }
 
+/// The arm of the scene that shows seven joints, a KUKA LBR iiwa 14 R820, with other keys of `[arm]` added.
+pub fn seven_joint_arm(keys: &str) -> Arm {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/examples/arm_seven_joints.toml");
+    let text = std::fs::read_to_string(&file).unwrap().replacen("[arm]\n", &format!("[arm]\n{keys}\n"), 1);
+    let scene = Scene::parse(&text, &file).unwrap();
+    let parameters = ArmParameters::of(&scene.arm, DT_S);
+    assert_eq!(parameters.geometry.joints(), 7);
+    Arm::new(parameters, &initial_q_rad(&scene.arm)).unwrap()
+}
+
 /// The flange moved by `shift` along its own axes and turned by `turn` about them.
 pub fn moved(from: &Isometry3<f64>, shift: Vector3<f64>, turn: Vector3<f64>) -> Isometry3<f64> {
     from * Isometry3::from_parts(Translation3::from(shift), UnitQuaternion::from_scaled_axis(turn))
@@ -81,7 +95,7 @@ impl Used {
     pub fn add(&mut self, arm: &Arm, before: &ArmState) {
         let limits = &arm.parameters().joint_limits;
         let s = arm.state();
-        for i in 0..6 {
+        for i in 0..limits.lower_rad.len() {
             let beyond = (s.q_rad[i] - limits.upper_rad[i]).max(limits.lower_rad[i] - s.q_rad[i]);
             self.beyond_rad = self.beyond_rad.max(beyond);
             self.velocity = self.velocity.max(s.qd_rad_s[i].abs() / limits.velocity_rad_s[i]);

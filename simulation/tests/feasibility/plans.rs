@@ -42,6 +42,30 @@ fn arm() -> Vec<Case> {
             &[],
         ),
         case(
+            "a gantry whose travel ends before the feed",
+            changed("[arm]\n", "[arm]\nmodel = \"gantry\"\ntravel_mm = [20.0, 20.0, 5.0]\n"),
+            &[
+                "impossible: `arm.model` does not carry the tool along the feed, `controller.curved_drilling.insertion_mm` of 20 mm: at 0.28125 of the path: the gantry's axis z would be at 0.005625 m, its travel is -0.005 to 0.005 m from the start; move the goal, or raise `arm.travel_mm`",
+            ],
+        ),
+        case(
+            "a gantry whose travel is just as long as the feed",
+            changed("[arm]\n", "[arm]\nmodel = \"gantry\"\ntravel_mm = [20.0, 20.0, 20.1]\n"),
+            &[],
+        ),
+        case(
+            "a wrist whose range ends on the way",
+            changed(
+                "[arm]\n",
+                "[arm]\nlower_joints_deg = [-360.0, -360.0, -180.0, -128.0, -360.0, -360.0]\n\
+                 upper_joints_deg = [360.0, 360.0, 180.0, -126.0, 360.0, 360.0]\n\
+                 initial_joints_deg = [0.0, -69.0, 103.0, -127.0, -90.0, 0.0]\n",
+            ),
+            &[
+                "impossible: `arm.model` does not carry the tool along the feed, `controller.curved_drilling.insertion_mm` of 20 mm: at 0.375 of the path: all 8 solutions of the pose lie outside the joint limits; move the goal or place the base elsewhere",
+            ],
+        ),
+        case(
             "no arm, but a controller that feeds with it",
             changed("[arm]\n", "[arm]\nmodel = \"fixed\"\n"),
             &[

@@ -46,7 +46,7 @@ for line in sys.stdin:
     columns = [model.joints[joint].idx_v for joint in chain]
     turn = data.oMf[base].rotation.T
     theirs = np.vstack([turn @ jacobian[:3, columns], turn @ jacobian[3:, columns]])
-    ours = np.array(case["jacobian"]).reshape(6, 6).T
+    ours = np.array(case["jacobian"]).reshape(-1, 6).T
     worst["jacobian"] = max(worst["jacobian"], np.abs(theirs - ours).max())
     worst["poses"] += 1
 print(json.dumps(worst))

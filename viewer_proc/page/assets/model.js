@@ -6,7 +6,7 @@ import { FrameStates } from "/assets/frame_states.js";
 import { Trail, contactsOf } from "/assets/tool_model.js";
 import { json } from "/assets/connection.js";
 
-const ARM_JOINTS = 6;
+const MAX_ARM_JOINTS = 7;
 const LINKS = 32;
 const BODIES = 4;
 const CONTACTS = 40;
@@ -30,7 +30,7 @@ function stateReaders(layout) {
     layout, tension: reader(layout, "tendon_tension_n[0]"), force: reader(layout, "burr_force_n"), burr: three(layout, "t_world_burr.position_m"),
     linkCount: reader(layout, "joint_count"), base: poseReader(layout, "t_world_base"), burrPose: poseReader(layout, "t_world_burr"),
     links: Array.from({ length: LINKS }, (_, i) => poseReader(layout, `t_world_link[${i}]`)), flange: poseReader(layout, "t_world_flange"),
-    armAngles: Array.from({ length: ARM_JOINTS }, (_, i) => reader(layout, `arm_joint_position_rad[${i}]`)),
+    armAngles: Array.from({ length: MAX_ARM_JOINTS }, (_, i) => reader(layout, `arm_joint_position_rad[${i}]`)),
     bodyCount: reader(layout, "body_count"), contactCount: reader(layout, "contact_count"),
     bodies: Array.from({ length: BODIES }, (_, i) => poseReader(layout, `t_world_body[${i}]`)),
     contacts: Array.from({ length: CONTACTS }, (_, i) => ({

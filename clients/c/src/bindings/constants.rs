@@ -24,7 +24,7 @@ const LENGTHS: &[(&str, u64)] = named![
     MAX_CONTACTS,
     MAX_BODIES,
     MAX_TENDONS,
-    ARM_JOINTS,
+    MAX_ARM_JOINTS,
     MAX_CONTROLLERS,
     MAX_SENSORS,
     MAX_SENSOR_VALUES,

@@ -26,17 +26,28 @@ from ._view import ArrayField, ElementsField, View, field, nested
 ";
 
 /// Arrays of which a message uses only the beginning, and the field that says how much: message, array, count.
-const COUNTS: [(&str, &str, &str); 10] = [
+const COUNTS: [(&str, &str, &str); 13] = [
     ("State", "joint_position_rad", "joint_count"),
     ("State", "joint_velocity_rad_per_s", "joint_count"),
     ("State", "t_world_link", "joint_count"),
     ("State", "tendon_tension_n", "tendon_count"),
     ("State", "tendon_displacement_m", "tendon_count"),
+    ("State", "arm_joint_position_rad", "arm_joint_count"),
+    ("State", "arm_joint_velocity_rad_per_s", "arm_joint_count"),
+    ("State", "arm_joint_deflection_rad", "arm_joint_count"),
     ("State", "contacts", "contact_count"),
     ("SensorReading", "value", "value_count"),
     ("State", "t_world_body", "body_count"),
     ("State", "applied", "controller_count"),
     ("Latched", "commands", "controller_count"),
+];
+
+/// Arrays of which a program sets as many entries as the tool has tendons, or the arm joints; the others become 0.
+const ROOMS: [(&str, &str); 4] = [
+    ("Command", "tendon_force_n"),
+    ("Command", "tendon_displacement_m"),
+    ("Command", "arm_joint_position_rad"),
+    ("Command", "arm_joint_velocity_rad_per_s"),
 ];
 
 /// The Python module.
@@ -150,6 +161,7 @@ fn attribute(message: &str, field: &Field, text: &mut String) {
     let (name, offset) = (field.name, field.offset);
     let count = COUNTS.iter().find(|(of, array, _)| (*of, *array) == (message, name));
     let count = count.map_or(String::new(), |(_, _, count)| format!(", \"{count}\""));
+    let fewer = if ROOMS.contains(&(message, name)) { ", fewer_fit=True" } else { "" };
     let codes = CODE_FIELDS.iter().find(|coded| (coded.message, coded.field) == (message, name));
     let line = match (field.element, field.array_length) {
         (Element::Message(nested), None) => {
@@ -160,7 +172,7 @@ fn attribute(message: &str, field: &Field, text: &mut String) {
             format!("{name} = ElementsField({}, {doc:?}{count})", nested.short_name())
         }
         (Element::Scalar(scalar_name), Some(_)) => {
-            format!("{name} = ArrayField(np.{scalar_name}, {doc:?}{count})")
+            format!("{name} = ArrayField(np.{scalar_name}, {doc:?}{count}{fewer})")
         }
         (Element::Scalar(scalar_name), None) => {
             let code = struct_code(scalar_name);
@@ -241,6 +253,7 @@ mod tests {
             "    severity: Severity = field(",
             "    t_world_body = ElementsField(Pose, ",
             "    joint_position_rad = ArrayField(np.float64, ",
+            "    tendon_force_n = ArrayField(np.float64, \"Tensions for servo_jf, 0 or more.\", fewer_fit=True)",
         ] {
             assert!(module.lines().any(|found| found.starts_with(line)), "{line}");
         }

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use scene::Drives;
 
 use super::{Feed, Start};
-use crate::arm::LEAST_MANIPULABILITY_M3;
+use crate::arm::{Arm, ArmCommand, LEAST_MANIPULABILITY_M3};
 use crate::manipulator::{Integrator, ManipulatorModel};
 
 /// A target may lie so far beyond the end of the feed, mm: the drilled tip is not at the tool's, and nobody measures a tenth of a burr.
@@ -25,13 +25,13 @@ impl Start<'_> {
         1e3 * self.simulation.manipulator.parameters().flexible_length_m()
     }
 
-    /// `|det J|` at the start, if it is too small for a path.
+    /// `|det J|` at the start of the joints that move on a path, if it is too small for one.
     fn singular_m3(&self) -> Option<f64> {
         let arm = &self.simulation.arm;
         if !arm.parameters().geometry.turns() {
             return None;
         }
-        let found_m3 = arm.parameters().geometry.manipulability_m3(&arm.state().q_rad);
+        let found_m3 = arm.parameters().geometry.manipulability_on_path_m3(&arm.state().q_rad);
         (found_m3 < LEAST_MANIPULABILITY_M3).then_some(found_m3)
     }
 
@@ -85,6 +85,27 @@ pub(super) fn singular_start(start: &Start) -> Option<String> {
     let found_m3 = start.singular_m3()?;
     Some(format!(
         "is singular (manipulability {found_m3:.1e} m³, a path needs {LEAST_MANIPULABILITY_M3:.0e}): only joint commands work from there"
+    ))
+}
+
+/// The arm is asked for the feed, as its controller will, and refuses it: out of reach, at the end of a joint's range or of a gantry's travel,
+/// through a singularity.
+pub(super) fn feed_beyond_arm(start: &Start) -> Option<String> {
+    let feed = start.arm_feed()?;
+    let arm = &start.simulation.arm;
+    if no_arm_to_move(start).is_some() || start.singular_m3().is_some() {
+        return None;
+    }
+    let mut asked = Arm::new(*arm.parameters(), &arm.state().q_rad).ok()?;
+    let refused = asked.command(ArmCommand::Insert {
+        axis_world: Vector3::from(start.scene.tool.direction).normalize(),
+        depth_m: feed.length_mm * 1e-3,
+        feed_m_s: arm.parameters().cartesian_limits.speed_m_s,
+    });
+    let reason = refused.err()?;
+    let Feed { table, length_key, length_mm, .. } = feed;
+    Some(format!(
+        "does not carry the tool along the feed, `{table}.{length_key}` of {length_mm} mm: {reason}"
     ))
 }
 

@@ -64,7 +64,7 @@ const fn unlikely(key: &'static str, find: fn(&Start) -> Option<String>) -> Rule
 }
 
 /// Every rule, in the order in which findings are told.
-const RULES: [Rule; 24] = [
+const RULES: [Rule; 25] = [
     impossible("controller.command", controllers::program_is_missing),
     impossible("volume.bone_threshold_hu", geometry::nothing_to_drill),
     unlikely("volume.bone_threshold_hu", geometry::no_bone),
@@ -81,6 +81,7 @@ const RULES: [Rule; 24] = [
     impossible("arm.model", controllers::no_arm_to_move),
     impossible("arm.initial_joints_deg", controllers::no_path_from_singular_start),
     unlikely("arm.initial_joints_deg", controllers::singular_start),
+    impossible("arm.model", controllers::feed_beyond_arm),
     unlikely("arm.tool_position_mm", geometry::arm_in_bone),
     unlikely("arm.tool_position_mm", geometry::arm_in_bone_at_end),
     impossible("controller.curved_drilling.target_mm", controllers::target_out_of_reach),
