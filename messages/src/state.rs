@@ -70,8 +70,8 @@ message! {
         arm_status: u32,
         /// Number of the arm's joints that turn, 6 or 7; 0 for a gantry and where there is no arm. Entries behind them are 0.
         arm_joint_count: u32,
-        /// 0 none; 1 the arm stopped because the tool pressed too hard, and takes no command but hold; 2 released, until the force is below
-        /// the limit again.
+        /// 0 none, 1 stopped, 2 released: the arm stopped because the tool pressed too hard and takes no command but hold, and has been released
+        /// while the force is not below the limit yet.
         arm_protective_stop: u32,
         /// Flexure angles from base to tip, positive toward tendon 0.
         joint_position_rad: [f64; MAX_JOINTS],

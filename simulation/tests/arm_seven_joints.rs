@@ -124,7 +124,8 @@ fn the_elbow_moves_by_joint_rates_while_the_tool_stands() {
     for _ in 0..1_500 {
         // The null vector: the signed minors of the Jacobian.
         let jacobian = arm.jacobian();
-        let minor = |i: usize| jacobian.remove_column(i).determinant() * if i % 2 == 0 { 1.0 } else { -1.0 };
+        let minor =
+            |i: usize| jacobian.remove_column(i).determinant() * if i.is_multiple_of(2) { 1.0 } else { -1.0 };
         let null = SVector::<f64, 7>::from_fn(|i, _| minor(i)).normalize() * 0.1;
         arm.command(ArmCommand::ServoJv { qd_rad_s: null.into() }).unwrap();
         arm.step();

@@ -58,21 +58,21 @@ const GOLDEN: [Golden; 3] = [
         in_bone: true,
         command: feed,
         ticks: 1000,
-        hash: "4ca2d42d448a4ee86e8db0f0711eae50",
+        hash: "56fb19992ecd328bb42e8232cac4b785",
     },
     Golden {
         scene: BODIES,
         in_bone: false,
         command: feed,
         ticks: 600,
-        hash: "1781d88b933ca9238530cbf463875995",
+        hash: "870347ab72e141ffb5d0ac3aa7d200ef",
     },
     Golden {
         scene: FREE,
         in_bone: false,
         command: wander,
         ticks: 2000,
-        hash: "5e9f7ddaebbeb74f4780169a152663f7",
+        hash: "f8e0ec8d3a0517634496e98b27c2dd00",
     },
 ];
 

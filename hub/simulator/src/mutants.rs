@@ -28,8 +28,14 @@ pub const MUTANTS: &[Mutant] = &[
     mutant(
         "a simulation that fails is told to nobody",
         "machine/mod.rs",
-        "and_then(HubError::blame)",
-        "and_then(HubError::blame).filter(|blame| blame.controller.is_some())",
+        "error.blame().filter(|_| !self.is_told)",
+        "error.blame().filter(|blame| !self.is_told && blame.controller.is_some())",
+    ),
+    mutant(
+        "a run that fails waits for no recorder",
+        "machine/waiting.rs",
+        "let is_behind = self.shown && self.consumers.behind(self.tick, Whom::Recorder).is_some();",
+        "let is_behind = false;",
     ),
     mutant("a state wakes nobody", "machine/ticking.rs", "        env.wake_controllers();\n", ""),
     mutant(

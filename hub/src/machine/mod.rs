@@ -38,6 +38,8 @@ const CONNECT_LIMIT_NS: u64 = 60_000 * MS;
 const CONSUMER_LIMIT_NS: u64 = 120_000 * MS;
 /// As above, when a signal has ended the run; whatever the consumers have not taken stays in their queues.
 const ABANDONED_LIMIT_NS: u64 = 500 * MS;
+/// How long a run that has failed waits for its recorder, which reads nothing more of a publisher that it has not seen alive.
+const FAILED_LIMIT_NS: u64 = 2_000 * MS;
 const STATUS_PERIOD_NS: u64 = 100 * MS;
 /// How long the run waits for a controller before it says so.
 const SILENT_WAIT_NS: u64 = NS_PER_S;
@@ -270,6 +272,8 @@ enum Stage {
     AwaitAnswers { patience: Patience, silent: Option<ControllerIndex>, notice: Option<Patience> },
     /// The last tick is done.
     Ending { patience: Patience, abandoned: Patience },
+    /// A controller or the plant has failed, and everybody has been told: waits until the recorder has taken the last state.
+    Failing { patience: Patience },
     /// Ended or failed.
     Over,
 }
@@ -285,10 +289,38 @@ struct Shortfall {
     notes: LateNotes,
 }
 
+/// A failure that has been told.
+#[derive(Debug)]
+enum Failure<C> {
+    Plant { tick: Tick, cause: C },
+    Controller(ControllerFault),
+}
+
+impl<C> Failure<C> {
+    /// The failure of a controller or of the plant; any other error ends the run at once.
+    fn of<E>(error: HubError<E, C>) -> Result<Self, HubError<E, C>> {
+        match error {
+            HubError::Plant { tick, cause } => Ok(Failure::Plant { tick, cause }),
+            HubError::Controller(fault) => Ok(Failure::Controller(fault)),
+            other => Err(other),
+        }
+    }
+
+    fn error<E>(self) -> HubError<E, C> {
+        match self {
+            Failure::Plant { tick, cause } => HubError::Plant { tick, cause },
+            Failure::Controller(fault) => HubError::Controller(fault),
+        }
+    }
+}
+
 /// The tick as a state machine.
 #[derive(Debug)]
-pub struct Hub<P> {
+pub struct Hub<P: Plant> {
     plant: P,
+    /// Why the run is ending.
+    failure: Option<Failure<P::Error>>,
+    is_told: bool,
     settings: Settings,
     stage: Stage,
     lane: RunLane,
@@ -328,6 +360,8 @@ impl<P: Plant> Hub<P> {
     pub fn new(scene: &Scene, plant: P, settings: Settings, now_ns: u64) -> Hub<P> {
         Hub {
             plant,
+            failure: None,
+            is_told: false,
             stage: Stage::Connecting {
                 consumers: Patience::new(CONNECT_LIMIT_NS, now_ns),
                 controllers: Vec::new(),
@@ -375,15 +409,31 @@ impl<P: Plant> Hub<P> {
     /// # Errors
     /// Any [`HubError`]; the run is over then. If a controller or the plant is to blame, every client has been told.
     pub fn advance<E: Environment>(&mut self, env: &mut E) -> Outcome<Next, P, E> {
-        let advanced = self.advance_stages(env);
-        if let Some(blame) = advanced.as_ref().err().and_then(HubError::blame) {
-            env.leave_blame(&blame);
-            let Blame { code, text, .. } = &blame;
-            env.send_event(&Note { tick: self.tick, severity: Severity::Error, code: *code, text })?;
-            self.send_status(env, Phase::Ended, When::Now)?;
-            env.wake_controllers();
+        match self.advance_stages(env) {
+            Err(error) => {
+                self.tell(env, error)?;
+                self.stage = Stage::Failing { patience: Patience::new(FAILED_LIMIT_NS, env.now_ns()) };
+                self.advance_stages(env)
+            }
+            advanced => advanced,
         }
-        advanced
+    }
+
+    /// Tells every client of a failure. An error that is nobody's fault, or has been told, is returned.
+    fn tell<E: Environment>(
+        &mut self,
+        env: &mut E,
+        error: HubError<E::Error, P::Error>,
+    ) -> Outcome<(), P, E> {
+        let Some(blame) = error.blame().filter(|_| !self.is_told) else { return Err(error) };
+        self.is_told = true;
+        env.leave_blame(&blame);
+        let Blame { code, text, .. } = &blame;
+        env.send_event(&Note { tick: self.tick, severity: Severity::Error, code: *code, text })?;
+        self.send_status(env, Phase::Ended, When::Now)?;
+        env.wake_controllers();
+        self.failure = Some(Failure::of(error)?);
+        Ok(())
     }
 
     fn advance_stages<E: Environment>(&mut self, env: &mut E) -> Outcome<Next, P, E> {
@@ -409,6 +459,7 @@ impl<P: Plant> Hub<P> {
                     self.await_answers(env, patience, silent, notice)?
                 }
                 Stage::Ending { patience, abandoned } => self.await_last(env, patience, abandoned)?,
+                Stage::Failing { patience } => self.await_recorder(env, patience)?,
                 Stage::Over => (Stage::Over, Some(Next::Ended)),
             };
             self.stage = stage;

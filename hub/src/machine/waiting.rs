@@ -177,6 +177,25 @@ impl<P: Plant> Hub<P> {
         Ok((Stage::Ending { patience, abandoned: Patience::new(ABANDONED_LIMIT_NS, now_ns) }, None))
     }
 
+    /// After a failure: waits until the recorder has taken the last state, then fails.
+    pub(super) fn await_recorder<E: Environment>(
+        &mut self,
+        env: &mut E,
+        mut patience: Patience,
+    ) -> Outcome<Step, P, E> {
+        self.consumers.update(env)?;
+        let now_ns = env.now_ns();
+        let is_behind = self.shown && self.consumers.behind(self.tick, Whom::Recorder).is_some();
+        if is_behind && !patience.is_over(now_ns) {
+            env.wake_consumers();
+            return Ok((Stage::Failing { patience }, wait(Awaited::Nothing, now_ns + CONNECT_LOOK_NS)));
+        }
+        match self.failure.take() {
+            Some(failure) => Err(failure.error()),
+            None => Ok((Stage::Over, Some(Next::Ended))),
+        }
+    }
+
     /// Waits until the consumers have taken everything.
     pub(super) fn await_last<E: Environment>(
         &mut self,

@@ -61,6 +61,16 @@ impl Oracle {
             }
         };
         expect!(self, justified, format!("ended early without a reason: {cause}"));
+        if matches!(cause, HubError::Plant { .. } | HubError::Controller(_)) {
+            let taken = self.taken(Part::Recorder);
+            let is_whole = self.plan.recorder_ns.is_none() || taken == Some(self.tick);
+            expect!(self, is_whole || self.has_waited(2_000 * MS, now_ns), {
+                format!(
+                    "failed at tick {}, of which the recorder has taken {taken:?}, at: {cause}",
+                    self.tick
+                )
+            });
+        }
         let reason = match cause {
             HubError::Controller(fault) => Some(fault.event()),
             HubError::Plant { .. } => Some(EventCode::SimulationFailed),
