@@ -3,11 +3,11 @@
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
+use ipc_types::arm_meshes;
 use ipc_types::scene::Scene;
 use simulation::{Verdict, findings};
 use volume_io::Volume;
 
-use crate::arm_meshes;
 use crate::failure::Failure;
 use crate::volume_source;
 
@@ -21,15 +21,20 @@ pub fn check(
     source: &dyn std::fmt::Display,
     volume: Option<&(Volume, [u8; 32])>,
 ) -> Result<Vec<String>, Failure> {
-    arm_meshes::load(&scene.arm).map_err(|cause| Failure::bad_input(format!("{source}: {cause}")))?;
+    let refused = |cause| Failure::bad_input(format!("{source}: {cause}"));
+    match scene.arm.xray_density_g_per_cm3 {
+        Some(_) => arm_meshes::solids(&scene.arm).map(drop),
+        None => arm_meshes::load(&scene.arm).map(drop),
+    }
+    .map_err(refused)?;
     let ct = volume.map(volume_source::ct_view);
     let found =
         findings(scene, ct, &is_program).map_err(|cause| Failure::bad_input(format!("{source}: {cause}")))?;
     let of = |verdict| found.iter().filter(move |finding| finding.verdict == verdict);
-    let refused: Vec<String> =
+    let impossible: Vec<String> =
         of(Verdict::Impossible).map(|finding| format!("{source}: {finding}")).collect();
-    if !refused.is_empty() {
-        return Err(Failure::bad_input(refused.join("\n")));
+    if !impossible.is_empty() {
+        return Err(Failure::bad_input(impossible.join("\n")));
     }
     if let Some((volume, _)) = volume {
         refuse_outside(scene, source, volume)?;

@@ -11,10 +11,8 @@
 //! | [`plan`] | the cheapest settings that meet a scene's tolerance |
 //! | [`volume_source`], [`suspicions`], [`cache`] | a scene's volume; what looks wrong about it; volumes that take long, kept |
 //! | [`feasibility`] | what of a checked scene cannot be, or is most likely a mistake |
-//! | [`arm_meshes`] | the meshes that the arm is drawn with |
 //! | [`log`] | a log with its scene and volume, and where it does not match this build |
 
-pub mod arm_meshes;
 pub mod cache;
 pub mod failure;
 pub mod feasibility;

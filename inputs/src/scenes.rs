@@ -125,7 +125,7 @@ impl SceneSource {
             SceneSource::File(file) => ipc_types::scene_file::load(file).map_err(Failure::bad_input),
             SceneSource::BuiltIn(scene) => scene.scene(),
             SceneSource::Changed { text, .. } => {
-                Scene::parse_with(text, &self.path(), &ipc_types::text_file::read).map_err(|error| {
+                ipc_types::scene_file::parse(text, &self.path()).map_err(|error| {
                     Failure::bad_input(match error {
                         // The line is one of a text that nobody has seen.
                         SceneError::Malformed { file, cause, .. } => {

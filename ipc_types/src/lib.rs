@@ -32,11 +32,13 @@
 //! | [`own`] | resources that a `fork` child inherits but must not clean up |
 //! | [`identity`] | which controller or part sent a message, according to the transport |
 //! | [`scene`], [`scene_file`] | the crate `scene`; scenes from files |
+//! | [`arm_meshes`] | the meshes of an arm, from files |
 //! | [`text_file`] | reading text files that a user names |
 //! | [`process`] | exit codes, priorities, events: what all processes share |
 //! | [`clock`], [`signals`], [`family`] | the monotonic clock; requests to end; parents and children |
 //! | [`reference`](mod@reference) | docs/messages.md, generated |
 
+pub mod arm_meshes;
 mod client;
 pub mod clock;
 pub mod family;

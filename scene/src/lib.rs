@@ -33,6 +33,7 @@
 //! ```
 
 mod check;
+pub mod closed_mesh;
 mod cutter;
 mod declaration;
 mod error;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::Args;
-use inputs::arm_meshes::ArmMeshError;
+use ipc_types::arm_meshes::ArmMeshError;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
 use ipc_types::session::{SESSION_VARIABLE, Searched, only_session};

@@ -1,6 +1,6 @@
 //! The arm as the page draws it.
 
-use inputs::arm_meshes::{self, ArmMeshError, LoadedMesh};
+use ipc_types::arm_meshes::{self, ArmMeshError, LoadedMesh};
 use ipc_types::messages::Pose;
 use ipc_types::scene::{Arm, ArmMesh, Scene};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};

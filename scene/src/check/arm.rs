@@ -26,6 +26,11 @@ pub(super) fn check(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
         return Err(checker.invalid("arm.meshes", problem));
     }
     check_meshes(arm, checker)?;
+    if arm.xray_density_g_per_cm3.is_some() && arm.mesh.as_ref().is_none_or(Vec::is_empty) {
+        let problem =
+            "is about the meshes of an arm, and there is none; expected `arm.urdf` with meshes or `arm.mesh`";
+        return Err(checker.invalid("arm.xray_density_g_per_cm3", problem));
+    }
     if let Some(model @ (ArmModel::Fixed | ArmModel::Gantry)) = arm.model {
         check_bench(arm, model, checker)?;
     }
@@ -125,6 +130,12 @@ fn check_meshes(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
             let name = foreign_text::foreign(name);
             let problem = format!("is `{name}`, expected the name of an `arm.joint`, or none for the base");
             return Err(checker.invalid("arm.mesh.joint", problem));
+        }
+        if let Some(digits) = &mesh.file_xxh3
+            && !(digits.len() == 32 && digits.bytes().all(|byte| byte.is_ascii_hexdigit()))
+        {
+            let problem = format!("is `{}`, expected 32 hexadecimal digits", foreign_text::foreign(digits));
+            return Err(checker.invalid("arm.mesh.file_xxh3", problem));
         }
         if mesh.scale.iter().any(|factor| factor.abs() < LEAST_SCALE) {
             let problem =

@@ -1,14 +1,16 @@
-//! The meshes that the arm is drawn with, read from the files that a scene names.
+//! The meshes of an arm, for the 3D view and for X-ray frames, read from the files that a scene names.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-use foreign_text::{foreign, foreign_path};
-use ipc_types::scene::mesh::{
+use crate::scene::closed_mesh::{ClosedMesh, MeshFault};
+use crate::scene::mesh::{
     FARTHEST_M, MAX_MESH_BYTES, MOST_TRIANGLES, MeshError, MeshFormat, Triangle, triangles,
 };
-use ipc_types::scene::{Arm, ArmMesh};
-use ipc_types::text_file;
+use crate::scene::{Arm, ArmMesh};
+use crate::text_file;
+use foreign_text::{foreign, foreign_path};
+use xxhash_rust::xxh3::xxh3_128;
 
 /// A mesh with its triangles.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,6 +43,34 @@ pub enum ArmMeshError {
         file: PathBuf,
         /// What is wrong with it.
         cause: MeshError,
+    },
+    /// X-ray frames were rendered with another file of this name.
+    #[error(
+        "`arm.mesh.file` {}, whose content has the XXH3-128 {found}, expected {expected} (`arm.mesh.file_xxh3`): X-ray frames show it, so \
+         put the file of that time there, or leave the key out", of(.joint, .file)
+    )]
+    Changed {
+        /// Joint with which it moves; none: the arm's base.
+        joint: Option<String>,
+        /// The file.
+        file: PathBuf,
+        /// Of the file that is there.
+        found: String,
+        /// Of the file that was there.
+        expected: String,
+    },
+    /// A ray through it has no length in it.
+    #[error(
+        "`arm.mesh.file` {}, which {fault}: X-ray frames need closed meshes; repair the file, or leave `arm.xray_density_g_per_cm3` out, which \
+         shows no arm there", of(.joint, .file)
+    )]
+    NotSolid {
+        /// Joint with which it moves; none: the arm's base.
+        joint: Option<String>,
+        /// The file.
+        file: PathBuf,
+        /// What is wrong with it.
+        fault: MeshFault,
     },
     /// Most likely in millimetres.
     #[error(
@@ -79,6 +109,12 @@ pub fn load(arm: &Arm) -> Result<Vec<LoadedMesh<'_>>, ArmMeshError> {
             Ok(content) => content,
             Err(cause) => return Err(ArmMeshError::Unreadable { joint, file, cause }),
         };
+        if let Some(expected) = mesh.file_xxh3.clone() {
+            let found = digest(&content);
+            if !found.eq_ignore_ascii_case(&expected) {
+                return Err(ArmMeshError::Changed { joint, file, found, expected });
+            }
+        }
         let triangles = match triangles(&content, format, left) {
             Ok(triangles) => triangles,
             Err(cause) => return Err(ArmMeshError::Refused { joint, file, cause }),
@@ -96,6 +132,42 @@ pub fn load(arm: &Arm) -> Result<Vec<LoadedMesh<'_>>, ArmMeshError> {
     Ok(loaded)
 }
 
+/// The meshes that X-ray frames show, in the file's frame and unit; none without `arm.xray_density_g_per_cm3`.
+///
+/// # Errors
+/// As [`load`]; a mesh that is not closed.
+pub fn solids(arm: &Arm) -> Result<Vec<(&ArmMesh, ClosedMesh)>, ArmMeshError> {
+    if arm.xray_density_g_per_cm3.is_none() {
+        return Ok(Vec::new());
+    }
+    let solid = |LoadedMesh { mesh, triangles }| match ClosedMesh::new(&triangles) {
+        Ok(solid) => Ok((mesh, solid)),
+        Err(fault) => {
+            let (joint, file) = (mesh.joint.clone(), mesh.file.clone());
+            Err(ArmMeshError::NotSolid { joint, file, fault })
+        }
+    };
+    load(arm)?.into_iter().map(solid).collect()
+}
+
+/// Notes what is in the files that X-ray frames show, so that a replay shows the same or says why not. Files that cannot be read are left
+/// to [`load`].
+pub fn note_content(arm: &mut Arm) {
+    if arm.xray_density_g_per_cm3.is_none() {
+        return;
+    }
+    for mesh in arm.mesh.iter_mut().flatten() {
+        if mesh.file_xxh3.is_none() && MeshFormat::of(&mesh.file).is_some() {
+            mesh.file_xxh3 =
+                text_file::read_bytes(&mesh.file, MAX_MESH_BYTES).ok().map(|content| digest(&content));
+        }
+    }
+}
+
+fn digest(content: &[u8]) -> String {
+    format!("{:032x}", xxh3_128(content))
+}
+
 /// A text for each mesh of a kind that is not read: what it is, and what is drawn instead.
 pub fn undrawn(arm: &Arm) -> Vec<String> {
     let is_read = |mesh: &&ArmMesh| MeshFormat::of(&mesh.file).is_some();
@@ -106,8 +178,12 @@ pub fn undrawn(arm: &Arm) -> Vec<String> {
             true => "the link is drawn with its other meshes",
             false => "the link is drawn as a tube",
         };
+        let in_frames = match arm.xray_density_g_per_cm3 {
+            Some(_) => ", and X-ray frames lack it",
+            None => "",
+        };
         format!(
-            "`arm.mesh.file` {}, which is not drawn: expected STL or OBJ; {instead}",
+            "`arm.mesh.file` {}, which is not drawn: expected STL or OBJ; {instead}{in_frames}",
             of(&mesh.joint, &mesh.file)
         )
     };
