@@ -12,7 +12,9 @@
 //! assert!(matches!(outcome, Err(DrrProcessError::Scene(_))), "{outcome:?}");
 //! ```
 
+mod arm;
 pub mod machine;
 pub mod process;
 
+pub use arm::arm_model;
 pub use machine::ThisMachine;

@@ -57,7 +57,7 @@ fn tool(ends: Ends) -> Tool {
     let start_m = [end_m[0], end_m[1], end_m[2] - 0.12];
     parts.push(ToolPart::HollowCylinder { start_m, end_m, outer_radius_m, inner_radius_m: 2e-3, material });
     parts.push(ToolPart::Sphere { centre_m: on_arc(LINKS), radius_m: 3e-3, material: Material::Steel316L });
-    Tool { parts }
+    Tool { parts, arm: None }
 }
 
 /// Renders frames from a stationary C-arm with cached anatomy: alone, with the tool, with noise, and with a window

@@ -225,6 +225,7 @@ impl<'v> XRay<'v> {
             noise_seed: self.noise_seed,
             radii: self.radii,
             holder: self.holder,
+            arm: None,
         };
         let began = Instant::now();
         let rendered = render_job(&mut self.renderer, &self.view, &job).map_err(failed)?;

@@ -3,6 +3,7 @@ use std::path::PathBuf;
 use controllers::CalibrationError;
 use hub::command_check::CommandRefusal;
 use inputs::failure::Failure;
+use ipc_types::arm_meshes::ArmMeshError;
 use messages::Tick;
 use output_file::OutputError;
 use run_log::LogError;
@@ -17,6 +18,9 @@ pub enum SimError {
     /// A scene, a volume or a log is refused, in the words of the command that checks it.
     #[error("{}", .0.message)]
     Input(Failure),
+    /// A mesh of the arm that frames show.
+    #[error(transparent)]
+    ArmMesh(#[from] ArmMeshError),
     /// A built-in controller's calibration cannot be used.
     #[error(transparent)]
     Calibration(#[from] CalibrationError),

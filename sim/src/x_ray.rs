@@ -1,7 +1,10 @@
 //! The X-ray of a simulation's state.
 
-use drr_proc::ThisMachine;
+use std::sync::Arc;
+
+use drr_proc::{ThisMachine, arm_model};
 use messages::{CArmGeometry, Restores, State};
+use xray::arm_model::ArmModel;
 use xray::frame::{Cache, Job, Rendered, label_job, render_job};
 use xray::from_scene::{renderer_parameters, scene_c_arm, scene_isocentre_m};
 use xray::message::{c_arm_of, volume_view};
@@ -16,6 +19,7 @@ pub(crate) struct XRay {
     renderer: DrrRenderer,
     c_arm: CArm,
     predrilled: Vec<u32>,
+    arm: Option<Arc<ArmModel>>,
     /// Voxels of the simulation's list that are removed here; `None` if it must be told everything anew.
     told: Option<usize>,
 }
@@ -28,6 +32,7 @@ impl XRay {
             renderer: DrrRenderer::new(&volume(shared)?, parameters, &ThisMachine)?,
             c_arm: scene_c_arm(drr)?,
             predrilled: predrilled.to_vec(),
+            arm: arm_model(&shared.scene().arm)?,
             told: None,
         })
     }
@@ -116,6 +121,7 @@ impl XRay {
             noise_seed: scene.run.seed,
             radii: scene.manipulator.radii(),
             holder: scene.arm.holder(),
+            arm: self.arm.clone(),
             notch: scene.drr.as_ref().and_then(|drr| drr.notch),
         })
     }

@@ -1,10 +1,13 @@
 //! Renders a log's frames again.
 
-use drr_proc::ThisMachine;
+use std::sync::Arc;
+
+use drr_proc::{ThisMachine, arm_model};
 use ipc_types::messages::{Frame, Restores, State, Tick, TickRange};
 use recorder_proc::log_file::LogFile;
 use run_log::diff::compare_frame;
 use run_log::{FrameReader, FrameRecord, LogError, LogReader, SavedState, Verdict, frames};
+use xray::arm_model::ArmModel;
 use xray::frame::{Cache, Job, label_job, render_job};
 use xray::from_scene::{renderer_parameters, scene_isocentre_m};
 use xray::message::{c_arm_of, volume_view};
@@ -31,13 +34,14 @@ pub struct FrameReplay<'l> {
     state: Box<State>,
     restores: Restores,
     removed: Vec<u32>,
+    arm: Option<Arc<ArmModel>>,
 }
 
 impl<'l> FrameReplay<'l> {
     /// Starts at the first frame; none if the scene has no X-ray.
     ///
     /// # Errors
-    /// The renderer refuses the scene, or the file cannot be opened.
+    /// The renderer refuses the scene, a mesh of the arm that frames show is not there or another one, or the file cannot be opened.
     pub fn new(log: &'l OpenedLog, threads: usize) -> Result<Option<FrameReplay<'l>>, Failure> {
         let (Some(drr), Some((volume, hash))) = (&log.scene.drr, &log.volume) else { return Ok(None) };
         let message = volume_source::message(volume, *hash);
@@ -61,6 +65,7 @@ impl<'l> FrameReplay<'l> {
             predrilled,
             ticks,
             replies: Replies::open(log, drr)?,
+            arm: arm_model(&log.scene.arm).map_err(Failure::bad_input)?,
             log,
         }))
     }
@@ -138,6 +143,7 @@ impl<'l> FrameReplay<'l> {
             noise_seed: self.log.scene.run.seed,
             radii: self.log.scene.manipulator.radii(),
             holder: self.log.scene.arm.holder(),
+            arm: self.arm.clone(),
             notch: self.log.scene.drr.as_ref().and_then(|drr| drr.notch),
         }))
     }

@@ -7,6 +7,9 @@ const ENERGIES_KEV: [f64; 7] = [30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 120.0];
 /// Lowest and highest energy that the table covers, keV.
 pub const ENERGY_RANGE_KEV: (f64, f64) = (30.0, 120.0);
 
+/// Density of solid aluminium: NIST SRD 126, table 1.
+pub const ALUMINIUM_G_PER_CM3: f64 = 2.699;
+
 /// A homogeneous material. Mass attenuation coefficients: NIST X-ray mass attenuation tables (SRD 126, NISTIR 5632), elements mixed by
 /// mass fraction. Those tables have no 120 keV entry; there the values are NIST's XCOM as tabulated by xraylib 4.3. Each material gives
 /// its density. None has an absorption edge between 30 and 120 keV; interpolated values differ from XCOM by at most 2.1 %.
@@ -24,14 +27,23 @@ pub enum Material {
     Steel316L,
     /// Titanium, 4.506 g/cm3.
     Titanium,
+    /// Aluminium, 2.699 g/cm3.
+    Aluminium,
 }
 
 impl Material {
     /// All materials, by their [`Material::index`].
-    pub const ALL: [Self; Self::COUNT] =
-        [Self::Water, Self::SoftTissue, Self::CorticalBone, Self::Nitinol, Self::Steel316L, Self::Titanium];
+    pub const ALL: [Self; Self::COUNT] = [
+        Self::Water,
+        Self::SoftTissue,
+        Self::CorticalBone,
+        Self::Nitinol,
+        Self::Steel316L,
+        Self::Titanium,
+        Self::Aluminium,
+    ];
     /// Number of materials.
-    pub const COUNT: usize = 6;
+    pub const COUNT: usize = 7;
 
     /// Its index in [`Material::ALL`].
     pub fn index(self) -> usize {
@@ -47,7 +59,13 @@ impl Material {
             Self::Nitinol => (6.45, [7.924, 3.526, 1.907, 1.176, 0.5842, 0.3666, 0.2668]),
             Self::Steel316L => (7.99, [8.550, 3.808, 2.058, 1.266, 0.6228, 0.3865, 0.2782]),
             Self::Titanium => (4.506, [4.972, 2.214, 1.213, 0.7661, 0.4052, 0.2721, 0.2102]),
+            Self::Aluminium => (ALUMINIUM_G_PER_CM3, [1.128, 0.5685, 0.3681, 0.2778, 0.2018, 0.1704, 0.1533]),
         }
+    }
+
+    /// Attenuation of a gram on a square centimetre, cm2/g, at an energy of the table's range.
+    pub(crate) fn mass_mu_cm2_per_g(self, energy_kev: f64) -> f64 {
+        log_log(&ENERGIES_KEV, &self.table().1, energy_kev)
     }
 
     /// Linear attenuation coefficient at a photon energy, 1/m. Interpolates log(mu) linearly over log(energy) between the table's
@@ -58,14 +76,13 @@ impl Material {
     pub fn mu_per_m(self, energy_kev: f64) -> Result<f64, DrrError> {
         let (low, high) = ENERGY_RANGE_KEV;
         check_range("energy_kev", energy_kev, low, high, "30 to 120 keV")?;
-        let (density, mass_mu) = self.table();
         // cm2/g * g/cm3 = 1/cm = 100/m.
-        Ok(100.0 * density * log_log(&ENERGIES_KEV, &mass_mu, energy_kev))
+        Ok(100.0 * self.table().0 * self.mass_mu_cm2_per_g(energy_kev))
     }
 }
 
 /// Log-log interpolation of a coefficient over energy, within the table's range.
-pub(crate) fn log_log<const N: usize>(energies_kev: &[f64; N], values: &[f64; N], energy_kev: f64) -> f64 {
+fn log_log<const N: usize>(energies_kev: &[f64; N], values: &[f64; N], energy_kev: f64) -> f64 {
     let above = energies_kev.partition_point(|&e| e < energy_kev).clamp(1, N - 1);
     let (e0, e1) = (energies_kev[above - 1], energies_kev[above]);
     let (m0, m1) = (values[above - 1], values[above]);

@@ -234,6 +234,26 @@ impl Pinhole {
         })
     }
 
+    /// A world point as the projection sees it: the numerators of column and row, then its depth. Linear in the point.
+    pub(crate) fn seen(&self, point_m: Vec3) -> Vec3 {
+        self.homogeneous(point_m)
+    }
+
+    /// Column and row of a seen point in front of the source.
+    pub(crate) fn pixel(&self, seen: Vec3) -> [f64; 2] {
+        [self.column_0 + seen[0] / seen[2], self.row_0 + seen[1] / seen[2]]
+    }
+
+    /// Of a plane `normal . seen = d` the numbers by which a pixel's depth there is `d / (slope . (column, row, 1))`.
+    pub(crate) fn slope(&self, normal: Vec3) -> Vec3 {
+        [normal[0], normal[1], normal[2] - normal[0] * self.column_0 - normal[1] * self.row_0]
+    }
+
+    /// Whether column, row and depth of seen points turn like the world's axes.
+    pub(crate) fn is_right_handed(&self) -> bool {
+        dot(cross(self.column, self.row), self.normal) > 0.0
+    }
+
     /// Bounding rectangle, in pixels, of the projected box `centre + sum(+-half[i])`, clipped to the detector. The whole detector if some
     /// corners are level with or behind the source; `None` if all are, or if the rectangle is empty.
     pub fn bounds(

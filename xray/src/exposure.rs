@@ -1,12 +1,13 @@
-//! From line integrals to pixels: tool, Beer-Lambert, noise, blur, readout and display, in two passes over the image.
+//! From line integrals to pixels: tool and arm, Beer-Lambert, noise, blur, readout and display, in two passes over the image.
 //!
-//! Pass 1, row by row: tool over anatomy, transmission, noise, blur along the row. Pass 2: blur along columns, readout, display. Disabled
+//! Pass 1, row by row: tool and arm over anatomy, transmission, noise, blur along the row. Pass 2: blur along columns, readout, display. Disabled
 //! stages cost nothing; without noise and blur the second pass does everything. The loops ([`crate::lane_math`]) compile to the CPU's
 //! vector instructions, with the same bits on every CPU.
 
 use pulp::Arch;
 use rayon::prelude::*;
 
+use crate::attenuation::Material;
 use crate::detector::{
     DetectorParameters, EXACT_POISSON_BELOW, FrameSeed, Readout, add_scaled_row, blur_row, gaussian_weights,
     photon_number,
@@ -14,8 +15,9 @@ use crate::detector::{
 use crate::display::{DisplayMode, DisplayParameters, Scale, WindowLimits};
 use crate::lane_math;
 use crate::lanes::lanes;
+use crate::solids::SolidLayer;
 use crate::spectrum::SpectrumTable;
-use crate::tool_layer::PlacedTool;
+use crate::tool_layer::{PlacedTool, ToolCell, ToolMaterials};
 use counter_random::Key;
 
 /// Pixels processed at once; several such buffers fit into the L1 cache.
@@ -54,6 +56,15 @@ pub struct Anatomy<'a> {
     pub bone_m: &'a [f64],
 }
 
+/// What a frame shows beside the anatomy.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Metal<'a> {
+    pub(crate) tool: &'a PlacedTool,
+    pub(crate) arm: &'a SolidLayer,
+    /// Attenuation of aluminium at the frame's energy.
+    pub(crate) aluminium_per_m: f64,
+}
+
 /// Detector, display and their workspace.
 #[derive(Debug)]
 pub struct Exposure {
@@ -72,7 +83,7 @@ pub struct Exposure {
 #[derive(Clone, Copy)]
 struct Frame<'a> {
     anatomy: Anatomy<'a>,
-    tool: &'a PlacedTool,
+    metal: Metal<'a>,
     width: usize,
     scale: Scale,
     key: Key,
@@ -108,19 +119,19 @@ impl Exposure {
     pub(crate) fn expose(
         &mut self,
         anatomy: Anatomy<'_>,
-        tool: &PlacedTool,
+        metal: Metal<'_>,
         width: usize,
         window: WindowLimits,
         seed: FrameSeed,
         output: &mut Output<'_>,
     ) {
         let scale = Scale::new(self.display.mode, window);
-        let frame = Frame { anatomy, tool, width, scale, key: seed.key() };
+        let frame = Frame { anatomy, metal, width, scale, key: seed.key() };
         let passes = self.detector.quantum_noise || self.weights.len() > 1;
         if passes {
             self.first_pass(&frame);
         }
-        let overlay = self.display.mode == DisplayMode::BoneBrightToolBlack && tool.covers_any();
+        let overlay = self.display.mode == DisplayMode::BoneBrightToolBlack && metal.tool.covers_any();
         if overlay {
             self.metal_pass(&frame);
         }
@@ -154,10 +165,10 @@ impl Exposure {
         }
     }
 
-    /// -ln of the transmission through anatomy and tool, row-major.
-    pub(crate) fn attenuations(&self, anatomy: Anatomy<'_>, tool: &PlacedTool, width: usize) -> Vec<f64> {
+    /// -ln of the transmission through anatomy, tool and arm, row-major.
+    pub(crate) fn attenuations(&self, anatomy: Anatomy<'_>, metal: Metal<'_>, width: usize) -> Vec<f64> {
         let scale = Scale::new(DisplayMode::Linear, WindowLimits { low: 0.0, high: 1.0 });
-        let frame = Frame { anatomy, tool, width, scale, key: FrameSeed::default().key() };
+        let frame = Frame { anatomy, metal, width, scale, key: FrameSeed::default().key() };
         let mut image = vec![0.0; anatomy.total.len()];
         for (row, line) in image.chunks_mut(width).enumerate() {
             for (i, out) in line.chunks_mut(CHUNK).enumerate() {
@@ -229,7 +240,7 @@ impl Exposure {
         }
     }
 
-    /// -ln of the transmission through anatomy and tool.
+    /// -ln of the transmission through anatomy, tool and arm.
     fn attenuation(
         &self,
         frame: &Frame<'_>,
@@ -243,14 +254,28 @@ impl Exposure {
         if let Some(table) = &self.spectrum {
             let bone = &frame.anatomy.bone_m[start..start + count];
             self.arch.dispatch(Tabulate { table, tissue_m: &mut values[..count], bone_m: bone });
-            frame.tool.over_row(row, from, count, |i, cell, materials| {
-                let (tissue, bone) = (frame.anatomy.total[start + i], bone[i]);
-                if let Some(materials) = materials {
-                    values[i] = table.attenuation_with_tool(tissue, bone, cell, materials);
-                }
+            let mut arm_m = [0.0; CHUNK];
+            if let Some(lengths_m) = frame.metal.arm.row(row, from, count) {
+                arm_m[..count].copy_from_slice(lengths_m);
+            }
+            let (total, aluminium) = (&frame.anatomy.total[start..], Material::Aluminium.index());
+            frame.metal.tool.over_row(row, from, count, |i, cell, materials| {
+                let Some(mut materials) = materials.copied() else { return };
+                materials.lengths_m[aluminium] += core::mem::take(&mut arm_m[i]);
+                values[i] = table.attenuation_with_tool(total[i], bone[i], cell, &materials);
             });
+            // Beside the tool.
+            for i in (0..count).filter(|i| arm_m[*i] > 0.0) {
+                let mut materials = ToolMaterials::default();
+                materials.lengths_m[aluminium] = arm_m[i];
+                values[i] = table.attenuation_with_tool(total[i], bone[i], &ToolCell::default(), &materials);
+            }
         } else {
-            frame.tool.over_row(row, from, count, |i, cell, _| values[i] = cell.over(values[i]));
+            frame.metal.tool.over_row(row, from, count, |i, cell, _| values[i] = cell.over(values[i]));
+            if let Some(lengths_m) = frame.metal.arm.row(row, from, count) {
+                let arm = lengths_m.iter().map(|length_m| length_m * frame.metal.aluminium_per_m);
+                values.iter_mut().zip(arm).for_each(|(value, arm)| *value += arm);
+            }
         }
     }
 
@@ -276,7 +301,7 @@ impl Exposure {
         let (width, pixels) = (frame.width, frame.anatomy.total.len());
         self.metal.resize(pixels, 1.0);
         self.metal_blurred.resize(pixels, 1.0);
-        let (weights, tool) = (&self.weights, frame.tool);
+        let (weights, tool) = (&self.weights, frame.metal.tool);
         let rows = self.metal.par_chunks_mut(width).zip(self.metal_blurred.par_chunks_mut(width));
         rows.enumerate().for_each(|(row, (line, out))| {
             line.fill(1.0);

@@ -1,10 +1,13 @@
 //! One frame: from the state, the removed voxels and the C-arm to the message bytes.
 
+use std::sync::Arc;
+
 use messages::{Frame, ImagePrefix, Restores, State};
 use scene::{Holder, Notch as SceneNotch, ToolRadii};
 use xxhash_rust::xxh3::xxh3_128;
 use zerocopy::IntoBytes;
 
+use crate::arm_model::ArmModel;
 use crate::message::{c_arm_message, projection_message};
 use crate::tool_model::{points_of, tool_of};
 use crate::{
@@ -47,6 +50,8 @@ pub struct Job {
     pub holder: Holder,
     /// Notches of the links.
     pub notch: Option<SceneNotch>,
+    /// The arm, if frames show it.
+    pub arm: Option<Arc<ArmModel>>,
 }
 
 /// A finished frame.
@@ -84,7 +89,8 @@ pub fn render_job(
     job: &Job,
 ) -> Result<Rendered, DrrError> {
     take_removals(renderer, view, job)?;
-    let tool = tool_of(&job.state, &job.radii, &job.holder, job.notch.as_ref());
+    let mut tool = tool_of(&job.state, &job.radii, &job.holder, job.notch.as_ref());
+    tool.arm = job.arm.as_ref().map(|arm| arm.placed(&job.state));
     let seed = FrameSeed { seed: job.noise_seed, frame: job.state.tick };
     let mut pixels = vec![0_u16; job.c_arm.pixels()];
     let report = match job.cache {

@@ -49,6 +49,7 @@
 //! # }
 //! ```
 
+pub mod arm_model;
 pub mod attenuation;
 pub mod camera;
 pub mod carm;
@@ -68,12 +69,14 @@ pub mod lane_math;
 mod lanes;
 pub mod machine;
 pub mod message;
+mod placement;
 pub mod ray;
 pub mod reference;
 pub mod removal;
 pub mod renderer;
 pub mod siddon;
 pub mod slice_ordered;
+mod solids;
 pub mod spectrum;
 pub mod tool;
 mod tool_layer;
@@ -92,5 +95,6 @@ pub use grid::{Grid, VolumeView};
 pub use labels::{Class, Keypoint, LabelRequest, Labels, Visibility};
 pub use machine::{Machine, Memory};
 pub use renderer::{DrrParameters, DrrRenderer, FrameReport, Projector, RenderKind};
+pub use solids::PlacedSolids;
 pub use spectrum::Spectrum;
 pub use tool::{Notch, Tool, ToolPart};

@@ -10,17 +10,12 @@
 //! neglects characteristic lines, and energies below 30 keV, which hardly penetrate a patient. Anatomy pixels look up a table of the
 //! attenuation over (T, B); the few pixels under metal, and those outside the table, sum over the energies.
 
-use crate::attenuation::{ENERGY_RANGE_KEV, Material, cortical_bone_hu, log_log};
+use crate::attenuation::{ALUMINIUM_G_PER_CM3, ENERGY_RANGE_KEV, Material, cortical_bone_hu};
 use crate::error::{DrrError, check_range};
 use crate::tool_layer::{ToolCell, ToolMaterials};
 
 /// Energy spacing of the sum.
 const STEP_KEV: f64 = 2.0;
-/// Mass attenuation of aluminium, cm2/g, at these energies, keV; density 2.699 g/cm3. NIST SRD 126 (NISTIR 5632), table 3, Z = 13. That
-/// table has no 120 keV entry; there the value is NIST's XCOM as tabulated by xraylib 4.3.
-const ALUMINIUM_KEV: [f64; 8] = [30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 120.0, 150.0];
-const ALUMINIUM: [f64; 8] = [1.128, 0.5685, 0.3681, 0.2778, 0.2018, 0.1704, 0.1533, 0.1378];
-const ALUMINIUM_G_PER_CM3: f64 = 2.699;
 /// Range and number of nodes of the table.
 const TISSUE_MAX_M: f64 = 0.5;
 const BONE_MAX_M: f64 = 0.16;
@@ -68,7 +63,7 @@ impl Spectrum {
             .map(|i| {
                 let energy = lowest + (i as f64 + 0.5) * step;
                 let filter_cm = 0.1 * self.aluminium_mm;
-                let mu = ALUMINIUM_G_PER_CM3 * log_log(&ALUMINIUM_KEV, &ALUMINIUM, energy);
+                let mu = ALUMINIUM_G_PER_CM3 * Material::Aluminium.mass_mu_cm2_per_g(energy);
                 (energy, energy * (self.tube_kv / energy - 1.0) * libm::exp(-mu * filter_cm))
             })
             .collect();

@@ -58,7 +58,7 @@ pub fn tool_of(state: &State, radii: &ToolRadii, holder: &Holder, notch: Option<
             material,
         })),
     }
-    Tool { parts }
+    Tool { parts, arm: None }
 }
 
 /// A straight piece between two joints.

@@ -57,5 +57,5 @@ pub fn snake(points: &[[f64; 3]]) -> Tool {
     if let Some(&centre_m) = points.last() {
         parts.push(ToolPart::Sphere { centre_m, radius_m: 3.25e-3, material: Material::Steel316L });
     }
-    Tool { parts }
+    Tool { parts, arm: None }
 }

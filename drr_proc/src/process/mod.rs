@@ -11,6 +11,7 @@ mod service;
 use std::path::Path;
 
 use hub::x_ray::RemovedLost;
+use ipc_types::arm_meshes::ArmMeshError;
 use ipc_types::messages::Part;
 use ipc_types::ports::PortError;
 use ipc_types::process::{EndRequest, Role, prioritise, session_scene};
@@ -38,6 +39,9 @@ pub enum DrrProcessError {
     /// The renderer refuses the volume or the C-arm.
     #[error(transparent)]
     Renderer(#[from] DrrError),
+    /// A mesh of the arm that frames show.
+    #[error(transparent)]
+    ArmMesh(#[from] ArmMeshError),
     /// The scene has no X-ray.
     #[error("the scene has no `[drr]`: there is nothing to render")]
     NoDrr,
@@ -66,6 +70,7 @@ pub fn run(session_folder: &Path) -> Result<(), DrrProcessError> {
     let end = EndRequest::install().map_err(DrrProcessError::Signals)?;
     let scene = session_scene(session_folder)?;
     let drr = scene.drr.clone().ok_or(DrrProcessError::NoDrr)?;
+    let arm = crate::arm_model(&scene.arm)?;
     // Frames can wait, ticks cannot.
     prioritise(Role::Drr, scene.run.policy);
     let session = Session::join(session_folder)?;
@@ -77,5 +82,5 @@ pub fn run(session_folder: &Path) -> Result<(), DrrProcessError> {
     let mut renderer = DrrRenderer::new(&view, parameters, &ThisMachine)?;
     let c_arm = scene_c_arm(&drr)?;
     renderer.prepare(&view, &c_arm)?;
-    service::serve(&scene, ports, &view, renderer, &c_arm, &end)
+    service::serve(&scene, ports, &view, renderer, &c_arm, arm, &end)
 }

@@ -1,5 +1,6 @@
 //! The loop of the DRR process: messages in, jobs to the renderer, frames out.
 
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
 use std::time::{Duration, Instant};
 
@@ -13,6 +14,7 @@ use ipc_types::ports::PortError;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Holder, Notch, Scene, ToolRadii};
 use ipc_types::services::DRR_REQUEST;
+use xray::arm_model::ArmModel;
 use xray::frame::{Cache, Job, Rendered, render_job};
 use xray::from_scene::scene_isocentre_m;
 use xray::message::{c_arm_message, c_arm_of};
@@ -48,6 +50,7 @@ pub(super) fn serve(
     view: &VolumeView<'_>,
     mut renderer: DrrRenderer,
     c_arm: &CArm,
+    arm: Option<Arc<ArmModel>>,
     end: &EndRequest,
 ) -> Result<(), DrrProcessError> {
     let (jobs, job_queue) = sync_channel::<Job>(QUEUE);
@@ -64,7 +67,7 @@ pub(super) fn serve(
                 }
             }
         });
-        Service::new(scene, ports, *c_arm, jobs, outcome_queue).run(end)
+        Service::new(scene, ports, *c_arm, arm, jobs, outcome_queue).run(end)
     })
 }
 
@@ -77,6 +80,7 @@ struct Service {
     noise_seed: u64,
     radii: ToolRadii,
     holder: Holder,
+    arm: Option<Arc<ArmModel>>,
     jobs: SyncSender<Job>,
     outcomes: Receiver<Outcome>,
     in_flight: usize,
@@ -101,6 +105,7 @@ impl Service {
         scene: &Scene,
         ports: Ports,
         c_arm: CArm,
+        arm: Option<Arc<ArmModel>>,
         jobs: SyncSender<Job>,
         outcomes: Receiver<Outcome>,
     ) -> Service {
@@ -113,6 +118,7 @@ impl Service {
             noise_seed: scene.run.seed,
             radii: scene.manipulator.radii(),
             holder: scene.arm.holder(),
+            arm,
             jobs,
             outcomes,
             in_flight: 0,
@@ -354,6 +360,7 @@ impl Service {
             noise_seed: self.noise_seed,
             radii: self.radii,
             holder: self.holder,
+            arm: self.arm.clone(),
         })
     }
 

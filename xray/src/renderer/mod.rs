@@ -13,11 +13,12 @@ use crate::carm::CArm;
 use crate::detector::FrameSeed;
 use crate::display::window_limits;
 use crate::error::{DrrError, check_range};
-use crate::exposure::{Exposure, Output};
+use crate::exposure::{Exposure, Metal, Output};
 use crate::grid::{Grid, VolumeView};
 use crate::machine::Machine;
 use crate::removal::RemovedVoxels;
 use crate::slice_ordered::{SliceOrdered, SliceOrderedMemory};
+use crate::solids::SolidLayer;
 use crate::spectrum::SpectrumTable;
 use crate::tool::Tool;
 use crate::tool_layer::{DisplacedBy, PlacedTool};
@@ -35,6 +36,8 @@ pub struct DrrRenderer {
     removed: RemovedVoxels,
     exposure: Exposure,
     tool: PlacedTool,
+    arm: SolidLayer,
+    aluminium_per_m: f64,
     pool: rayon::ThreadPool,
     standing: Option<Standing>,
 }
@@ -80,6 +83,8 @@ impl DrrRenderer {
             removed: RemovedVoxels::new(view.grid()),
             exposure: Exposure::new(parameters.detector, parameters.display, spectrum),
             tool: PlacedTool::default(),
+            arm: SolidLayer::default(),
+            aluminium_per_m: Material::Aluminium.mu_per_m(parameters.energy_kev)?,
             pool,
             standing: None,
         })
@@ -120,10 +125,11 @@ impl DrrRenderer {
         self.standing.as_ref().map_or(&[], |s| &s.anatomy)
     }
 
-    /// Attenuation (-ln of the transmission) of anatomy and tool in the last frame, row-major; empty before the first.
+    /// Attenuation (-ln of the transmission) of anatomy, tool and arm in the last frame, row-major; empty before the first.
     pub fn line_integrals(&self) -> Vec<f64> {
+        let metal = Metal { tool: &self.tool, arm: &self.arm, aluminium_per_m: self.aluminium_per_m };
         let attenuation =
-            |s: &Standing| self.exposure.attenuations(s.images(), &self.tool, s.c_arm.columns as usize);
+            |s: &Standing| self.exposure.attenuations(s.images(), metal, s.c_arm.columns as usize);
         self.standing.as_ref().map_or(Vec::new(), attenuation)
     }
 
@@ -218,10 +224,13 @@ impl DrrRenderer {
         let bone = self.bone.as_ref().map(|layer| layer.field(view, &self.removed));
         let anatomy =
             DisplacedBy { projector: self.parameters.projector, tissue: &tissue, bone: bone.as_ref() };
-        let (tool, exposure) = (&mut self.tool, &mut self.exposure);
+        let (placed, arm, exposure) = (&mut self.tool, &mut self.arm, &mut self.exposure);
+        let aluminium_per_m = self.aluminium_per_m;
         let tool_pixels = self.pool.install(|| {
-            let covered = tool.draw(&standing.fan, &anatomy);
-            exposure.expose(standing.images(), tool, width, standing.window, seed, &mut output);
+            arm.draw(tool.arm.as_ref(), c_arm, &standing.fan);
+            let covered = placed.draw(&standing.fan, &anatomy);
+            let metal = Metal { tool: placed, arm, aluminium_per_m };
+            exposure.expose(standing.images(), metal, width, standing.window, seed, &mut output);
             covered
         });
         let window = standing.window;

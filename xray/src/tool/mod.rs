@@ -8,6 +8,7 @@ mod crossing;
 mod part;
 
 use crate::attenuation::Material;
+use crate::solids::PlacedSolids;
 
 pub use crossing::{Crossing, join_intervals};
 pub(crate) use crossing::{End, SeenPart};
@@ -124,9 +125,11 @@ pub struct Notch {
     pub depth_m: f64,
 }
 
-/// A tool: any number of parts. A tool without parts costs nothing.
+/// A tool: any number of parts, and the arm that carries it. A tool without parts costs nothing, nor does an absent arm.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Tool {
     /// The parts, in any order. The order of the sums follows it, and so do the last bits.
     pub parts: Vec<ToolPart>,
+    /// The arm, if X-ray frames show it. It displaces no anatomy, and labels leave it out.
+    pub arm: Option<PlacedSolids>,
 }

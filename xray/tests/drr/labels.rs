@@ -96,7 +96,8 @@ fn a_plate_with_a_tunnel_and_a_burr_by_hand() {
     // AP: the source is behind, at y = +0.7 m, and rays run toward -y.
     let c_arm = c_arm(0.0, 0.0, 61, 0.061);
     let burr = ToolPart::Sphere { centre_m: [0.0, 0.03, 0.0], radius_m: 3e-3, material: Material::Steel316L };
-    let labels = labelled(&view, &removed, &c_arm, &Tool { parts: vec![burr] }, &[[0.0, 0.03, 0.0]]);
+    let labels =
+        labelled(&view, &removed, &c_arm, &Tool { parts: vec![burr], arm: None }, &[[0.0, 0.03, 0.0]]);
     let near = |got: f32, want: f64| assert!((f64::from(got) - want).abs() < 1e-6, "{got} against {want}");
     let middle = 30 * 61 + 30;
     near(labels.bone_m[middle], 0.021);
@@ -139,7 +140,7 @@ fn a_keypoint_is_overlapped_where_another_part_lies_on_its_ray() {
         })
         .collect();
     parts.push(ToolPart::Sphere { centre_m: points_m[5], radius_m: 3.25e-3, material: Material::Steel316L });
-    let tool = Tool { parts };
+    let tool = Tool { parts, arm: None };
     let seen = |primary_deg: f64| -> Vec<Visibility> {
         let labels = labelled(&view, &[], &c_arm(primary_deg, 0.0, 64, 0.064), &tool, &points_m);
         labels.keypoints.iter().map(|point| point.visibility).collect()
@@ -164,7 +165,7 @@ fn labels_of_another_grid_or_an_impossible_tool_are_refused() {
     let view = VolumeView::new(grid, &hu).unwrap();
     let renderer = DrrRenderer::new(&view, DrrParameters::default(), &Desk).unwrap();
     let wide = ToolPart::Sphere { centre_m: [0.0; 3], radius_m: 2.0, material: Material::Steel316L };
-    let tool = Tool { parts: vec![wide] };
+    let tool = Tool { parts: vec![wide], arm: None };
     let request = LabelRequest { tool: &tool, burr: 0, points_m: &[], bone_from_hu: 0 };
     let c_arm = c_arm(0.0, 0.0, 8, 0.01);
     let refused = renderer.labels(&view, &c_arm, &request);

@@ -38,6 +38,8 @@ mod slice_ordered_changes;
 #[cfg(test)]
 mod slice_ordered_poses;
 #[cfg(test)]
+mod solids;
+#[cfg(test)]
 mod spectrum;
 #[cfg(test)]
 mod tool;

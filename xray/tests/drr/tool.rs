@@ -93,7 +93,7 @@ fn metal_displaces_the_anatomy_once() {
     };
     let burr =
         ToolPart::Sphere { centre_m: [0.012, 0.0, 0.0], radius_m: 3.25e-3, material: Material::Steel316L };
-    let tool = Tool { parts: vec![tube([-0.01, 0.0, 0.0], [0.01, 0.0, 0.0]), cable, burr] };
+    let tool = Tool { parts: vec![tube([-0.01, 0.0, 0.0], [0.01, 0.0, 0.0]), cable, burr], arm: None };
     let c_arm = crate::poses::c_arm(0.0, 0.0, 41, 0.05);
     let [water, nitinol, steel] =
         [Material::Water, NITINOL, Material::Steel316L].map(|m| m.mu_per_m(60.0).unwrap());
@@ -146,7 +146,7 @@ fn a_tool_in_a_drilled_channel_displaces_nothing_more() {
         })
         .map(|i| i as u32)
         .collect();
-    let tool = Tool { parts: vec![tube([-0.01, 0.0, 0.0], [0.01, 0.0, 0.0])] };
+    let tool = Tool { parts: vec![tube([-0.01, 0.0, 0.0], [0.01, 0.0, 0.0])], arm: None };
     let c_arm = crate::poses::c_arm(0.0, 0.0, 41, 0.05);
     let quiet = DetectorParameters { quantum_noise: false, ..DetectorParameters::default() };
     let mut renderer =
@@ -195,7 +195,7 @@ pub fn whole_tool() -> Tool {
     let (start_radius_m, end_radius_m, material) = (2e-3, 0.5e-3, Material::Steel316L);
     parts.push(ToolPart::Cone { start_m: at, end_m: tip, start_radius_m, end_radius_m, material });
     parts.push(ToolPart::Sphere { centre_m: tip, radius_m: 3.25e-3, material });
-    Tool { parts }
+    Tool { parts, arm: None }
 }
 
 /// A turned grid of air and of numbers without order, and voxels removed from it.

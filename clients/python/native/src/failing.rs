@@ -27,6 +27,7 @@ fn kind(error: &SimError) -> Kind {
         | SimError::Count { .. }
         | SimError::NoSimulation { .. }
         | SimError::Threads { .. }
+        | SimError::ArmMesh(_)
         | SimError::XRay(_) => Kind::Argument,
         SimError::NoXRay | SimError::Log(_) | SimError::Output(_) | SimError::SceneText(_) => {
             Kind::Status("ERROR_ABSENT")

@@ -1,0 +1,292 @@
+//! Length of rays in closed meshes, for all pixels at once.
+//!
+//! A ray is in a closed mesh from each triangle by which it enters to the one by which it leaves, so its length there is the sum over the
+//! triangles that it crosses of the distance, taken negative where it enters. Distances beyond the detector count as the detector's, those
+//! behind the source as 0, so meshes around either are cut there. The triangles are projected and filled row by row.
+//!
+//! **No pixel leaks.** A row crosses an edge if it is at or above its lower end and below its upper one, and the crossing is computed from the
+//! lower end to the upper one. So both triangles of an edge have the same bits of it, and of a triangle exactly one edge is crossed upward and
+//! one downward, or none. A triangle covers the columns from the one crossing on to before the other. In a closed mesh the starts and ends
+//! of a row are therefore in pairs, and in every pixel as many triangles are entered as left, whatever the rounding.
+
+use std::sync::Arc;
+
+use messages::Pose;
+use rayon::prelude::*;
+use scene::closed_mesh::ClosedMesh;
+
+use crate::attenuation::ALUMINIUM_G_PER_CM3;
+use crate::carm::{CArm, Pinhole};
+use crate::error::{DrrError, check_range};
+use crate::placement::Placement;
+use crate::ray::RayFan;
+use crate::vector::{Vec3, add_scaled, cross, dot, scale, sub};
+
+/// What is nearer to the source's plane than this is cut off, m.
+const NEAREST_M: f64 = 1e-6;
+/// Rows that one thread fills at a time.
+const BAND: usize = 8;
+
+/// Solids of aluminium that is spread evenly over what their meshes enclose. Where two overlap, both attenuate.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlacedSolids {
+    /// The solids, each in its own frame, m.
+    pub(crate) solids: Arc<[ClosedMesh]>,
+    /// Where they are in the world, one for each.
+    pub(crate) places: Vec<Placement>,
+    /// Mass in the enclosed volume.
+    pub(crate) density_g_per_cm3: f64,
+}
+
+impl PlacedSolids {
+    /// Solids in metres, their places in the world, and their density.
+    ///
+    /// # Errors
+    /// There are more or fewer places than solids; the density is not within 0.001 to 2.7 g/cm³; a coordinate is not finite or is beyond
+    /// 100 m; an orientation is no unit quaternion.
+    pub fn new(
+        solids: Arc<[ClosedMesh]>,
+        t_world_solid: &[Pose],
+        density_g_per_cm3: f64,
+    ) -> Result<Self, DrrError> {
+        if t_world_solid.len() != solids.len() {
+            let (given, expected) = (t_world_solid.len(), solids.len());
+            return Err(DrrError::Length { field: "t_world_solid", given, expected });
+        }
+        check_range("density_g_per_cm3", density_g_per_cm3, 1e-3, 2.7, "0.001 to 2.7 g/cm3")?;
+        let corners = solids.iter().flat_map(|solid| solid.corners()).flatten();
+        for x in corners.chain(t_world_solid.iter().flat_map(|pose| &pose.position_m)) {
+            check_range("coordinate of a solid, m", *x, -100.0, 100.0, "-100 to 100 m")?;
+        }
+        for pose in t_world_solid {
+            let size = pose.orientation_xyzw.iter().map(|x| x * x).sum::<f64>();
+            check_range("squared size of a quaternion", size, 1.0 - 1e-6, 1.0 + 1e-6, "a unit quaternion")?;
+        }
+        let places = t_world_solid.iter().map(Placement::of_pose).collect();
+        Ok(Self { solids, places, density_g_per_cm3 })
+    }
+}
+
+/// Metres of solid aluminium on each ray of a C-arm. Reused from frame to frame.
+#[derive(Debug, Default)]
+pub(crate) struct SolidLayer {
+    facets: Vec<Facet>,
+    corners: Vec<Vec3>,
+    /// Numbers of facets, by band and then as they are.
+    in_bands: Vec<u32>,
+    /// The facets of band i are `starts[i]..starts[i + 1]`.
+    starts: Vec<usize>,
+    columns: usize,
+    /// Row-major; empty where no solid is in view.
+    aluminium_m: Vec<f64>,
+}
+
+/// A triangle in the image.
+#[derive(Debug, Clone, Copy)]
+struct Facet {
+    /// Column and row of each corner; pixel centres are whole numbers.
+    corners: [[f64; 2]; 3],
+    /// A pixel sees its plane at the depth `distance / (slope . (column, row, 1))`.
+    distance: f64,
+    slope: Vec3,
+    /// Least and greatest depth of a corner, m; of the detector at most.
+    depths_m: [f64; 2],
+    rows: (u32, u32),
+}
+
+/// The C-arm as the facets are seen from it.
+struct View {
+    pinhole: Pinhole,
+    columns: u32,
+    rows: u32,
+    /// From source to detector along the normal.
+    focal_m: f64,
+}
+
+impl SolidLayer {
+    /// Computes the lengths, on the threads of the current pool.
+    pub(crate) fn draw(&mut self, placed: Option<&PlacedSolids>, c_arm: &CArm, fan: &RayFan) {
+        self.facets.clear();
+        self.aluminium_m.clear();
+        let Some(placed) = placed else { return };
+        let pinhole = c_arm.pinhole();
+        let [.., focal_m] = pinhole.seen(c_arm.detector_centre_m);
+        let view = View { pinhole, columns: c_arm.columns, rows: c_arm.rows, focal_m };
+        for (solid, place) in placed.solids.iter().zip(&placed.places) {
+            self.add(solid, place, &view);
+        }
+        if self.facets.is_empty() {
+            return;
+        }
+        self.columns = view.columns as usize;
+        self.sort_into_bands(view.rows as usize);
+        self.aluminium_m.resize(c_arm.pixels(), 0.0);
+        // The image as seen from the source runs against the clock if the axes are left-handed with the normal.
+        let leaving = if pinhole.is_right_handed() { 1.0 } else { -1.0 };
+        let fraction = placed.density_g_per_cm3 / ALUMINIUM_G_PER_CM3;
+        let mut aluminium_m = core::mem::take(&mut self.aluminium_m);
+        let this: &Self = self;
+        aluminium_m.par_chunks_mut(BAND * this.columns).enumerate().for_each(|(band, lines)| {
+            let facets = &this.in_bands[this.starts[band]..this.starts[band + 1]];
+            let rows = lines.chunks_mut(this.columns).zip((band * BAND) as u32..);
+            for (line, row) in rows {
+                facets.iter().for_each(|facet| this.facets[*facet as usize].fill(row, leaving, line));
+                for (sum, column) in line.iter_mut().zip(0_u32..).filter(|(sum, _)| **sum != 0.0) {
+                    // A ray that grazes may have lost its last bit.
+                    let depth_m = sum.max(0.0) * fraction;
+                    *sum = depth_m / view.focal_m * fan.world_ray(column, row).length_m;
+                }
+            }
+        });
+        self.aluminium_m = aluminium_m;
+    }
+
+    /// Metres of aluminium in the pixels `from..from + count` of a row; `None` if no solid is in view.
+    #[inline]
+    pub(crate) fn row(&self, row: usize, from: usize, count: usize) -> Option<&[f64]> {
+        let start = row * self.columns + from;
+        self.aluminium_m.get(start..start + count).filter(|values| !values.is_empty())
+    }
+
+    /// Adds the facets of a solid, if it is in view.
+    fn add(&mut self, solid: &ClosedMesh, place: &Placement, view: &View) {
+        let [low, high] = solid.bounds();
+        let centre_m = place.point(scale(add_scaled(low, 1.0, high), 0.5));
+        let half = scale(sub(high, low), 0.5);
+        let half_m = [[half[0], 0.0, 0.0], [0.0, half[1], 0.0], [0.0, 0.0, half[2]]];
+        let half_m = half_m.map(|half| place.direction(half));
+        if view.pinhole.bounds(centre_m, &half_m, view.columns, view.rows).is_none() {
+            return;
+        }
+        let seen = solid.corners().par_iter().map(|corner| view.pinhole.seen(place.point(*corner)));
+        seen.collect_into_vec(&mut self.corners);
+        let corners = &self.corners;
+        let facets = solid.triangles().par_iter().flat_map_iter(|triangle| {
+            let pieces = in_front(triangle.map(|corner| corners[corner as usize]));
+            pieces.into_iter().flatten().filter_map(|piece| Facet::new(piece, view))
+        });
+        self.facets.par_extend(facets);
+    }
+
+    /// Counting sort, which keeps the facets' order.
+    fn sort_into_bands(&mut self, rows: usize) {
+        let bands = rows.div_ceil(BAND);
+        let bands_of = |facet: &Facet| facet.rows.0 as usize / BAND..(facet.rows.1 as usize).div_ceil(BAND);
+        self.starts.clear();
+        self.starts.resize(bands + 1, 0);
+        for facet in &self.facets {
+            bands_of(facet).for_each(|band| self.starts[band + 1] += 1);
+        }
+        for band in 0..bands {
+            self.starts[band + 1] += self.starts[band];
+        }
+        self.in_bands.clear();
+        self.in_bands.resize(self.starts[bands], 0);
+        let mut next = self.starts.clone();
+        for (facet, number) in self.facets.iter().zip(0_u32..) {
+            for band in bands_of(facet) {
+                self.in_bands[next[band]] = number;
+                next[band] += 1;
+            }
+        }
+    }
+}
+
+/// The parts of a triangle, as [`Pinhole::seen`] gives its corners, that are in front of the source.
+fn in_front(triangle: [Vec3; 3]) -> [Option<[Vec3; 3]>; 2] {
+    let is_in_front = |corner: Vec3| corner[2] >= NEAREST_M;
+    match triangle.map(is_in_front) {
+        [true, true, true] => [Some(triangle), None],
+        [false, false, false] => [None; 2],
+        inside => {
+            let mut kept = [[0.0; 3]; 4];
+            let mut count = 0;
+            let mut keep = |corner| {
+                kept[count] = corner;
+                count += 1;
+            };
+            for i in 0..3 {
+                let next = (i + 1) % 3;
+                if inside[i] {
+                    keep(triangle[i]);
+                }
+                if inside[i] != inside[next] {
+                    // From the corner in front, so that both triangles of an edge have the same point.
+                    let (front, behind) = if inside[i] { (i, next) } else { (next, i) };
+                    let (front, behind) = (triangle[front], triangle[behind]);
+                    let part = (front[2] - NEAREST_M) / (front[2] - behind[2]);
+                    let at = add_scaled(front, part, sub(behind, front));
+                    keep([at[0], at[1], NEAREST_M]);
+                }
+            }
+            let [a, b, c, d] = kept;
+            [Some([a, b, c]), (count == 4).then_some([a, c, d])]
+        }
+    }
+}
+
+impl Facet {
+    /// A triangle in front of the source, unless it is above or below the image, beside it, or in no row.
+    fn new(seen: [Vec3; 3], view: &View) -> Option<Self> {
+        let corners = seen.map(|corner| view.pinhole.pixel(corner));
+        let ends = |of: usize| {
+            let [a, b, c] = corners.map(|corner| corner[of]);
+            [a.min(b).min(c), a.max(b).max(c)]
+        };
+        let ([left, right], [top, bottom]) = (ends(0), ends(1));
+        // `as` saturates, so anything far outside gives an empty range.
+        let rows =
+            (libm::ceil(top).max(0.0) as u32, libm::ceil(bottom).clamp(0.0, f64::from(view.rows)) as u32);
+        // A pixel of margin for the rounding of crossings.
+        if rows.0 >= rows.1 || right < -1.0 || left > f64::from(view.columns) {
+            return None;
+        }
+        let normal = cross(sub(seen[1], seen[0]), sub(seen[2], seen[0]));
+        let depths = seen.map(|corner| corner[2].min(view.focal_m));
+        let depths_m = [depths[0].min(depths[1]).min(depths[2]), depths[0].max(depths[1]).max(depths[2])];
+        Some(Self {
+            corners,
+            distance: dot(normal, seen[0]),
+            slope: view.pinhole.slope(normal),
+            depths_m,
+            rows,
+        })
+    }
+
+    /// Adds the depths of the columns that it covers in a row: with `leaving` where it is seen from inside the solid, against it else.
+    fn fill(&self, row: u32, leaving: f64, line: &mut [f64]) {
+        if row < self.rows.0 || row >= self.rows.1 {
+            return;
+        }
+        let row = f64::from(row);
+        let (mut upward, mut downward) = (None, None);
+        for i in 0..3 {
+            let (from, to) = (self.corners[i], self.corners[(i + 1) % 3]);
+            if from[1] <= row && row < to[1] {
+                upward = Some(crossing(from, to, row));
+            } else if to[1] <= row && row < from[1] {
+                downward = Some(crossing(to, from, row));
+            }
+        }
+        let (Some(upward), Some(downward)) = (upward, downward) else { return };
+        let (start, end, sign) =
+            if downward < upward { (downward, upward, leaving) } else { (upward, downward, -leaving) };
+        let limit = line.len() as f64;
+        let column = |at: f64| libm::ceil(at).clamp(0.0, limit) as usize;
+        let (start, end) = (column(start), column(end));
+        let in_row = self.slope[1] * row + self.slope[2];
+        let [nearest_m, farthest_m] = self.depths_m;
+        for (sum, column) in line.iter_mut().enumerate().take(end).skip(start).map(|(i, sum)| (sum, i as f64))
+        {
+            let depth_m = self.distance / (self.slope[0] * column + in_row);
+            // Of a plane that is seen edge-on, rounding leaves any depth or none.
+            let depth_m = if depth_m >= nearest_m { depth_m.min(farthest_m) } else { nearest_m };
+            *sum += sign * depth_m;
+        }
+    }
+}
+
+/// Where a row crosses an edge from its lower to its upper end.
+fn crossing(lower: [f64; 2], upper: [f64; 2], row: f64) -> f64 {
+    lower[0] + (row - lower[1]) * ((upper[0] - lower[0]) / (upper[1] - lower[1]))
+}
