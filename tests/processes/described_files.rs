@@ -1,8 +1,9 @@
 //! Scenes whose tool and arm stand in files of their own.
 
 use crate::common::logs::{assert_replays, read};
-use crate::common::program::{Place, assert_nothing_left};
+use crate::common::program::{Place, assert_nothing_left, trabecula};
 use crate::common::scenes;
+use crate::frames::frames_of;
 
 /// Place of each joint in the one before it, mm, and its turn there about x, degrees: the PUMA 560 of `configs/examples/arm_joints.toml`.
 const PUMA: [([f64; 3], f64); 6] = [
@@ -60,4 +61,46 @@ fn the_log_of_a_scene_with_a_tool_file_and_a_urdf_file_replays_without_them() {
     assert_eq!(log.ticks[599].state.joint_count, 8, "the flexures of the drill's file");
     assert_replays(&ended.folder);
     assert_nothing_left(ended.pid);
+}
+
+/// The PUMA with its meshes in the beam: live, replayed and without them; and a replay that would show another arm says so.
+#[test]
+fn x_ray_frames_show_the_arm_of_the_run_or_none() {
+    let place = Place::new();
+    let arms = concat!(env!("CARGO_MANIFEST_DIR"), "/configs/arms/puma560");
+    std::fs::create_dir_all(place.path("puma560/meshes")).unwrap();
+    for file in ["puma560.urdf", "meshes/cube.stl", "meshes/prism.obj"] {
+        std::fs::copy(format!("{arms}/{file}"), place.path(&format!("puma560/{file}"))).unwrap();
+    }
+    let example = include_str!("../../configs/examples/arm_urdf.toml").replace("../arms/", "").replace("4.0", "0.4");
+    // The wrist stands above the block.
+    let drr = "[drr]\nrate_hz = 10.0\nisocentre_mm = [0.0, 0.0, -120.0]\ncolumns = 96\nrows = 96\npixel_pitch_mm = 2.0\nthreads = 1\n";
+    let shown = |density: &str| {
+        let scene = example.replace("[arm]\n", &format!("[arm]\n{density}\n")) + drr;
+        let ended = place.start(&scene).end();
+        assert_eq!(ended.code, Some(0), "{}", ended.err);
+        let frames = frames_of(&ended);
+        assert!(frames.len() >= 4, "{} frames", frames.len());
+        (frames.iter().map(|frame| frame.frame.pixel_hash).collect::<Vec<_>>(), ended.folder)
+    };
+    let (with_arm, folder) = shown("xray_density_g_per_cm3 = 1.5");
+    let (without, _) = shown("");
+    assert!(with_arm.iter().zip(&without).all(|(a, b)| a != b), "the arm is in no frame");
+    let replayed = trabecula(&[&"replay", &folder, &"--verify", &"--frames"]);
+    assert_eq!(replayed.code, Some(0), "{}{}", replayed.out, replayed.err);
+    // Another mesh under the same name.
+    let mesh = place.path("puma560/meshes/cube.stl");
+    let mut bytes = std::fs::read(&mesh).unwrap();
+    bytes[0] ^= 1;
+    std::fs::write(&mesh, &bytes).unwrap();
+    let refused = trabecula(&[&"replay", &folder, &"--verify", &"--frames"]);
+    assert_eq!(refused.code, Some(2), "{}{}", refused.out, refused.err);
+    assert!(refused.err.contains("cube.stl") && refused.err.contains("file_xxh3"), "{}", refused.err);
+    // An open mesh is refused before anything starts.
+    std::fs::write(&mesh, "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid a\n")
+        .unwrap();
+    let scene = example.replace("[arm]\n", "[arm]\nxray_density_g_per_cm3 = 1.5\n") + drr;
+    let ended = place.start(&scene).end();
+    assert_eq!(ended.code, Some(2), "{}", ended.err);
+    assert!(ended.err.contains("cube.stl") && ended.err.contains("is not closed"), "{}", ended.err);
 }

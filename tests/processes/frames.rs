@@ -21,7 +21,7 @@ use crate::common::scenes;
 use crate::languages::clients;
 use crate::strays::{answer_here, joined, stopped};
 
-fn frames_of(ended: &Ended) -> Vec<FrameRecord> {
+pub fn frames_of(ended: &Ended) -> Vec<FrameRecord> {
     frames(&LogFile::at(ended.folder.join("run.mcap")), ReadOptions::default())
         .unwrap()
         .map(Result::unwrap)
