@@ -72,7 +72,8 @@ fn x_ray_frames_show_the_arm_of_the_run_or_none() {
     for file in ["puma560.urdf", "meshes/cube.stl", "meshes/prism.obj"] {
         std::fs::copy(format!("{arms}/{file}"), place.path(&format!("puma560/{file}"))).unwrap();
     }
-    let example = include_str!("../../configs/examples/arm_urdf.toml").replace("../arms/", "").replace("4.0", "0.4");
+    let example =
+        include_str!("../../configs/examples/arm_urdf.toml").replace("../arms/", "").replace("4.0", "0.4");
     // The wrist stands above the block.
     let drr = "[drr]\nrate_hz = 10.0\nisocentre_mm = [0.0, 0.0, -120.0]\ncolumns = 96\nrows = 96\npixel_pitch_mm = 2.0\nthreads = 1\n";
     let shown = |density: &str| {

@@ -66,7 +66,7 @@ fn surface(steps: [usize; 2], is_torus: bool, at: impl Fn(f64, f64) -> [f64; 3])
 fn ball(radius_m: f64, steps: usize) -> ClosedMesh {
     // The poles' points have to be equal to the bit.
     surface([steps, steps / 2], false, |u, v| {
-        let across = if v == 0.0 || v > 3.14159 { 0.0 } else { v.sin() };
+        let across = if v == 0.0 || v > 0.999 * std::f64::consts::PI { 0.0 } else { v.sin() };
         [radius_m * across * u.cos(), radius_m * across * u.sin(), radius_m * v.cos()]
     })
 }
@@ -308,7 +308,7 @@ fn the_arm_of_a_scene_shows_where_its_joints_put_it() {
         tool = { burr_start_mm = [0.0, 0.0, 0.0], direction = [0.0, 0.0, 1.0], bend_toward = [1.0, 0.0, 0.0] }\n\
         [arm]\nxray_density_g_per_cm3 = 2.0\ninitial_joints_deg = [0.0, 10.0, 20.0, 30.0, 40.0, 50.0]\n";
     let joint = |i: usize, x_mm: f64| {
-        let axis = if i % 2 == 0 { "[0.0, 0.0, 1.0]" } else { "[0.0, 1.0, 0.0]" };
+        let axis = if i.is_multiple_of(2) { "[0.0, 0.0, 1.0]" } else { "[0.0, 1.0, 0.0]" };
         format!(
             "[[arm.joint]]\nname = \"j{i}\"\nposition_mm = [{x_mm}, 0.0, 0.0]\naxis = {axis}\n\
              lower_deg = -170.0\nupper_deg = 170.0\nmax_speed_deg_per_s = 90.0\n"
@@ -328,7 +328,7 @@ fn the_arm_of_a_scene_shows_where_its_joints_put_it() {
     // By hand, from the base on: places along x, turns about z and y in turn.
     let about = |i: usize, angle: f64, [x, y, z]: [f64; 3]| {
         let (sin, cos) = angle.sin_cos();
-        if i % 2 == 0 {
+        if i.is_multiple_of(2) {
             [x * cos - y * sin, x * sin + y * cos, z]
         } else {
             [x * cos + z * sin, y, z * cos - x * sin]
@@ -346,7 +346,7 @@ fn the_arm_of_a_scene_shows_where_its_joints_put_it() {
         let end = in_base(6, axis);
         [0, 1, 2].map(|i| end[i] - flange[i])
     });
-    let base_m = [0.01, -0.02, 0.005].map(|x| x as f64);
+    let base_m = [0.01, -0.02, 0.005];
     let to_iso = [0, 1, 2].map(|i| base_m[i] - centre[i]);
     state.t_world_flange =
         Pose { position_m: [0, 1, 2].map(|i| flange[i] + to_iso[i]), orientation_xyzw: quaternion(axes) };
