@@ -268,8 +268,8 @@ typedef struct trb_state {
     /* Number of the arm's joints that turn, 6 or 7; 0 for a gantry and where there is no arm. Entries
      * behind them are 0. */
     uint32_t arm_joint_count;
-    /* 0 none; 1 the arm stopped because the tool pressed too hard, and takes no command but hold; 2
-     * released, until the force is below the limit again. */
+    /* 0 none, 1 stopped, 2 released: the arm stopped because the tool pressed too hard and takes no
+     * command but hold, and has been released while the force is not below the limit yet. */
     uint32_t arm_protective_stop;
     /* Flexure angles from base to tip, positive toward tendon 0. */
     double joint_position_rad[32];

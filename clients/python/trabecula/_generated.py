@@ -435,7 +435,7 @@ class State(View):
     arm_mode: ArmMode = field("<I", 72, "The arm's current mode, coded as the command's `arm_mode`; 5 while it stops or is at rest.", ArmMode)
     arm_status: ArmStatus = field("<I", 76, "0 moving, 1 at its goal and at rest, 2 motion aborted or a joint stopped at the end of its range.", ArmStatus)
     arm_joint_count: int = field("<I", 80, "Number of the arm's joints that turn, 6 or 7; 0 for a gantry and where there is no arm. Entries behind them are 0.")
-    arm_protective_stop: ArmProtectiveStop = field("<I", 84, "0 none; 1 the arm stopped because the tool pressed too hard, and takes no command but hold; 2 released, until the force is below the limit again.", ArmProtectiveStop)
+    arm_protective_stop: ArmProtectiveStop = field("<I", 84, "0 none, 1 stopped, 2 released: the arm stopped because the tool pressed too hard and takes no command but hold, and has been released while the force is not below the limit yet.", ArmProtectiveStop)
     joint_position_rad = ArrayField(np.float64, "Flexure angles from base to tip, positive toward tendon 0.", "joint_count")
     joint_velocity_rad_per_s = ArrayField(np.float64, "Flexure angle rates.", "joint_count")
     bend_rad: float = field("<d", 600, "Sum of the flexure angles: the bend of the tip relative to the base.")

@@ -1,9 +1,9 @@
 //! Elastic joints: a spring and a damper between each gearbox and its link. Optional, for scenes that depend on arm compliance.
 //!
-//! For arms of six joints whose links' masses are known. The links obey `M(q) (v̇ + q̈) + D v + K d = Jᵀ w`, with joint deflection d and its rate v, commanded acceleration q̈, the tool's
-//! wrench w on its base, and the mass matrix M of the arm's links. One step is linearly implicit Euler, as in the manipulator: `(M + A +
-//! h D + h² K) Δv = h (Jᵀ w - K (d + h v) - D v - M q̈)`, `d += h (v + Δv)`. At rest `d = K⁻¹ Jᵀ w`; to first order the tool's base has
-//! then moved by `J K⁻¹ Jᵀ w`.
+//! For arms of six joints whose links' masses are known. The links obey `M(q) (v̇ + q̈) + D v + K d = Jᵀ w`, with joint deflection d and
+//! its rate v, commanded acceleration q̈, the tool's wrench w on its base, and the mass matrix M of the arm's links. One step is linearly
+//! implicit Euler, as in the manipulator: `(M + A + h D + h² K) Δv = h (Jᵀ w - K (d + h v) - D v - M q̈)`, `d += h (v + Δv)`. At rest `d =
+//! K⁻¹ Jᵀ w`; to first order the tool's base has then moved by `J K⁻¹ Jᵀ w`.
 //!
 //! The manipulator's implicit solve takes the base motion as given and returns w in the same tick; the links see w one tick later. The
 //! added mass `A = h² Jᵀ Z J` keeps that exchange stable: a force that lags a displacement by one tick with stiffness Z is stable in this

@@ -119,7 +119,7 @@ pub struct LinkFrames {
 }
 
 impl LinkFrames {
-    /// Index of the tool's base. In an arm of seven joints the flange, too, has no other: it stands there if no tool is attached.
+    /// Index of the tool's base. An arm of seven joints has no other frame for its flange: without a tool this one is the flange.
     pub const TOOL: usize = MAX_ARM_JOINTS;
 
     /// All frames in the base's.
