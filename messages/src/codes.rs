@@ -427,6 +427,7 @@ fields! {
         arm_mode: ArmMode,
         /// How far the arm's motion has come.
         arm_status: ArmStatus,
+        /// Whether it stopped because the tool pressed too hard on its flange.
         arm_protective_stop: ArmProtectiveStop,
     }
     RunControl {

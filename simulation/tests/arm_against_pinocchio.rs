@@ -3,7 +3,7 @@
 
 use std::fmt::Write as _;
 use std::io::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use scene::{ArmModel, Scene};
@@ -19,19 +19,16 @@ const PACKAGES: [&str; 2] = ["pin==4.1.0", "example-robot-data==6.0.0"];
 const WITNESSES: [&str; 2] = ["yourdfpy==0.0.60", "mujoco==3.3.7"];
 const POSES: usize = 1_000;
 
-/// Files of `example-robot-data`: robots of their makers' or of ROS packages, with base and tip of six or seven turning joints.
-const FILES: [[&str; 3]; 7] = [
-    ["ur_description/urdf/ur3_robot.urdf", "base_link", "tool0"],
-    ["ur_description/urdf/ur5_robot.urdf", "base_link", "tool0"],
-    ["ur_description/urdf/ur10_robot.urdf", "base_link", "tool0"],
-    ["kinova_description/robots/kinova.urdf", "j2s6s200_link_base", "j2s6s200_end_effector"],
-    ["z1_description/urdf/z1.urdf", "link00", "link06"],
-    ["panda_description/urdf/panda.urdf", "panda_link0", "panda_link8"],
-    ["xarm_description/urdf/xarm7.urdf", "link_base", "link_eef"],
+/// Files of `example-robot-data`: robots of their makers' or of ROS packages, with base and tip of six or seven turning joints, and how many.
+const FILES: [([&str; 3], usize); 7] = [
+    (["ur_description/urdf/ur3_robot.urdf", "base_link", "tool0"], 6),
+    (["ur_description/urdf/ur5_robot.urdf", "base_link", "tool0"], 6),
+    (["ur_description/urdf/ur10_robot.urdf", "base_link", "tool0"], 6),
+    (["kinova_description/robots/kinova.urdf", "j2s6s200_link_base", "j2s6s200_end_effector"], 6),
+    (["z1_description/urdf/z1.urdf", "link00", "link06"], 6),
+    (["panda_description/urdf/panda.urdf", "panda_link0", "panda_link8"], 7),
+    (["xarm_description/urdf/xarm7.urdf", "link_base", "link_eef"], 7),
 ];
-
-/// Those of seven.
-const SEVEN: [&str; 2] = ["panda_description/urdf/panda.urdf", "xarm_description/urdf/xarm7.urdf"];
 
 /// The arm of a URDF file, by way of a scene.
 fn of_file(text: &str, base: &str, tip: &str, joints: usize) -> ArmParameters {
@@ -86,53 +83,49 @@ fn ask(python: &Path, arguments: &[&str], lines: &str) -> serde_json::Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
+/// Where Pinocchio's environment has the files.
+fn folder(python: &Path) -> PathBuf {
+    let folder = ask(python, &["arm_pinocchio.py", "folder"], "");
+    PathBuf::from(folder.as_str().unwrap())
+}
+
+/// Compares every arm with a script's libraries, whose figures must be below these.
+fn compare(folder: &Path, python: &Path, script: &[&str], figures: &[(&str, f64)]) {
+    for ([name, base, tip], joints) in FILES {
+        let file = folder.join(name);
+        let text = std::fs::read_to_string(&file).unwrap();
+        let mut asked = String::new();
+        lines(&mut asked, file.to_str().unwrap(), [base, tip], &of_file(&text, base, tip, joints).geometry);
+        let worst = ask(python, script, &asked);
+        println!("{name} by {script:?}: {worst}");
+        assert_eq!(worst["poses"], POSES);
+        for (figure, most) in figures {
+            assert!(worst[figure].as_f64().unwrap() < *most, "{name}: {figure}");
+        }
+    }
+}
+
 #[test]
 fn arms_out_of_their_files_agree_with_pinocchio() {
     let Some(python) = python::or_skip("pin-4.1.0", &PACKAGES, "pinocchio") else { return };
-    let folder = ask(&python, &["arm_pinocchio.py", "folder"], "");
-    let folder = Path::new(folder.as_str().unwrap());
-    for [name, base, tip] in FILES {
-        let file = folder.join(name);
-        let text = std::fs::read_to_string(&file).unwrap();
-        let joints = if SEVEN.contains(&name) { 7 } else { 6 };
-        let mut asked = String::new();
-        lines(&mut asked, file.to_str().unwrap(), [base, tip], &of_file(&text, base, tip, joints).geometry);
-        let worst = ask(&python, &["arm_pinocchio.py", "compare"], &asked);
-        println!("{name} against {}: {worst}", PACKAGES[0]);
-        assert_eq!(worst["poses"], POSES);
-        assert!(worst["forward"].as_f64().unwrap() < 1e-12, "{name}");
-        assert!(worst["jacobian"].as_f64().unwrap() < 1e-9, "{name}");
-    }
+    let figures = [("forward", 1e-12), ("jacobian", 1e-9)];
+    compare(&folder(&python), &python, &["arm_pinocchio.py", "compare"], &figures);
 }
 
 #[test]
 fn arms_out_of_their_files_agree_with_yourdfpy_and_mujoco() {
     let Some(python) = python::or_skip("pin-4.1.0", &PACKAGES, "pinocchio") else { return };
     let Some(witnesses) = python::or_skip("arms-1", &WITNESSES, "yourdfpy, mujoco") else { return };
-    let folder = ask(&python, &["arm_pinocchio.py", "folder"], "");
-    let folder = Path::new(folder.as_str().unwrap());
-    for [name, base, tip] in FILES {
-        let file = folder.join(name);
-        let text = std::fs::read_to_string(&file).unwrap();
-        let joints = if SEVEN.contains(&name) { 7 } else { 6 };
-        let mut asked = String::new();
-        lines(&mut asked, file.to_str().unwrap(), [base, tip], &of_file(&text, base, tip, joints).geometry);
-        let worst = ask(&witnesses, &["arm_witnesses.py"], &asked);
-        println!("{name} against {WITNESSES:?}: {worst}");
-        assert_eq!(worst["poses"], POSES);
-        for (figure, most) in [("yourdfpy", 1e-12), ("mujoco", 1e-12), ("mujoco_jacobian", 1e-9)] {
-            assert!(worst[figure].as_f64().unwrap() < most, "{name}: {figure}");
-        }
-    }
+    let figures = [("yourdfpy", 1e-12), ("mujoco", 1e-12), ("mujoco_jacobian", 1e-9)];
+    compare(&folder(&python), &witnesses, &["arm_witnesses.py"], &figures);
 }
 
 /// Their base is ours turned by 180° about z, and their tool0 is our flange.
 #[test]
 fn the_ur3_and_the_ur5_are_those_of_the_ros_description() {
     let Some(python) = python::or_skip("pin-4.1.0", &PACKAGES, "pinocchio") else { return };
-    let folder = ask(&python, &["arm_pinocchio.py", "folder"], "");
-    let folder = Path::new(folder.as_str().unwrap());
-    for ([name, base, tip], model) in FILES.into_iter().zip([ArmModel::Ur3, ArmModel::Ur5]) {
+    let folder = folder(&python);
+    for (([name, base, tip], _), model) in FILES.into_iter().zip([ArmModel::Ur3, ArmModel::Ur5]) {
         let text = std::fs::read_to_string(folder.join(name)).unwrap();
         let theirs = of_file(&text, base, tip, 6).geometry;
         let ours = ArmParameters::named(model, 1e-3);

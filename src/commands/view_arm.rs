@@ -52,9 +52,7 @@ pub fn arm_looks(scene: &Scene) -> Result<ArmLooks, ArmMeshError> {
 /// The frame that a mesh moves with, from 0, and the mesh's frame in it. A link behind k joints that turn moves with frame k, whatever
 /// joints that stand still are between.
 fn placed(arm: &Arm, mesh: &ArmMesh, geometry: &ArmGeometry) -> (usize, Isometry3<f64>) {
-    let joints = arm.joint.as_deref().unwrap_or_default();
-    let named = mesh.joint.as_ref().and_then(|name| joints.iter().position(|joint| joint.name == *name));
-    let before = &joints[..named.map_or(0, |index| index + 1)];
+    let before = arm.joints_before(mesh);
     let t_base_link = before.iter().fold(Isometry3::identity(), |t_base_link, joint| {
         t_base_link * isometry(joint.position_mm, joint.roll_pitch_yaw_deg)
     });

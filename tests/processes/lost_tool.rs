@@ -1,14 +1,11 @@
 //! A simulation that loses its tool.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-
 use ipc_types::messages::TENDON_SERVO_JF;
 use run_log::EndReason;
 use trabecula_client::{Client, ClientError};
 
 use crate::common::logs::{assert_replays, read, verify};
-use crate::common::program::{LIMIT, Place, assert_nothing_left, trabecula};
+use crate::common::program::{BusyLoops, LIMIT, Place, assert_nothing_left, trabecula};
 use crate::common::scenes;
 use crate::strays::joined;
 
@@ -66,13 +63,7 @@ fn a_lost_tool_ends_the_run_with_its_own_outcome_and_replays_to_the_same_end() {
 /// commands, in 10 of 120 runs beside three busy programs.
 #[test]
 fn a_log_is_whole_however_soon_the_simulation_fails() {
-    let idle = Arc::new(AtomicBool::new(false));
-    let busy: Vec<_> = (0..3)
-        .map(|_| {
-            let idle = Arc::clone(&idle);
-            std::thread::spawn(move || while !idle.load(Ordering::Relaxed) {})
-        })
-        .collect();
+    let busy = BusyLoops::start(3);
     for _ in 0..16 {
         let place = Place::new();
         let scene = scenes::shared("lockstep", 5.0) + "\n[manipulator]\nstiffness_scale = 0.001\n";
@@ -85,6 +76,5 @@ fn a_log_is_whole_however_soon_the_simulation_fails() {
         assert_eq!(log.ticks.len() as u64, last, "a tick is not there");
         assert!(matches!(&log.marker.unwrap().reason, EndReason::SimulationFailed(_)));
     }
-    idle.store(true, Ordering::Relaxed);
-    busy.into_iter().for_each(|thread| thread.join().unwrap());
+    drop(busy);
 }

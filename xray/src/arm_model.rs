@@ -40,12 +40,8 @@ impl ArmModel {
         });
         let (mut solids, mut places) = (Vec::new(), Vec::new());
         for (mesh, solid) in meshes {
-            let named =
-                mesh.joint.as_ref().and_then(|name| chain.iter().position(|joint| joint.name == *name));
-            places.push((
-                named.map_or(0, |index| index + 1),
-                placed(mesh.position_mm, mesh.roll_pitch_yaw_deg),
-            ));
+            let t_link_mesh = placed(mesh.position_mm, mesh.roll_pitch_yaw_deg);
+            places.push((arm.joints_before(mesh).len(), t_link_mesh));
             solids.push(solid.scaled(mesh.scale));
         }
         let model = Self { joints: joints.collect(), solids: solids.into(), places, density_g_per_cm3 };

@@ -1,8 +1,8 @@
 //! From line integrals to pixels: tool and arm, Beer-Lambert, noise, blur, readout and display, in two passes over the image.
 //!
-//! Pass 1, row by row: tool and arm over anatomy, transmission, noise, blur along the row. Pass 2: blur along columns, readout, display. Disabled
-//! stages cost nothing; without noise and blur the second pass does everything. The loops ([`crate::lane_math`]) compile to the CPU's
-//! vector instructions, with the same bits on every CPU.
+//! Pass 1, row by row: tool and arm over anatomy, transmission, noise, blur along the row. Pass 2: blur along columns, readout, display.
+//! Disabled stages cost nothing; without noise and blur the second pass does everything. The loops ([`crate::lane_math`]) compile to the
+//! CPU's vector instructions, with the same bits on every CPU.
 
 use pulp::Arch;
 use rayon::prelude::*;

@@ -51,6 +51,7 @@
 
 pub mod arm_model;
 pub mod attenuation;
+mod buckets;
 pub mod camera;
 pub mod carm;
 pub mod detector;

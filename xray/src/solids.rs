@@ -16,6 +16,7 @@ use rayon::prelude::*;
 use scene::closed_mesh::ClosedMesh;
 
 use crate::attenuation::ALUMINIUM_G_PER_CM3;
+use crate::buckets::sort_into_buckets;
 use crate::carm::{CArm, Pinhole};
 use crate::error::{DrrError, check_range};
 use crate::placement::Placement;
@@ -168,27 +169,12 @@ impl SolidLayer {
         self.facets.par_extend(facets);
     }
 
-    /// Counting sort, which keeps the facets' order.
+    /// Sorts the facets' numbers by the bands that they are in.
     fn sort_into_bands(&mut self, rows: usize) {
-        let bands = rows.div_ceil(BAND);
         let bands_of = |facet: &Facet| facet.rows.0 as usize / BAND..(facet.rows.1 as usize).div_ceil(BAND);
-        self.starts.clear();
-        self.starts.resize(bands + 1, 0);
-        for facet in &self.facets {
-            bands_of(facet).for_each(|band| self.starts[band + 1] += 1);
-        }
-        for band in 0..bands {
-            self.starts[band + 1] += self.starts[band];
-        }
-        self.in_bands.clear();
-        self.in_bands.resize(self.starts[bands], 0);
-        let mut next = self.starts.clone();
-        for (facet, number) in self.facets.iter().zip(0_u32..) {
-            for band in bands_of(facet) {
-                self.in_bands[next[band]] = number;
-                next[band] += 1;
-            }
-        }
+        let numbered = self.facets.iter().zip(0_u32..);
+        let in_bands = numbered.flat_map(|(facet, number)| bands_of(facet).map(move |band| (band, number)));
+        sort_into_buckets(in_bands, rows.div_ceil(BAND), &mut self.starts, &mut self.in_bands);
     }
 }
 
@@ -276,8 +262,8 @@ impl Facet {
         let (start, end) = (column(start), column(end));
         let in_row = self.slope[1] * row + self.slope[2];
         let [nearest_m, farthest_m] = self.depths_m;
-        for (sum, column) in line.iter_mut().enumerate().take(end).skip(start).map(|(i, sum)| (sum, i as f64))
-        {
+        let covered = line.get_mut(start..end).into_iter().flatten();
+        for (sum, column) in covered.zip((start..end).map(|column| column as f64)) {
             let depth_m = self.distance / (self.slope[0] * column + in_row);
             // Of a plane that is seen edge-on, rounding leaves any depth or none.
             let depth_m = if depth_m >= nearest_m { depth_m.min(farthest_m) } else { nearest_m };

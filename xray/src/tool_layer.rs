@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use smallvec::SmallVec;
 
 use crate::attenuation::Material;
+use crate::buckets::sort_into_buckets;
 use crate::carm::{CArm, Pinhole};
 use crate::displaced::displaced_integral;
 use crate::error::DrrError;
@@ -110,29 +111,13 @@ impl PlacedTool {
         Ok(())
     }
 
-    /// Counting sort by row; keeps the parts' order within a row until it is sorted by column.
+    /// Sorts by row, then by column.
     fn sort_spans(&mut self) {
         let first = self.unsorted.iter().map(|s| s.row).min().unwrap_or(0);
         let end = self.unsorted.iter().map(|s| s.row + 1).max().unwrap_or(0);
         self.first_row = first;
-        self.row_starts.clear();
-        self.row_starts.resize((end - first) as usize + 1, 0);
-        for span in &self.unsorted {
-            self.row_starts[(span.row - first) as usize + 1] += 1;
-        }
-        for i in 1..self.row_starts.len() {
-            self.row_starts[i] += self.row_starts[i - 1];
-        }
-        self.spans.clear();
-        self.spans.resize(self.unsorted.len(), Span::default());
-        // Filling a row moves its start to its end, which is the next row's start; shifted back below.
-        for span in &self.unsorted {
-            let at = &mut self.row_starts[(span.row - first) as usize];
-            self.spans[*at] = *span;
-            *at += 1;
-        }
-        self.row_starts.rotate_right(1);
-        self.row_starts[0] = 0;
+        let spans = self.unsorted.iter().map(|span| ((span.row - first) as usize, *span));
+        sort_into_buckets(spans, (end - first) as usize, &mut self.row_starts, &mut self.spans);
         for row in self.row_starts.windows(2) {
             self.spans[row[0]..row[1]].sort_unstable();
         }

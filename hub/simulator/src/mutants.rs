@@ -27,9 +27,9 @@ pub const MUTANTS: &[Mutant] = &[
     ),
     mutant(
         "a simulation that fails is told to nobody",
-        "machine/mod.rs",
-        "error.blame().filter(|_| !self.is_told)",
-        "error.blame().filter(|blame| !self.is_told && blame.controller.is_some())",
+        "machine/failure.rs",
+        "HubError::Plant { tick, cause } => Ok(Failure::Plant { tick, cause }),",
+        "HubError::Plant { tick, cause } => Err(HubError::Plant { tick, cause }),",
     ),
     mutant(
         "a run that fails waits for no recorder",

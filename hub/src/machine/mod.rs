@@ -3,17 +3,14 @@
 mod commands;
 mod connecting;
 mod control;
+mod failure;
 mod ticking;
 mod waiting;
 
-use std::fmt::Display;
-
 use messages::{
-    CommandSource, ControllerIndex, EventCode, MAX_CONTROLLERS, Part, Phase, Plant, Severity, Tick,
-    TickTiming,
+    CommandSource, ControllerIndex, MAX_CONTROLLERS, Part, Phase, Plant, Severity, Tick, TickTiming,
 };
 use scene::{Mode, Scene};
-use thiserror::Error;
 
 use crate::consumers::{Consumers, Whom};
 use crate::environment::{Environment, Note};
@@ -23,9 +20,12 @@ use crate::lead::recorder_lead_ticks;
 use crate::pacing::Schedule;
 use crate::patience::Patience;
 use crate::rate_limit::{RateLimit, WarningLimit};
-use crate::run_lane::{LaneError, RunLane};
+use crate::run_lane::RunLane;
 use commands::Controller;
 use control::When;
+use failure::{Failure, lane_failed};
+
+pub use failure::{Blame, ControllerFault, HubError};
 
 const MS: u64 = 1_000_000;
 const NS_PER_S: u64 = 1000 * MS;
@@ -94,121 +94,6 @@ impl Settings {
     }
 }
 
-/// Why a run ends early.
-#[derive(Debug, Error)]
-pub enum HubError<E, P> {
-    /// A message could not be sent or received.
-    #[error("{0}")]
-    Environment(E),
-    /// The plant could not compute a tick; its commands have been published, a state has not.
-    #[error("tick {tick}: {cause}")]
-    Plant {
-        /// Tick.
-        tick: Tick,
-        /// Reason from the plant.
-        cause: P,
-    },
-    /// A consumer never connected.
-    #[error("{part} did not connect within {limit_s} s")]
-    NotConnected {
-        /// The part.
-        part: Part,
-        /// Time waited.
-        limit_s: u64,
-    },
-    /// A controller is to blame.
-    #[error("{0}")]
-    Controller(ControllerFault),
-    /// A consumer stopped taking states.
-    #[error("{part} has taken no state for {limit_s} s at tick {tick}")]
-    ConsumerStuck {
-        /// The part.
-        part: Part,
-        /// Tick.
-        tick: Tick,
-        /// Limit.
-        limit_s: u64,
-    },
-}
-
-/// How a controller ends the run.
-#[derive(Debug, Error)]
-pub enum ControllerFault {
-    /// It never sent a command.
-    #[error("controller `{name}` did not connect within {limit_s} s")]
-    NotConnected {
-        /// Its name.
-        name: String,
-        /// Time waited.
-        limit_s: u64,
-    },
-    /// It did not answer in lockstep.
-    #[error(
-        "controller `{name}` did not answer tick {tick} within {limit_ms} ms (`run.controller_limit_ms`)"
-    )]
-    Silent {
-        /// Its name.
-        name: String,
-        /// Tick.
-        tick: Tick,
-        /// Limit.
-        limit_ms: f64,
-    },
-}
-
-impl ControllerFault {
-    /// Name of the controller.
-    pub fn controller(&self) -> &str {
-        match self {
-            ControllerFault::NotConnected { name, .. } | ControllerFault::Silent { name, .. } => name,
-        }
-    }
-
-    /// The kind of event that tells it.
-    pub fn event(&self) -> EventCode {
-        match self {
-            ControllerFault::NotConnected { .. } => EventCode::ControllerMissing,
-            ControllerFault::Silent { .. } => EventCode::ControllerLate,
-        }
-    }
-}
-
-/// Whom or what clients blame for the end of the run.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Blame {
-    /// The kind of event that tells it.
-    pub code: EventCode,
-    /// The controller's name; `None`: the simulation.
-    pub controller: Option<String>,
-    /// What happened, in words.
-    pub text: String,
-}
-
-impl<E, P: Display> HubError<E, P> {
-    /// Whom to blame, if it is not a part or the transport: those fail by themselves, and the launcher sees it.
-    fn blame(&self) -> Option<Blame> {
-        match self {
-            HubError::Controller(fault) => Some(Blame {
-                code: fault.event(),
-                controller: Some(fault.controller().to_owned()),
-                text: fault.to_string(),
-            }),
-            HubError::Plant { tick, cause } => Some(Blame {
-                code: EventCode::SimulationFailed,
-                controller: None,
-                text: format!("tick {tick}: {cause}"),
-            }),
-            HubError::Environment(_) | HubError::NotConnected { .. } | HubError::ConsumerStuck { .. } => None,
-        }
-    }
-}
-
-impl<E, P> From<E> for HubError<E, P> {
-    fn from(cause: E) -> HubError<E, P> {
-        HubError::Environment(cause)
-    }
-}
-
 /// The outcome of a part of the machine.
 type Outcome<T, P, E> = Result<T, HubError<<E as crate::Outputs>::Error, <P as Plant>::Error>>;
 
@@ -272,8 +157,6 @@ enum Stage {
     AwaitAnswers { patience: Patience, silent: Option<ControllerIndex>, notice: Option<Patience> },
     /// The last tick is done.
     Ending { patience: Patience, abandoned: Patience },
-    /// A controller or the plant has failed, and everybody has been told: waits until the recorder has taken the last state.
-    Failing { patience: Patience },
     /// Ended or failed.
     Over,
 }
@@ -289,38 +172,12 @@ struct Shortfall {
     notes: LateNotes,
 }
 
-/// A failure that has been told.
-#[derive(Debug)]
-enum Failure<C> {
-    Plant { tick: Tick, cause: C },
-    Controller(ControllerFault),
-}
-
-impl<C> Failure<C> {
-    /// The failure of a controller or of the plant; any other error ends the run at once.
-    fn of<E>(error: HubError<E, C>) -> Result<Self, HubError<E, C>> {
-        match error {
-            HubError::Plant { tick, cause } => Ok(Failure::Plant { tick, cause }),
-            HubError::Controller(fault) => Ok(Failure::Controller(fault)),
-            other => Err(other),
-        }
-    }
-
-    fn error<E>(self) -> HubError<E, C> {
-        match self {
-            Failure::Plant { tick, cause } => HubError::Plant { tick, cause },
-            Failure::Controller(fault) => HubError::Controller(fault),
-        }
-    }
-}
-
 /// The tick as a state machine.
 #[derive(Debug)]
 pub struct Hub<P: Plant> {
     plant: P,
-    /// Why the run is ending.
-    failure: Option<Failure<P::Error>>,
-    is_told: bool,
+    /// A failure that has been told, and how long it still waits for the recorder.
+    failing: Option<(Failure<P::Error>, Patience)>,
     settings: Settings,
     stage: Stage,
     lane: RunLane,
@@ -360,8 +217,7 @@ impl<P: Plant> Hub<P> {
     pub fn new(scene: &Scene, plant: P, settings: Settings, now_ns: u64) -> Hub<P> {
         Hub {
             plant,
-            failure: None,
-            is_told: false,
+            failing: None,
             stage: Stage::Connecting {
                 consumers: Patience::new(CONNECT_LIMIT_NS, now_ns),
                 controllers: Vec::new(),
@@ -409,31 +265,22 @@ impl<P: Plant> Hub<P> {
     /// # Errors
     /// Any [`HubError`]; the run is over then. If a controller or the plant is to blame, every client has been told.
     pub fn advance<E: Environment>(&mut self, env: &mut E) -> Outcome<Next, P, E> {
-        match self.advance_stages(env) {
-            Err(error) => {
-                self.tell(env, error)?;
-                self.stage = Stage::Failing { patience: Patience::new(FAILED_LIMIT_NS, env.now_ns()) };
-                self.advance_stages(env)
-            }
-            advanced => advanced,
+        if let Some((failure, patience)) = self.failing.take() {
+            return self.fail(env, failure, patience);
         }
-    }
-
-    /// Tells every client of a failure. An error that is nobody's fault, or has been told, is returned.
-    fn tell<E: Environment>(
-        &mut self,
-        env: &mut E,
-        error: HubError<E::Error, P::Error>,
-    ) -> Outcome<(), P, E> {
-        let Some(blame) = error.blame().filter(|_| !self.is_told) else { return Err(error) };
-        self.is_told = true;
+        let error = match self.advance_stages(env) {
+            Err(error) => error,
+            advanced => return advanced,
+        };
+        let failure = Failure::of(error)?;
+        let blame = failure.blame();
         env.leave_blame(&blame);
         let Blame { code, text, .. } = &blame;
         env.send_event(&Note { tick: self.tick, severity: Severity::Error, code: *code, text })?;
         self.send_status(env, Phase::Ended, When::Now)?;
         env.wake_controllers();
-        self.failure = Some(Failure::of(error)?);
-        Ok(())
+        let patience = Patience::new(FAILED_LIMIT_NS, env.now_ns());
+        self.fail(env, failure, patience)
     }
 
     fn advance_stages<E: Environment>(&mut self, env: &mut E) -> Outcome<Next, P, E> {
@@ -459,7 +306,6 @@ impl<P: Plant> Hub<P> {
                     self.await_answers(env, patience, silent, notice)?
                 }
                 Stage::Ending { patience, abandoned } => self.await_last(env, patience, abandoned)?,
-                Stage::Failing { patience } => self.await_recorder(env, patience)?,
                 Stage::Over => (Stage::Over, Some(Next::Ended)),
             };
             self.stage = stage;
@@ -518,12 +364,4 @@ impl<P: Plant> Hub<P> {
 /// A wait for `on`, until `until_ns` at the latest.
 fn wait(on: Awaited, until_ns: u64) -> Option<Next> {
     Some(Next::Wait(Wait { until_ns, on }))
-}
-
-/// Turns an error of the run lane into the run's error.
-fn lane_failed<E, P>(tick: Tick) -> impl Fn(LaneError<E, P>) -> HubError<E, P> {
-    move |cause| match cause {
-        LaneError::Output(cause) => HubError::Environment(cause),
-        LaneError::Plant(cause) => HubError::Plant { tick, cause },
-    }
 }

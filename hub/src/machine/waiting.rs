@@ -6,8 +6,8 @@ use scene::Mode;
 
 use super::control::When;
 use super::{
-    ABANDONED_LIMIT_NS, Awaited, CONNECT_LOOK_NS, CONSUMER_LIMIT_NS, ControllerFault, Hub, HubError,
-    NS_PER_S, Next, Outcome, REPORT_LOOK_NS, SILENT_WAIT_NS, Stage, Step, wait,
+    ABANDONED_LIMIT_NS, Awaited, CONNECT_LOOK_NS, CONSUMER_LIMIT_NS, ControllerFault, Failure, Hub, HubError,
+    NS_PER_S, Next, Outcome, REPORT_LOOK_NS, SILENT_WAIT_NS, Stage, Step, Wait, wait,
 };
 use crate::consumers::Whom;
 use crate::environment::{Environment, Note};
@@ -177,23 +177,22 @@ impl<P: Plant> Hub<P> {
         Ok((Stage::Ending { patience, abandoned: Patience::new(ABANDONED_LIMIT_NS, now_ns) }, None))
     }
 
-    /// After a failure: waits until the recorder has taken the last state, then fails.
-    pub(super) fn await_recorder<E: Environment>(
+    /// Waits until the recorder has taken the last state, then fails.
+    pub(super) fn fail<E: Environment>(
         &mut self,
         env: &mut E,
+        failure: Failure<P::Error>,
         mut patience: Patience,
-    ) -> Outcome<Step, P, E> {
+    ) -> Outcome<Next, P, E> {
         self.consumers.update(env)?;
         let now_ns = env.now_ns();
         let is_behind = self.shown && self.consumers.behind(self.tick, Whom::Recorder).is_some();
-        if is_behind && !patience.is_over(now_ns) {
-            env.wake_consumers();
-            return Ok((Stage::Failing { patience }, wait(Awaited::Nothing, now_ns + CONNECT_LOOK_NS)));
+        if !is_behind || patience.is_over(now_ns) {
+            return Err(failure.error());
         }
-        match self.failure.take() {
-            Some(failure) => Err(failure.error()),
-            None => Ok((Stage::Over, Some(Next::Ended))),
-        }
+        env.wake_consumers();
+        self.failing = Some((failure, patience));
+        Ok(Next::Wait(Wait { until_ns: now_ns + CONNECT_LOOK_NS, on: Awaited::Nothing }))
     }
 
     /// Waits until the consumers have taken everything.

@@ -95,7 +95,7 @@ pub struct Arm {
     #[schemars(length(max = 64), extend("x-absent" = "none"))]
     pub joint: Option<Vec<ArmJoint>>,
     /// X-ray frames show the arm's meshes as aluminium thinned to this density, spread evenly over what a mesh encloses: a link's mass over
-    /// its volume, 1.0 to 1.8 for a UR5 (solid aluminium 2.7). The meshes must be closed. Absent: frames show no arm, at no cost.
+    /// its volume, an estimated 1.0 to 1.8 for a UR5 (solid aluminium 2.7). The meshes must be closed. Absent: frames show no arm, at no cost.
     #[schemars(range(min = 0.001, max = 2.7), extend("x-absent" = "none"))]
     pub xray_density_g_per_cm3: Option<f64>,
     /// Meshes that the arm is drawn with, as `urdf` finds them; links without one are drawn as tubes. Only the looks of the arm, in X-ray
@@ -139,6 +139,15 @@ impl Default for Arm {
             xray_density_g_per_cm3: None,
             mesh: None,
         }
+    }
+}
+
+impl Arm {
+    /// The joints from the arm's base to the link that a mesh belongs to; none for the base.
+    pub fn joints_before(&self, mesh: &ArmMesh) -> &[ArmJoint] {
+        let joints = self.joint.as_deref().unwrap_or_default();
+        let named = mesh.joint.as_ref().and_then(|name| joints.iter().position(|joint| joint.name == *name));
+        &joints[..named.map_or(0, |index| index + 1)]
     }
 }
 

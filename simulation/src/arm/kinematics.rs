@@ -14,8 +14,13 @@ use nalgebra::{
 pub type Joints = [f64; MAX_ARM_JOINTS];
 
 /// The values of an arm of six joints.
-pub const fn six_joints([a, b, c, d, e, f]: [f64; UR_JOINTS]) -> Joints {
-    [a, b, c, d, e, f, 0.0]
+pub const fn six_joints(values: [f64; UR_JOINTS]) -> Joints {
+    with_seventh(values, 0.0)
+}
+
+/// Values of six joints, and that of a seventh.
+pub(super) const fn with_seventh([a, b, c, d, e, f]: [f64; UR_JOINTS], seventh: f64) -> Joints {
+    [a, b, c, d, e, f, seventh]
 }
 
 /// Geometric Jacobian of the tool's base: rows 0..3 linear velocity of its origin (m/rad), rows 3..6 angular velocity (rad/rad); a column

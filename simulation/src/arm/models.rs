@@ -7,7 +7,7 @@
 
 use super::gantry::GantryGeometry;
 use super::geometry::ArmGeometry;
-use super::kinematics::{Joints, UR_JOINTS, UrGeometry};
+use super::kinematics::{Joints, UR_JOINTS, UrGeometry, with_seventh};
 use super::parameters::{ArmParameters, COMFORTABLE_Q_RAD, CartesianLimits, JointLimits};
 use super::serial::{SerialGeometry, SerialJoint};
 use messages::MAX_ARM_JOINTS;
@@ -235,7 +235,7 @@ impl ArmParameters {
     /// halves the elbow's, because links meet beyond it); wrist 3 of UR3 and UR3e turns without end and has ±360° here. The path limits
     /// suit a careful insertion.
     pub fn named(model: ArmModel, dt_s: f64) -> Self {
-        let range_rad = all_joints([TAU, TAU, PI, TAU, TAU, TAU], NO_TRAVEL);
+        let range_rad = with_seventh([TAU, TAU, PI, TAU, TAU, TAU], NO_TRAVEL);
         let found = published(model);
         let geometry = match (found, model) {
             (Some(arm), _) => arm.geometry.into(),
@@ -249,7 +249,7 @@ impl ArmParameters {
             ..Self::moving(
                 geometry,
                 [range_rad.map(|x| -x), range_rad],
-                all_joints(velocity_deg_s, NO_SPEED_DEG_S),
+                with_seventh(velocity_deg_s, NO_SPEED_DEG_S),
                 dt_s,
             )
         }
@@ -342,11 +342,6 @@ impl ArmParameters {
             set(&mut limits.upper_rad[i], given(&arm.upper_joints_deg, i));
         }
     }
-}
-
-/// Values of six joints, and that of a seventh.
-const fn all_joints([a, b, c, d, e, f]: [f64; UR_JOINTS], seventh: f64) -> Joints {
-    [a, b, c, d, e, f, seventh]
 }
 
 /// A value that a scene gives for a joint.

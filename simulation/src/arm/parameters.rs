@@ -97,9 +97,11 @@ impl ArmParameters {
     /// Refuses a value for a joint that the arm does not have.
     pub(super) fn check_absent(&self, values: &Joints) -> Result<(), ArmError> {
         let joints = self.geometry.joints();
-        match values.iter().enumerate().skip(joints).find(|(_, value)| **value != 0.0) {
-            Some((i, &given)) if joints > 0 => Err(ArmError::NoSuchJoint { joint: i + 1, joints, given }),
-            _ => Ok(()),
+        // A gantry's axes stand where an arm has joints.
+        let absent = if joints > 0 { &values[joints..] } else { &[] };
+        match absent.iter().position(|value| *value != 0.0) {
+            Some(at) => Err(ArmError::NoSuchJoint { joint: joints + at + 1, joints, given: absent[at] }),
+            None => Ok(()),
         }
     }
 

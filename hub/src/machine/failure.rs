@@ -1,0 +1,153 @@
+//! Why a run ends early, and whom clients blame for it.
+
+use std::fmt::Display;
+
+use messages::{EventCode, Part, Tick};
+use thiserror::Error;
+
+use crate::run_lane::LaneError;
+
+/// Why a run ends early.
+#[derive(Debug, Error)]
+pub enum HubError<E, P> {
+    /// A message could not be sent or received.
+    #[error("{0}")]
+    Environment(E),
+    /// The plant could not compute a tick; its commands have been published, a state has not.
+    #[error("tick {tick}: {cause}")]
+    Plant {
+        /// Tick.
+        tick: Tick,
+        /// Reason from the plant.
+        cause: P,
+    },
+    /// A consumer never connected.
+    #[error("{part} did not connect within {limit_s} s")]
+    NotConnected {
+        /// The part.
+        part: Part,
+        /// Time waited.
+        limit_s: u64,
+    },
+    /// A controller is to blame.
+    #[error("{0}")]
+    Controller(ControllerFault),
+    /// A consumer stopped taking states.
+    #[error("{part} has taken no state for {limit_s} s at tick {tick}")]
+    ConsumerStuck {
+        /// The part.
+        part: Part,
+        /// Tick.
+        tick: Tick,
+        /// Limit.
+        limit_s: u64,
+    },
+}
+
+/// How a controller ends the run.
+#[derive(Debug, Error)]
+pub enum ControllerFault {
+    /// It never sent a command.
+    #[error("controller `{name}` did not connect within {limit_s} s")]
+    NotConnected {
+        /// Its name.
+        name: String,
+        /// Time waited.
+        limit_s: u64,
+    },
+    /// It did not answer in lockstep.
+    #[error(
+        "controller `{name}` did not answer tick {tick} within {limit_ms} ms (`run.controller_limit_ms`)"
+    )]
+    Silent {
+        /// Its name.
+        name: String,
+        /// Tick.
+        tick: Tick,
+        /// Limit.
+        limit_ms: f64,
+    },
+}
+
+impl ControllerFault {
+    /// Name of the controller.
+    pub fn controller(&self) -> &str {
+        match self {
+            ControllerFault::NotConnected { name, .. } | ControllerFault::Silent { name, .. } => name,
+        }
+    }
+
+    /// The kind of event that tells it.
+    pub fn event(&self) -> EventCode {
+        match self {
+            ControllerFault::NotConnected { .. } => EventCode::ControllerMissing,
+            ControllerFault::Silent { .. } => EventCode::ControllerLate,
+        }
+    }
+}
+
+/// Whom or what clients blame for the end of the run.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Blame {
+    /// The kind of event that tells it.
+    pub code: EventCode,
+    /// The controller's name; `None`: the simulation.
+    pub controller: Option<String>,
+    /// What happened, in words.
+    pub text: String,
+}
+
+impl<E, P> From<E> for HubError<E, P> {
+    fn from(cause: E) -> HubError<E, P> {
+        HubError::Environment(cause)
+    }
+}
+
+/// What every client is told of before the run ends: a controller or the plant has failed. Parts and the transport fail by themselves, and
+/// the launcher sees it.
+#[derive(Debug)]
+pub(super) enum Failure<C> {
+    Plant { tick: Tick, cause: C },
+    Controller(ControllerFault),
+}
+
+impl<C: Display> Failure<C> {
+    /// The failure in an error, or the error.
+    pub(super) fn of<E>(error: HubError<E, C>) -> Result<Self, HubError<E, C>> {
+        match error {
+            HubError::Plant { tick, cause } => Ok(Failure::Plant { tick, cause }),
+            HubError::Controller(fault) => Ok(Failure::Controller(fault)),
+            other => Err(other),
+        }
+    }
+
+    pub(super) fn error<E>(self) -> HubError<E, C> {
+        match self {
+            Failure::Plant { tick, cause } => HubError::Plant { tick, cause },
+            Failure::Controller(fault) => HubError::Controller(fault),
+        }
+    }
+
+    pub(super) fn blame(&self) -> Blame {
+        match self {
+            Failure::Plant { tick, cause } => Blame {
+                code: EventCode::SimulationFailed,
+                controller: None,
+                text: format!("tick {tick}: {cause}"),
+            },
+            Failure::Controller(fault) => Blame {
+                code: fault.event(),
+                controller: Some(fault.controller().to_owned()),
+                text: fault.to_string(),
+            },
+        }
+    }
+}
+
+/// Turns an error of the run lane into the run's error.
+pub(super) fn lane_failed<E, P>(tick: Tick) -> impl Fn(LaneError<E, P>) -> HubError<E, P> {
+    move |cause| match cause {
+        LaneError::Output(cause) => HubError::Environment(cause),
+        LaneError::Plant(cause) => HubError::Plant { tick, cause },
+    }
+}
