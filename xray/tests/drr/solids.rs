@@ -221,6 +221,57 @@ fn meshes_that_are_not_convex_are_as_long_as_parrys_rays_find_them() {
     assert!(rays_through > 10_000 && beyond * 10_000 < rays_through);
 }
 
+/// A slab of cells as large as pixels, cut along the rays: all its corners lie on pixel centres, to the bit, and all its edges on rows, on
+/// columns or through centres. A pixel is in it or not.
+#[test]
+fn pixels_on_edges_and_corners_are_counted_once() {
+    let pitch_m = 1.0 / 1024.0;
+    let c_arm = CArm {
+        source_m: [0.0, -0.5, 0.0],
+        detector_centre_m: [0.0, 0.5, 0.0],
+        row_axis: [1.0, 0.0, 0.0],
+        column_axis: [0.0, 0.0, -1.0],
+        pixel_pitch_m: [pitch_m; 2],
+        columns: 33,
+        rows: 33,
+    };
+    // From pixel 5 to 25 each way; at half and at three quarters of the way to the detector.
+    let corner = |share: f64| {
+        move |i: i32, j: i32| {
+            let [x, z] = [i - 16, 16 - j].map(|n| f64::from(n) * pitch_m * share);
+            [x, share - 0.5, z].map(|x| x as f32)
+        }
+    };
+    let (front, back) = (corner(0.5), corner(0.75));
+    let mut triangles = Vec::new();
+    let mut quad = |[a, b, c, d]: [[f32; 3]; 4]| triangles.extend([[a, b, c], [a, c, d]]);
+    for n in 5..25 {
+        for m in 5..25 {
+            quad([front(n, m), front(n + 1, m), front(n + 1, m + 1), front(n, m + 1)]);
+            quad([back(n, m), back(n, m + 1), back(n + 1, m + 1), back(n + 1, m)]);
+        }
+        quad([front(n + 1, 5), front(n, 5), back(n, 5), back(n + 1, 5)]);
+        quad([front(n, 25), front(n + 1, 25), back(n + 1, 25), back(n, 25)]);
+        quad([front(5, n), front(5, n + 1), back(5, n + 1), back(5, n)]);
+        quad([front(25, n + 1), front(25, n), back(25, n), back(25, n + 1)]);
+    }
+    let slab = ClosedMesh::new(&triangles).unwrap();
+    let here = Pose { position_m: [0.0; 3], orientation_xyzw: [0.0, 0.0, 0.0, 1.0] };
+    let found = metres(&c_arm, &arm_of(vec![slab], &[here]), 2);
+    for (index, (found, (_, way))) in found.iter().zip(rays(&c_arm, &here)).enumerate() {
+        let pixel = [index % 33, index / 33];
+        let full_m = 0.25 * norm(way);
+        let is = |length_m: f64| (found - length_m).abs() < 1e-14;
+        if pixel.iter().all(|n| (6..25).contains(n)) {
+            assert!(is(full_m), "{pixel:?} is inside: {found} of {full_m} m");
+        } else if pixel.iter().all(|n| (5..=25).contains(n)) {
+            assert!(is(full_m) || is(0.0), "{pixel:?} is on the border: {found} of {full_m} m");
+        } else {
+            assert!(*found == 0.0, "{pixel:?} is outside: {found} m");
+        }
+    }
+}
+
 #[test]
 fn frames_do_not_depend_on_the_threads_and_meshes_behind_source_and_detector_do_not_show() {
     let c_arm = crate::poses::c_arm(10.0, 5.0, 96, 0.1);
