@@ -96,6 +96,43 @@ fn a_changed_radius_in_a_tool_file_changes_physics_x_ray_and_viewer() {
     assert!(small.3 < before.3 - 10.0);
 }
 
+/// The outer tube's radius, in contact spheres, X-ray, viewer and exported surface.
+#[test]
+fn a_changed_radius_of_an_outer_tube_changes_physics_x_ray_and_viewer() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/tools");
+    let seen = |diameter_mm: f64| {
+        let text = "name = \"tool\"\nrun = { mode = \"lockstep\", duration_s = 0.1 }\nmanipulator = { file = \"tube_in_tube.toml\" }\n\
+            tool = { burr_start_mm = [0.0, 0.0, 0.0], direction = [0.0, 0.0, 1.0], bend_toward = [1.0, 0.0, 0.0] }\n";
+        let read = |file: &Path| {
+            let text = std::fs::read_to_string(file)?;
+            Ok(text.replace("outer_diameter_mm = 5.0", &format!("outer_diameter_mm = {diameter_mm}")))
+        };
+        let scene = Scene::parse_with(text, &folder.join("scene.toml"), &read).unwrap();
+        let radii = scene.manipulator.radii();
+        let parameters = manipulator_parameters(&scene).unwrap();
+        let simulation = Simulation::new(&scene, None).unwrap();
+        let shape = trabecula::commands::view::tool_shape(&scene);
+        let parts = tool_of(simulation.state(), &radii, &scene.arm.holder(), None).parts;
+        let x_ray = parts.iter().any(|part| match part {
+            ToolPart::HollowCylinder { outer_radius_m, .. } => *outer_radius_m == diameter_mm / 2e3,
+            _ => false,
+        });
+        (
+            parameters.outer_tube.unwrap().outer_radius_m,
+            parameters.bending_spring(3, 0.0).bend_nm_per_rad,
+            x_ray,
+            shape.outer_tube.unwrap().outer_m,
+            trabecula::geometry::tool::surface(simulation.state(), &radii).volume_mm3(),
+        )
+    };
+    let (before, after) = (seen(5.0), seen(5.4));
+    assert_eq!((before.0, after.0, after.3), (2.5e-3, 2.7e-3, 2.7e-3));
+    assert!(after.1 > 1.3 * before.1, "stiffness {} {}", before.1, after.1);
+    assert!(before.2 && after.2, "the X-ray");
+    let steel_mm3 = core::f64::consts::PI * (2.7 * 2.7 - 2.5 * 2.5) * 80.0;
+    assert!((after.4 - before.4 - steel_mm3).abs() < 0.02 * steel_mm3, "{} {}", before.4, after.4);
+}
+
 /// A log keeps the tool itself: what it holds reads as the same without the file.
 #[test]
 fn what_a_log_keeps_of_a_described_tool_is_the_tool() {

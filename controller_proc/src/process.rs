@@ -41,7 +41,7 @@ pub enum ControllerError {
     Port(#[from] PortError),
     /// The scene's controller of this name is not built in.
     #[error(
-        "controller `{name}` is not a built-in one; expected `curved_drilling`, `skiving`, `tension_sweep` or `hold` in the scene"
+        "controller `{name}` is not a built-in one; expected `curved_drilling`, `skiving`, `tension_sweep`, `tube_deployment` or `hold` in the scene"
     )]
     NotBuiltIn {
         /// Its name.

@@ -1,9 +1,9 @@
-use messages::{ArmMode, BurrMode, Command, State, TendonMode};
+use messages::{ArmMode, BurrMode, Command, State, TendonMode, TubeMode};
 use scene::Drives;
 
 use crate::Controller;
 
-/// Holds a tension, the arm position, and the burr at rest, as far as it drives them.
+/// Holds a tension, the places of arm and tube, and the burr at rest, as far as it drives them.
 #[derive(Debug, Clone)]
 pub struct HoldController {
     tension_n: f64,
@@ -27,6 +27,7 @@ impl Controller for HoldController {
                 }
                 Drives::Arm => command.arm_mode = ArmMode::Hold.code(),
                 Drives::Burr => command.burr_mode = BurrMode::Speed.code(),
+                Drives::Tube => command.tube_mode = TubeMode::Hold.code(),
                 Drives::CArm => {}
             }
         }

@@ -34,6 +34,7 @@ mod reset;
 mod skiving;
 mod tension_sweep;
 mod tip_finder;
+mod tube_deployment;
 
 pub use calibration::{Calibration, CalibrationError, CalibrationRow, ReadText};
 pub use curved_drilling::CurvedDrillingController;
@@ -42,6 +43,7 @@ pub use measuring::MeasuringController;
 pub use skiving::{SkivingController, SkivingPoint};
 pub use tension_sweep::TensionSweepController;
 pub use tip_finder::{TipSighting, find_tip};
+pub use tube_deployment::TubeDeploymentController;
 
 use messages::{Command, Frame, SensorReading, State};
 use scene::Scene;
@@ -72,6 +74,8 @@ pub enum BuiltIn {
     Skiving(Box<SkivingController>),
     /// Sweeps the tension.
     TensionSweep(Box<TensionSweepController>),
+    /// Slides a tube out of its outer tube.
+    TubeDeployment(Box<TubeDeploymentController>),
     /// Holds still.
     Hold(Box<HoldController>),
     /// Another one, which sees what sensors measure.
@@ -112,6 +116,10 @@ impl BuiltIn {
             let controller = TensionSweepController::new(plan, &entry.drives);
             return Ok(Some(BuiltIn::TensionSweep(Box::new(controller))));
         }
+        if let Some(plan) = &entry.tube_deployment {
+            let controller = TubeDeploymentController::new(plan, &entry.drives);
+            return Ok(Some(BuiltIn::TubeDeployment(Box::new(controller))));
+        }
         let hold = entry.hold.as_ref();
         Ok(hold.map(|hold| BuiltIn::Hold(Box::new(HoldController::new(hold.tension_n, &entry.drives)))))
     }
@@ -121,6 +129,7 @@ impl BuiltIn {
             BuiltIn::CurvedDrilling(controller) => controller.as_mut(),
             BuiltIn::Skiving(controller) => controller.as_mut(),
             BuiltIn::TensionSweep(controller) => controller.as_mut(),
+            BuiltIn::TubeDeployment(controller) => controller.as_mut(),
             BuiltIn::Hold(controller) => controller.as_mut(),
             BuiltIn::Measuring(controller) => controller.as_mut(),
         }

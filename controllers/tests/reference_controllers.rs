@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use controllers::{
     Calibration, Controller, CurvedDrillingController, SkivingController, TensionSweepController,
+    TubeDeploymentController,
 };
 use hub::in_process::{Answer, InProcess};
 use messages::{Command, State};
@@ -234,4 +235,49 @@ fn a_reset_sets_the_reference_controllers_back() {
     let mut controller = skiving;
     answer(&mut controller, &[&begin, &deep, &back]);
     assert_eq!(controller.points().len(), 1, "the first millimetre's report, again");
+}
+
+/// Turned before it slides out, out as far as the plan says with the burr on, and drawn back.
+#[test]
+fn a_tube_is_turned_slid_out_and_drawn_back() {
+    let path = config("tools/bench.toml");
+    let text = "name = \"tubes\"\nrun = { mode = \"lockstep\", duration_s = 9.0 }\n\
+        tool = { burr_start_mm = [0, 0, 0], direction = [0, 0, 1], bend_toward = [1, 0, 0] }\nmanipulator = { file = \"tube_in_tube.toml\" }\n\
+        [[controller]]\nname = \"tube\"\ndrives = [\"tube\", \"arm\", \"burr\"]\n[controller.tube_deployment]\n\
+        deployed_mm = 20\nfeed_mm_per_s = 5\nroll_deg = 90\nretraction_mm = 8\nburr_speed_rpm = 3000\n";
+    let scene = Scene::parse_with(text, &path, &|file| read(file)).unwrap();
+    let entry = &scene.controller[0];
+    let mut controller =
+        TubeDeploymentController::new(entry.tube_deployment.as_ref().unwrap(), &entry.drives);
+    let mut most_m = 0.0f64;
+    let mut watch = Watched {
+        inner: &mut controller,
+        look: |state: &State, command: &Command| {
+            most_m = most_m.max(state.tube_deployed_m);
+            let is_turned = (state.tube_roll_rad - 90f64.to_radians()).abs() < 1e-9;
+            assert!(is_turned || state.tube_deployed_m == 0.0, "out before it was turned");
+            assert!(is_turned || command.burr_speed_rad_per_s == 0.0);
+        },
+    };
+    let end = play(&scene, None, &mut watch);
+    let remark = controller.remark().unwrap();
+    println!("{remark}");
+    assert!((most_m - 0.02).abs() < 1e-12 && (end.tube_deployed_m - 0.012).abs() < 1e-12);
+    assert!(remark.contains("12.00 mm out, roll 90.0 deg"), "{remark}");
+    // A quarter of a turn: the curve points across, toward +y.
+    let burr = Vector3::from(end.t_world_burr.position_m);
+    assert!(burr.y > 1e-3 && burr.x.abs() < 1e-6, "{burr}");
+}
+
+/// A controller that is looked at.
+struct Watched<'a, F> {
+    inner: &'a mut dyn Controller,
+    look: F,
+}
+
+impl<F: FnMut(&State, &Command)> Controller for Watched<'_, F> {
+    fn step(&mut self, state: &State, command: &mut Command) {
+        self.inner.step(state, command);
+        (self.look)(state, command);
+    }
 }

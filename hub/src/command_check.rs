@@ -3,8 +3,8 @@
 use thiserror::Error;
 
 use messages::{
-    ArmMode, BurrMode, Command, MAX_BURR_SPEED_RAD_PER_S, MAX_DEPTH_M, MAX_DISPLACEMENT_M, MAX_POSITION_M,
-    MAX_SPEED_M_PER_S, MAX_TENSION_N, TendonMode, Tick, UnknownCode,
+    ArmMode, BurrMode, Command, MAX_BURR_SPEED_RAD_PER_S, MAX_DEPLOYED_M, MAX_DEPTH_M, MAX_DISPLACEMENT_M,
+    MAX_POSITION_M, MAX_ROLL_RAD, MAX_SPEED_M_PER_S, MAX_TENSION_N, TendonMode, Tick, TubeMode, UnknownCode,
 };
 use scene::Drives;
 
@@ -41,12 +41,6 @@ pub enum CommandRefusal {
     /// A mode is unknown.
     #[error(transparent)]
     UnknownMode(#[from] UnknownCode),
-    /// `reserved` is not 0.
-    #[error("`reserved` is {value}, expected 0")]
-    Reserved {
-        /// Value given.
-        value: u32,
-    },
     /// The orientation is not a unit quaternion.
     #[error("`t_world_base.orientation_xyzw` has length {length}, expected 1")]
     NotAUnitQuaternion {
@@ -138,16 +132,17 @@ struct Modes {
     tendon: TendonMode,
     arm: ArmMode,
     burr: BurrMode,
+    tube: TubeMode,
 }
 
 impl Modes {
     fn of(command: &Command) -> Result<Modes, CommandRefusal> {
-        let modes =
-            Modes { tendon: command.tendon_mode()?, arm: command.arm_mode()?, burr: command.burr_mode()? };
-        match command.reserved {
-            0 => Ok(modes),
-            value => Err(CommandRefusal::Reserved { value }),
-        }
+        Ok(Modes {
+            tendon: command.tendon_mode()?,
+            arm: command.arm_mode()?,
+            burr: command.burr_mode()?,
+            tube: command.tube_mode()?,
+        })
     }
 }
 
@@ -156,6 +151,7 @@ fn check_authority(modes: &Modes, drives: &[Drives]) -> Result<(), CommandRefusa
         (modes.tendon != TendonMode::None, Drives::Tendon, "tendon_mode", "tendons"),
         (modes.arm != ArmMode::None, Drives::Arm, "arm_mode", "arm"),
         (modes.burr != BurrMode::None, Drives::Burr, "burr_mode", "burr"),
+        (modes.tube != TubeMode::None, Drives::Tube, "tube_mode", "tube"),
     ];
     match asked.into_iter().find(|(is_asked, part, ..)| *is_asked && !drives.contains(part)) {
         Some((_, _, field, part)) => Err(CommandRefusal::NotItsPart { field, part }),
@@ -188,6 +184,11 @@ fn check_values(command: &Command, modes: &Modes) -> Result<(), CommandRefusal> 
         }
         ArmMode::None | ArmMode::Hold => {}
     }
+    if modes.tube == TubeMode::MoveJp {
+        range(|| "tube_deployed_m".to_owned(), command.tube_deployed_m, 0.0, MAX_DEPLOYED_M)?;
+        range(|| "tube_roll_rad".to_owned(), command.tube_roll_rad, -MAX_ROLL_RAD, MAX_ROLL_RAD)?;
+    }
+    range(|| "tube_speed_m_per_s".to_owned(), command.tube_speed_m_per_s, 0.0, MAX_SPEED_M_PER_S)?;
     range(|| "arm_speed_m_per_s".to_owned(), command.arm_speed_m_per_s, 0.0, MAX_SPEED_M_PER_S)?;
     let field = || "burr_speed_rad_per_s".to_owned();
     range(field, command.burr_speed_rad_per_s, 0.0, MAX_BURR_SPEED_RAD_PER_S)

@@ -5,7 +5,7 @@
 
 use messages::{
     ArmMode, BurrMode, Command, CommandSource, ControllerIndex, Latched, LatchedCommand, MAX_CONTROLLERS,
-    Tick,
+    Tick, TubeMode,
 };
 use scene::{Drives, Mode, Scene};
 
@@ -141,7 +141,7 @@ impl Slot {
         LatchedCommand { source: source.code(), controller_index: 0, age_ticks, command }
     }
 
-    /// Burr off, arm stopped, tension held at its current value; only for what the controller drives.
+    /// Burr off, arm and tube stopped, tension held at its current value; only for what the controller drives.
     fn safe_command(&self, last: &Command) -> Command {
         let mut safe = Command { sequence: last.sequence, state_tick: last.state_tick, ..Command::zeroed() };
         if self.drives.contains(&Drives::Burr) {
@@ -149,6 +149,9 @@ impl Slot {
         }
         if self.drives.contains(&Drives::Arm) {
             safe.arm_mode = ArmMode::Hold.code();
+        }
+        if self.drives.contains(&Drives::Tube) {
+            safe.tube_mode = TubeMode::Hold.code();
         }
         safe
     }

@@ -30,3 +30,11 @@ pub fn unit(a: [f64; 3]) -> [f64; 3] {
 pub fn across(a: [f64; 3], unit: [f64; 3]) -> [f64; 3] {
     plus(a, -dot(a, unit), unit)
 }
+
+/// The cross product.
+pub fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    core::array::from_fn(|i| {
+        let (j, k) = ((i + 1) % 3, (i + 2) % 3);
+        a[j] * b[k] - a[k] * b[j]
+    })
+}

@@ -200,6 +200,18 @@ codes! {
 }
 
 codes! {
+    /// What [`Command::tube_mode`] asks of a tube that slides in an outer one.
+    pub enum TubeMode of "tube_mode" {
+        /// This command does not drive the tube.
+        None = TUBE_NONE, 0, "none";
+        /// Length and roll, reached with limited speed, acceleration and jerk.
+        MoveJp = TUBE_MOVE_JP, 1, "move_jp";
+        /// Stop within the drive's limits and stay there.
+        Hold = TUBE_HOLD, 2, "hold";
+    }
+}
+
+codes! {
     /// [`State::arm_status`]: how far the arm's motion has come.
     pub enum ArmStatus of "arm_status" {
         /// Moving.
@@ -232,7 +244,7 @@ codes! {
         Fresh = SOURCE_FRESH, 1, "fresh";
         /// The previous command, held.
         Held = SOURCE_HELD, 2, "held";
-        /// The scene's safe command: burr off, tension held, arm held.
+        /// The scene's safe command: burr off, tension held, arm and tube held.
         Safe = SOURCE_SAFE, 3, "safe command";
     }
 }
@@ -365,6 +377,7 @@ pub const CLIENT_CODES: &[CodeSet] = &[
     ArmStatus::SET,
     ArmProtectiveStop::SET,
     BurrMode::SET,
+    TubeMode::SET,
     CommandSource::SET,
     ContactPart::SET,
     ControlAction::SET,
@@ -409,6 +422,8 @@ fields! {
         arm_mode: ArmMode,
         /// What is asked of the burr.
         burr_mode: BurrMode,
+        /// What is asked of the tube.
+        tube_mode: TubeMode,
     }
     LatchedCommand {
         /// Where the command comes from.
@@ -511,6 +526,7 @@ mod tests {
             (Command::DESCRIPTION, "tendon_mode", TendonMode::CODES),
             (Command::DESCRIPTION, "arm_mode", ArmMode::CODES),
             (Command::DESCRIPTION, "burr_mode", BurrMode::CODES),
+            (Command::DESCRIPTION, "tube_mode", TubeMode::CODES),
             (LatchedCommand::DESCRIPTION, "source", CommandSource::CODES),
             (AppliedCommand::DESCRIPTION, "source", CommandSource::CODES),
             (Contact::DESCRIPTION, "part", ContactPart::CODES),

@@ -14,9 +14,13 @@ pub const MAX_POSITION_M: f64 = 10.0;
 pub const MAX_SPEED_M_PER_S: f64 = 1.0;
 /// Largest depth of an insertion, in either direction.
 pub const MAX_DEPTH_M: f64 = 0.5;
+/// Largest length of tube that a command may ask for in front of the outer tube.
+pub const MAX_DEPLOYED_M: f64 = 0.5;
+/// Largest roll of the tube that a command may ask for, in either direction: one turn.
+pub const MAX_ROLL_RAD: f64 = core::f64::consts::TAU;
 
 message! {
-    /// A controller's command. Mode names follow CRTK. Mode 0 leaves tendons, arm or burr at their previous command; a
+    /// A controller's command. Mode names follow CRTK. Mode 0 leaves tendons, arm, burr or tube at their previous command; a
     /// controller may drive only what the scene's `drives` allows.
     pub struct Command = "trabecula_msgs/msg/Command" {
         /// Sequence number of this controller's commands: 1, 2, 3 and so on.
@@ -29,8 +33,8 @@ message! {
         arm_mode: u32,
         /// 0 none, 1 speed.
         burr_mode: u32,
-        /// Always 0.
-        reserved: u32,
+        /// 0 none, 1 move_jp, 2 hold.
+        tube_mode: u32,
         /// Tensions for servo_jf, 0 or more.
         tendon_force_n: [f64; MAX_TENDONS],
         /// Displacements for servo_jp and move_jp; positive pulls.
@@ -51,6 +55,12 @@ message! {
         arm_pivot_m: [f64; 3],
         /// Angular speed of the burr.
         burr_speed_rad_per_s: f64,
+        /// Goal of the tube's move_jp: how far it slides out of the outer tube.
+        tube_deployed_m: f64,
+        /// Goal of the tube's move_jp: its angle about its own axis.
+        tube_roll_rad: f64,
+        /// Speed limit of its sliding; 0 selects the tool's limit.
+        tube_speed_m_per_s: f64,
     }
 }
 

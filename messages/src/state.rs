@@ -102,7 +102,15 @@ message! {
         tendon_tension_n: [f64; MAX_TENDONS],
         /// Displacement of each tendon from its straight, unloaded length; positive when pulled.
         tendon_displacement_m: [f64; MAX_TENDONS],
-        /// Pose of the tool base (start of the rigid shaft), including the mount's deflection; +z along the straight tool,
+        /// How far the tube has slid out of the outer tube; 0 for a tool without one.
+        tube_deployed_m: f64,
+        /// Speed of that.
+        tube_deploying_m_per_s: f64,
+        /// Angle of the tube about its own axis in the outer tube, from +x toward +y of the tool base.
+        tube_roll_rad: f64,
+        /// Speed of that.
+        tube_rolling_rad_per_s: f64,
+        /// Pose of the tool base (start of the rigid shaft, or of the outer tube), including the mount's deflection; +z along the straight tool,
         /// +x toward tendon 0.
         t_world_base: Pose,
         /// Pose of the tip, the front of the burr: its centre plus its radius along the last link's +z.

@@ -1,6 +1,6 @@
 //! What has been asked for, as the command that answers each state.
 
-use messages::{ArmMode, BurrMode, Command, MAX_ARM_JOINTS, MAX_TENDONS, Pose, TendonMode};
+use messages::{ArmMode, BurrMode, Command, MAX_ARM_JOINTS, MAX_TENDONS, Pose, TendonMode, TubeMode};
 
 /// How long a velocity holds without another: a program that has died, or a network that has, must not turn joints or burr for good.
 pub const VELOCITY_HOLDS_S: f64 = 0.5;
@@ -51,6 +51,8 @@ pub enum Motion {
     TendonMoveJp([f64; MAX_TENDONS]),
     /// `servo_jv` of the burr.
     BurrServoJv(f64),
+    /// `move_jp` of the tube: how far out, m, and its roll, rad.
+    TubeMoveJp([f64; 2]),
 }
 
 /// The newest request for each part, repeated in every command: a command that was late, and replaced by the safe one, is then obeyed
@@ -60,6 +62,7 @@ pub struct Commander {
     arm: Option<Arm>,
     tendon: Option<Motion>,
     burr: Option<(f64, f64)>,
+    tube: Option<Tube>,
     disabled: bool,
 }
 
@@ -69,6 +72,12 @@ enum Arm {
     Goes(Motion),
     /// Until this time.
     Turns(Motion, f64),
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Tube {
+    Hold,
+    Goes([f64; 2]),
 }
 
 impl Commander {
@@ -88,13 +97,17 @@ impl Commander {
                 self.tendon = Some(motion);
             }
             Motion::BurrServoJv(speed) => self.burr = Some((speed, now_s + VELOCITY_HOLDS_S)),
+            Motion::TubeMoveJp(goal) => self.tube = Some(Tube::Goes(goal)),
         }
     }
 
-    /// Gives up what moves: the arm stops, the burr stops, the tension stays. Parts that nobody has moved are left alone.
+    /// Gives up what moves: arm and tube stop, the burr stops, the tension stays. Parts that nobody has moved are left alone.
     pub fn release(&mut self) {
         if self.arm.is_some() {
             self.arm = Some(Arm::Hold);
+        }
+        if self.tube.is_some() {
+            self.tube = Some(Tube::Hold);
         }
         if let Some((speed, _)) = &mut self.burr {
             *speed = 0.0;
@@ -137,6 +150,14 @@ impl Commander {
         if let Some((speed, _)) = self.burr {
             command.burr_mode = BurrMode::Speed.code();
             command.burr_speed_rad_per_s = speed;
+        }
+        match self.tube {
+            None => {}
+            Some(Tube::Hold) => command.tube_mode = TubeMode::Hold.code(),
+            Some(Tube::Goes(goal)) => {
+                command.tube_mode = TubeMode::MoveJp.code();
+                [command.tube_deployed_m, command.tube_roll_rad] = goal;
+            }
         }
         ran_out
     }
@@ -232,13 +253,18 @@ mod tests {
     }
 
     #[test]
-    fn who_is_gone_leaves_a_standing_arm_a_standing_burr_and_the_tension() {
+    fn who_is_gone_leaves_a_standing_arm_and_tube_a_standing_burr_and_the_tension() {
         let mut commander = Commander::default();
         commander.take(Motion::ArmMoveJp([0.1; 7]), 0.0);
         commander.take(Motion::BurrServoJv(800.0), 0.0);
         commander.take(Motion::TendonServoJf([5.0; 4]), 0.0);
+        commander.take(Motion::TubeMoveJp([0.02, -0.5]), 0.0);
+        let command = filled(&mut commander, 0.1);
+        assert_eq!((command.tube_deployed_m, command.tube_roll_rad), (0.02, -0.5));
+        assert_eq!(command.tube_mode(), Ok(TubeMode::MoveJp));
         commander.release();
         let command = filled(&mut commander, 0.1);
+        assert_eq!(command.tube_mode(), Ok(TubeMode::Hold));
         assert_eq!((command.arm_mode(), command.burr_speed_rad_per_s), (Ok(ArmMode::Hold), 0.0));
         assert_eq!(command.tendon_mode(), Ok(TendonMode::ServoJf));
     }

@@ -1,8 +1,8 @@
 //! What comes in: bytes of a topic, checked and turned into a request.
 
 use messages::{
-    MAX_ARM_JOINTS, MAX_BURR_SPEED_RAD_PER_S, MAX_DISPLACEMENT_M, MAX_POSITION_M, MAX_TENDONS, MAX_TENSION_N,
-    Pose,
+    MAX_ARM_JOINTS, MAX_BURR_SPEED_RAD_PER_S, MAX_DEPLOYED_M, MAX_DISPLACEMENT_M, MAX_POSITION_M,
+    MAX_ROLL_RAD, MAX_TENDONS, MAX_TENSION_N, Pose,
 };
 use thiserror::Error;
 
@@ -10,7 +10,7 @@ use crate::cdr::{self, Order};
 use crate::commander::Motion;
 use crate::msg::{JointState, PoseStamped, StringStamped};
 use crate::robot::WORLD;
-use crate::topics::{Input, joint_names};
+use crate::topics::{Input, TUBE_JOINT_NAMES, joint_names};
 
 /// Joint angles and rates that a command may ask for (`hub::command_check`); the arm checks its own range.
 const MAX_JOINT_RAD: f64 = core::f64::consts::TAU;
@@ -164,6 +164,16 @@ pub fn read(topic: Input, bytes: &[u8], order: Order, commanded: Commanded) -> R
             let names = ["burr".to_owned()];
             let [speed] = values::<1>(&joints()?, Field::Velocity, &names, 0.0, MAX_BURR_SPEED_RAD_PER_S)?;
             Motion::BurrServoJv(speed)
+        }
+        Input::TubeMoveJp => {
+            let names = TUBE_JOINT_NAMES.map(str::to_owned);
+            let goal = values(&joints()?, Field::Position, &names, -MAX_ROLL_RAD, MAX_ROLL_RAD)?;
+            let ([deployed, _], [lowest, highest]) = (goal, [0.0, MAX_DEPLOYED_M]);
+            if !(lowest..=highest).contains(&deployed) {
+                let field = "position of `deployed`".to_owned();
+                return Err(Refused::Range { field, value: deployed, lowest, highest });
+            }
+            Motion::TubeMoveJp(goal)
         }
         Input::StateCommand => return state_command(&decode::<StringStamped>(bytes, order)?),
     };
@@ -323,6 +333,16 @@ mod tests {
         assert!(told(Input::ArmServoJp, &joints(&[], &values)).starts_with("position[3]: NaN, expected"));
         let force = JointState { effort: vec![-1.0], ..JointState::default() };
         assert_eq!(told(Input::TendonServoJf, &force), "effort[0]: -1, expected 0 to 60");
+        let tube = |values: [f64; 2]| joints(&["roll", "deployed"], &values);
+        assert_eq!(
+            ask(Input::TubeMoveJp, &tube([-0.5, 0.02])),
+            Ok(Request::Move(Motion::TubeMoveJp([0.02, -0.5])))
+        );
+        let [short, far] =
+            [tube([0.0, -0.01]), tube([0.0, 0.6])].map(|message| told(Input::TubeMoveJp, &message));
+        assert_eq!(short, "position of `deployed`: -0.01, expected 0 to 0.5");
+        assert_eq!(far, "position of `deployed`: 0.6, expected 0 to 0.5");
+        assert!(told(Input::TubeMoveJp, &tube([7.0, 0.0])).starts_with("position[0]: 7, expected -6.28"));
     }
 
     #[test]

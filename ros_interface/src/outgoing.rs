@@ -11,7 +11,7 @@ use crate::msg::{
     TransformStamped, TwistStamped, UInt64, WrenchStamped,
 };
 use crate::robot::{Placed, Robot, WORLD, isometry};
-use crate::topics::{Output, joint_names};
+use crate::topics::{Output, TUBE_JOINT_NAMES, joint_names};
 
 /// A message on its way out.
 #[derive(Debug, Clone, PartialEq)]
@@ -104,6 +104,16 @@ fn tool(out: &mut Vec<Outgoing>, robot: &Robot, state: &State, stamp: Time) {
         ..JointState::default()
     };
     push(out, Output::BurrMeasuredJs, &burr);
+    if robot.outer_tube().is_some() {
+        let tube = JointState {
+            header: header(stamp, ""),
+            name: TUBE_JOINT_NAMES.map(str::to_owned).to_vec(),
+            position: vec![state.tube_deployed_m, state.tube_roll_rad],
+            velocity: vec![state.tube_deploying_m_per_s, state.tube_rolling_rad_per_s],
+            effort: Vec::new(),
+        };
+        push(out, Output::TubeMeasuredJs, &tube);
+    }
     push(out, Output::BurrForce, &Float64 { data: state.burr_force_n });
     push(out, Output::RemovedVoxels, &UInt64 { data: state.removed_total });
 }

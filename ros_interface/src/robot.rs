@@ -2,7 +2,7 @@
 
 use messages::{MAX_ARM_JOINTS, Pose, State};
 use nalgebra::{Isometry3, Quaternion, SVector, Translation3, UnitQuaternion, Vector3};
-use scene::Scene;
+use scene::{Scene, ToolOuterTube};
 use simulation::arm::{ArmGeometry, ArmParameters};
 use simulation::pose;
 
@@ -39,6 +39,7 @@ pub struct Robot {
     rates_rad_per_s: [f64; MAX_ARM_JOINTS],
     flexures: usize,
     tendons: usize,
+    outer_tube: Option<ToolOuterTube>,
 }
 
 impl Robot {
@@ -58,6 +59,7 @@ impl Robot {
             rates_rad_per_s: limits.velocity_rad_s,
             flexures: used(state.joint_count, state.t_world_link.len()),
             tendons: used(state.tendon_count, state.tendon_tension_n.len()),
+            outer_tube: scene.manipulator.tool.as_ref().and_then(|tool| tool.outer_tube.clone()),
         }
     }
 
@@ -115,6 +117,11 @@ impl Robot {
         &self.t_flange_base
     }
 
+    /// The tube out of which the tool slides, if there is one.
+    pub fn outer_tube(&self) -> Option<&ToolOuterTube> {
+        self.outer_tube.as_ref()
+    }
+
     /// Frame of the tool's base.
     pub fn tool_base(&self) -> String {
         format!("{}/base", self.names.manipulator)
@@ -125,7 +132,7 @@ impl Robot {
         format!("{}/link_{index}", self.names.manipulator)
     }
 
-    /// Frame of the burr's centre or of the tip.
+    /// Frame of the burr's centre, of the tip, of what slides in an outer tube (`slide`) or of what also turns in it (`tube`).
     pub fn tool_end(&self, which: &str) -> String {
         format!("{}/{which}", self.names.manipulator)
     }
@@ -137,7 +144,7 @@ impl Robot {
 
     /// Every frame that moves, parents first.
     pub fn moving(&self, state: &State) -> Vec<Placed> {
-        let mut placed = Vec::with_capacity(MAX_ARM_JOINTS + self.flexures + 4);
+        let mut placed = Vec::with_capacity(MAX_ARM_JOINTS + self.flexures + 6);
         let joints = self.arm_joints.len();
         for (index, angle_rad) in state.arm_joint_position_rad.into_iter().take(joints).enumerate() {
             let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle_rad);
@@ -161,6 +168,12 @@ impl Robot {
             }
         };
         hang(self.tool_base(), &state.t_world_base, false);
+        if self.outer_tube.is_some() {
+            let slid = isometry(&state.t_world_base) * Translation3::new(0.0, 0.0, state.tube_deployed_m);
+            let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), state.tube_roll_rad);
+            hang(self.tool_end("slide"), &pose(&slid), false);
+            hang(self.tool_end("tube"), &pose(&(slid * turn)), false);
+        }
         for (index, link) in state.t_world_link[..self.flexures].iter().enumerate() {
             hang(self.tool_link(index), link, false);
         }
@@ -246,5 +259,39 @@ mod tests {
         assert_eq!(robot.base_velocity(&moved), None);
         let urdf = crate::urdf::describe(&scene, &robot).unwrap();
         assert!(urdf.contains("<joint name=\"flange\" type=\"floating\">"), "{urdf}");
+    }
+
+    #[test]
+    fn a_tube_slides_and_turns_between_the_base_and_the_first_flexure() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/tools");
+        let text = format!("{SCENE}[manipulator]\nfile = \"tube_in_tube.toml\"\n");
+        let read = |file: &Path| std::fs::read_to_string(file);
+        let scene = Scene::parse_with(&text, &folder.join("bench.toml"), &read).unwrap();
+        let mut state = state([0.1, 0.2, 0.3]);
+        state.joint_count = 1;
+        (state.tube_deployed_m, state.tube_roll_rad) = (0.02, 0.5);
+        let robot = Robot::new(&scene, &state, Names::default());
+        // The first flexure where the tube's own shaft ends, 40.625 mm from its base.
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.5);
+        let from_base = Isometry3::from_parts(Translation3::new(0.0, 0.0, 0.060625), turn);
+        state.t_world_link[0] = pose(&(isometry(&state.t_world_base) * from_base));
+        let placed = robot.moving(&state);
+        let of = |child: &str| placed.iter().find(|placed| placed.child == child).unwrap();
+        let [slide, tube, link] = ["CM/slide", "CM/tube", "CM/link_0"].map(of);
+        assert_eq!([&slide.parent, &tube.parent, &link.parent], ["CM/base", "CM/slide", "CM/tube"]);
+        assert!((slide.pose.position_m[2] - 0.02).abs() < 1e-15 && tube.pose.position_m[2].abs() < 1e-15);
+        assert!((isometry(&tube.pose).rotation.angle() - 0.5).abs() < 1e-12);
+        let at = isometry(&link.pose);
+        assert!((at.translation.vector - Vector3::new(0.0, 0.0, 0.040625)).norm() < 1e-12);
+        assert!(at.rotation.angle() < 1e-12, "what turns is the tube");
+        let urdf = crate::urdf::describe(&scene, &robot).unwrap();
+        for line in [
+            "<joint name=\"deployed\" type=\"prismatic\"><parent link=\"CM/base\"/><child link=\"CM/slide\"/>",
+            "<joint name=\"roll\" type=\"revolute\"><parent link=\"CM/slide\"/><child link=\"CM/tube\"/>",
+            "<joint name=\"flexure_0\" type=\"revolute\"><parent link=\"CM/tube\"/>",
+            "<limit lower=\"0\" upper=\"0.04\" velocity=\"0.01\" effort=\"0\"/>",
+        ] {
+            assert!(urdf.contains(line), "{line}\n{urdf}");
+        }
     }
 }

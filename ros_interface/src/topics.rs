@@ -107,6 +107,7 @@ pub enum Output {
     FlexureMeasuredJs,
     TipMeasuredCp,
     BurrMeasuredJs,
+    TubeMeasuredJs,
     BurrForce,
     RemovedVoxels,
     CArmImage,
@@ -127,6 +128,7 @@ pub enum Input {
     TendonServoJp,
     TendonMoveJp,
     BurrServoJv,
+    TubeMoveJp,
 }
 
 impl Input {
@@ -140,6 +142,7 @@ impl Input {
             | Input::ArmMoveCp => Some(Drives::Arm),
             Input::TendonServoJf | Input::TendonServoJp | Input::TendonMoveJp => Some(Drives::Tendon),
             Input::BurrServoJv => Some(Drives::Burr),
+            Input::TubeMoveJp => Some(Drives::Tube),
             Input::StateCommand => None,
         }
     }
@@ -155,7 +158,7 @@ macro_rules! row {
 }
 
 /// What the bridge publishes.
-pub const OUTPUTS: [Row<Output>; 18] = [
+pub const OUTPUTS: [Row<Output>; 19] = [
     row!(
         Output::Clock,
         "/clock",
@@ -249,6 +252,13 @@ pub const OUTPUTS: [Row<Output>; 18] = [
         "angular speed of the burr in rad/s"
     ),
     row!(
+        Output::TubeMeasuredJs,
+        "/<cm>/tube/measured_js",
+        JOINTS,
+        State,
+        "how far the tube is out of its outer tube, m, and its roll, rad, with their speeds; of a tool with an outer tube"
+    ),
+    row!(
         Output::BurrForce,
         "/<cm>/burr/force",
         "std_msgs/Float64",
@@ -279,7 +289,7 @@ pub const OUTPUTS: [Row<Output>; 18] = [
 ];
 
 /// What the bridge understands, as one of the scene's controllers.
-pub const INPUTS: [Row<Input>; 10] = [
+pub const INPUTS: [Row<Input>; 11] = [
     row!(Input::ArmServoJp, "/<arm>/servo_jp", JOINTS, Command, "follows joint angles (`position`)"),
     row!(Input::ArmServoJv, "/<arm>/servo_jv", JOINTS, Command, "turns the joints at rates (`velocity`)"),
     row!(
@@ -332,7 +342,17 @@ pub const INPUTS: [Row<Input>; 10] = [
         Command,
         "speed of the burr (`velocity`, rad/s, 0 to 6283.2)"
     ),
+    row!(
+        Input::TubeMoveJp,
+        "/<cm>/tube/move_jp",
+        JOINTS,
+        Command,
+        "length of the tube out of its outer tube and its roll (`position`, m and rad), jerk-limited"
+    ),
 ];
+
+/// The names of the tube's joints in an outer tube.
+pub const TUBE_JOINT_NAMES: [&str; 2] = ["deployed", "roll"];
 
 /// The names of a tool's joints in `JointState`.
 pub fn joint_names(prefix: &str, count: usize) -> Vec<String> {

@@ -7,7 +7,7 @@ use scene::{Cutter, Scene};
 use simulation::manipulator_parameters;
 
 use crate::robot::{Robot, WORLD};
-use crate::topics::joint_names;
+use crate::topics::{TUBE_JOINT_NAMES, joint_names};
 
 /// Radius of the arm's links as they are drawn.
 const ARM_RADIUS_M: f64 = 0.04;
@@ -68,9 +68,26 @@ impl Chain<'_> {
         let along = |z: f64| Vector3::new(0.0, 0.0, z);
         let rod = |z: f64| Some(Shape::Rod { to: along(z), radius_m: self.tube_m });
         let first = self.flexures_m.first().copied().unwrap_or(0.0);
-        urdf.link(&robot.tool_base(), rod(first));
+        let outer = robot.outer_tube().map(|outer| Shape::Rod {
+            to: along(outer.end_mm * 1e-3),
+            radius_m: outer.outer_diameter_mm * 0.5e-3,
+        });
+        urdf.link(&robot.tool_base(), outer.or_else(|| rod(first)));
         urdf.joint("tool_mount", Kind::Fixed, &robot.flange(), &robot.tool_base(), robot.t_flange_base());
         let (mut parent, mut from) = (robot.tool_base(), 0.0);
+        if let Some(outer) = robot.outer_tube() {
+            let [slide, tube] = ["slide", "tube"].map(|which| robot.tool_end(which));
+            let [deployed, roll] = TUBE_JOINT_NAMES;
+            urdf.link(&slide, None);
+            let (upper, rate) = (outer.travel_mm * 1e-3, outer.speed_mm_per_s * 1e-3);
+            let kind = Kind::Prismatic { axis: [0, 0, 1], lower: 0.0, upper, rate };
+            urdf.joint(deployed, kind, &parent, &slide, &Isometry3::identity());
+            urdf.link(&tube, rod(first));
+            let (turn, rate) = (core::f64::consts::TAU, outer.roll_speed_deg_per_s.to_radians());
+            let kind = Kind::Revolute { axis: [0, 0, 1], lower: -turn, upper: turn, rate };
+            urdf.joint(roll, kind, &slide, &tube, &Isometry3::identity());
+            parent = tube;
+        }
         for (index, name) in joint_names("flexure", robot.flexures()).iter().enumerate() {
             let here = self.flexures_m.get(index).copied().unwrap_or(from);
             let next = self.flexures_m.get(index + 1).copied().unwrap_or(here + self.burr_from_last_m);
@@ -128,6 +145,12 @@ enum Kind {
         upper: f64,
         rate: f64,
     },
+    Prismatic {
+        axis: [u8; 3],
+        lower: f64,
+        upper: f64,
+        rate: f64,
+    },
 }
 
 #[derive(Debug, Default)]
@@ -156,18 +179,20 @@ impl Urdf {
         let (word, more) = match kind {
             Kind::Fixed => ("fixed", String::new()),
             Kind::Floating => ("floating", String::new()),
-            Kind::Revolute { axis: [x, y, z], lower, upper, rate } => (
-                "revolute",
-                format!(
-                    "<axis xyz=\"{x} {y} {z}\"/><limit lower=\"{lower}\" upper=\"{upper}\" velocity=\"{rate}\" effort=\"0\"/>"
-                ),
-            ),
+            Kind::Revolute { axis, lower, upper, rate } => ("revolute", limits(axis, [lower, upper, rate])),
+            Kind::Prismatic { axis, lower, upper, rate } => ("prismatic", limits(axis, [lower, upper, rate])),
         };
         let origin = origin(at);
         self.add(format_args!(
             "<joint name=\"{name}\" type=\"{word}\"><parent link=\"{parent}\"/><child link=\"{child}\"/>{origin}{more}</joint>"
         ));
     }
+}
+
+fn limits([x, y, z]: [u8; 3], [lower, upper, rate]: [f64; 3]) -> String {
+    format!(
+        "<axis xyz=\"{x} {y} {z}\"/><limit lower=\"{lower}\" upper=\"{upper}\" velocity=\"{rate}\" effort=\"0\"/>"
+    )
 }
 
 fn origin(at: &Isometry3<f64>) -> String {

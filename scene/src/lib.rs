@@ -58,7 +58,7 @@ pub use model::*;
 pub use named_file::ReadText;
 pub use planned_path::planned_path_mm;
 pub use schema::json_schema;
-pub use tool::{FlexurePlace, Holder, STANDARD_HOLDER, STANDARD_RADII, ToolRadii};
+pub use tool::{FlexurePlace, Holder, OuterTubeSize, STANDARD_HOLDER, STANDARD_RADII, ToolRadii};
 pub use truth::planned_path_in_bone_mm;
 
 use std::path::{Path, PathBuf};

@@ -1,9 +1,9 @@
 //! The path that a scene plans for its burr.
 
 use markups::Arc;
-use markups::vector::{dot, length, minus, plus, unit};
+use markups::vector::{across, cross, dot, length, minus, plus, unit};
 
-use crate::{CurvedDrilling, Predrill, Scene};
+use crate::{CurvedDrilling, Predrill, Scene, ToolDescription, ToolOuterTube, TubeDeployment};
 
 /// Distance of the points of a planned path, mm: the chord of an arc of 20 mm radius is within 0.4 micrometres of it.
 const STEP_MM: f64 = 0.25;
@@ -14,6 +14,7 @@ const ON_THE_LINE_MM: f64 = 1e-6;
 
 /// The planned path of the burr's centre, LPS, mm: through the pilot hole that leads to its start, straight to where the bend begins, and
 /// on the circle that the controller steers for, which leaves the line as its tangent and ends at the target. Without a target: straight.
+/// Of a tool that slides out of an outer tube: the way of its burr, on the rest shape of what is out.
 /// `None`: no built-in controller drills.
 pub fn planned_path_mm(scene: &Scene) -> Option<Vec<[f64; 3]>> {
     let start_mm = scene.tool.burr_start_mm;
@@ -23,7 +24,8 @@ pub fn planned_path_mm(scene: &Scene) -> Option<Vec<[f64; 3]>> {
         let drilling =
             controller.curved_drilling.as_ref().map(|drilling| curve_mm(drilling, start_mm, along));
         let skiving = || controller.skiving.as_ref().map(|skiving| vec![start_mm, ahead(skiving.depth_mm)]);
-        drilling.or_else(skiving)
+        let deployment = || deployment_mm(controller.tube_deployment.as_ref()?, scene, along);
+        drilling.or_else(skiving).or_else(deployment)
     })?;
     let leads_here = |hole: &&Predrill| length(minus(hole.to_mm, start_mm)) < SAME_MM;
     let hole = scene.predrill.iter().find(leads_here).map(|hole| hole.from_mm);
@@ -67,6 +69,39 @@ fn curve_mm(drilling: &CurvedDrilling, start_mm: [f64; 3], along: [f64; 3]) -> V
     path.push(target_mm);
     path.dedup();
     path
+}
+
+/// The way of the burr while the tool slides out: each flexure bends by the share of it that is out, the outer tube does not bend.
+fn deployment_mm(plan: &TubeDeployment, scene: &Scene, along: [f64; 3]) -> Option<Vec<[f64; 3]>> {
+    let tool = scene.manipulator.tool.as_ref()?;
+    let outer = tool.outer_tube.as_ref()?;
+    let toward = unit(across(scene.tool.bend_toward, along));
+    let (sin, cos) = plan.roll_deg.to_radians().sin_cos();
+    let bend = plus(cross(along, toward).map(|part| part * sin), cos, toward);
+    let start = burr_mm(tool, outer, 0.0);
+    let steps = (plan.deployed_mm / STEP_MM).ceil().max(1.0);
+    let way = (0..=steps as usize).map(|step| {
+        let [beside_mm, ahead_mm] = burr_mm(tool, outer, plan.deployed_mm * step as f64 / steps);
+        let ahead = plus(scene.tool.burr_start_mm, ahead_mm - start[1], along);
+        plus(ahead, beside_mm - start[0], bend)
+    });
+    Some(way.collect())
+}
+
+/// The burr's centre from the tool's base, beside and ahead, with a length of the tool out of its outer tube.
+fn burr_mm(tool: &ToolDescription, outer: &ToolOuterTube, deployed_mm: f64) -> [f64; 2] {
+    let places = tool.flexures();
+    let (mut place, mut angle, mut along_mm) = ([0.0, deployed_mm], 0.0_f64, 0.0);
+    for (index, flexure) in places.iter().enumerate() {
+        let ahead_mm = flexure.at_mm - along_mm;
+        place = [place[0] + ahead_mm * angle.sin(), place[1] + ahead_mm * angle.cos()];
+        along_mm = flexure.at_mm;
+        let length_mm = ToolDescription::length_mm(&places, index).unwrap_or(f64::MIN_POSITIVE);
+        let out_mm = flexure.at_mm + 0.5 * length_mm + deployed_mm - outer.end_mm;
+        angle += flexure.flexure.rest_deg.to_radians() * (out_mm / length_mm).clamp(0.0, 1.0);
+    }
+    let offset_mm = tool.burr.offset_mm;
+    [place[0] + offset_mm * angle.sin(), place[1] + offset_mm * angle.cos()]
 }
 
 #[cfg(test)]

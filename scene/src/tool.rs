@@ -11,8 +11,21 @@ pub struct ToolRadii {
     pub tube_inner_m: f64,
     /// Flexible drive cable in the lumen; 0 without.
     pub drive_cable_m: f64,
+    /// The tube out of which the tool slides, if there is one.
+    pub outer_tube: Option<OuterTubeSize>,
     /// The burr.
     pub cutter: Cutter,
+}
+
+/// Size of a straight tube out of which a tool slides.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OuterTubeSize {
+    /// Outside.
+    pub outer_m: f64,
+    /// Lumen.
+    pub inner_m: f64,
+    /// From the tool's base to its end.
+    pub end_m: f64,
 }
 
 /// The BIGSS/JHU manipulator: a nitinol tube with an outer diameter of 6 mm and a lumen of 4 mm (Murphy et al. 2014, "Design and kinematic
@@ -23,6 +36,7 @@ pub const STANDARD_RADII: ToolRadii = ToolRadii {
     tube_outer_m: 3.0e-3,
     tube_inner_m: 2.0e-3,
     drive_cable_m: 1.0e-3,
+    outer_tube: None,
     cutter: Cutter::ball(3.25e-3),
 };
 
@@ -68,6 +82,13 @@ impl Arm {
     }
 }
 
+impl ToolRadii {
+    /// Radius of the tool where it is widest, but for the burr: of the tube, or of the one that it slides out of.
+    pub fn widest_tube_m(&self) -> f64 {
+        self.outer_tube.map_or(self.tube_outer_m, |tube| tube.outer_m)
+    }
+}
+
 impl Manipulator {
     /// The radii of the scene's tool.
     pub fn radii(&self) -> ToolRadii {
@@ -96,6 +117,11 @@ impl ToolDescription {
             tube_outer_m: radius_m(self.tube.outer_diameter_mm),
             tube_inner_m: radius_m(self.tube.inner_diameter_mm),
             drive_cable_m: self.tube.drive_cable_diameter_mm.map_or(0.0, radius_m),
+            outer_tube: self.outer_tube.as_ref().map(|tube| OuterTubeSize {
+                outer_m: radius_m(tube.outer_diameter_mm),
+                inner_m: radius_m(tube.inner_diameter_mm),
+                end_m: tube.end_mm * 1e-3,
+            }),
             cutter: self.burr.cutter(),
         }
     }

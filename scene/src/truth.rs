@@ -1,6 +1,6 @@
 //! The simulated world where it differs from what a scene's plan and controllers take it for.
 
-use markups::vector::{dot, length, minus, plus};
+use markups::vector::{cross, dot, length, minus, plus};
 
 use crate::{Contact, Drilling, Manipulator, Scene, TrueManipulator, Truth, planned_path_mm};
 
@@ -57,13 +57,6 @@ fn turned(vector: [f64; 3], rotation_vector_deg: [f64; 3]) -> [f64; 3] {
     let along = dot(axis, vector);
     let across = cross(axis, vector);
     plus(plus(vector.map(|x| cosine * x), sine, across), along * (1.0 - cosine), axis)
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    core::array::from_fn(|i| {
-        let (j, k) = ((i + 1) % 3, (i + 2) % 3);
-        a[j] * b[k] - a[k] * b[j]
-    })
 }
 
 /// Takes what is given.

@@ -90,3 +90,48 @@ fn a_label_of_another_form_is_refused_with_the_two_that_it_may_have() {
         assert!(said.ends_with(": expected an integer of -32768 to 32767, or a segment's name"), "{said}");
     }
 }
+
+/// Only a tool with an outer tube has a tube to drive, and only as far and as fast as its drive goes.
+#[test]
+fn a_tube_is_driven_where_there_is_one_and_within_its_travel() {
+    const TUBES: &str = "[manipulator.tool]\nname = \"tubes\"\n[manipulator.tool.tube]\nouter_diameter_mm = 3.6\ninner_diameter_mm = 3.1\n\
+        linear_density_kg_per_m = 0.03\nyoungs_modulus_gpa = 15\n[manipulator.tool.outer_tube]\nend_mm = 50\nouter_diameter_mm = 4.5\n\
+        inner_diameter_mm = 3.7\ntravel_mm = 20\nspeed_mm_per_s = 5\n[manipulator.tool.burr]\ndiameter_mm = 4\noffset_mm = 3\nmass_g = 1\n\
+        [[manipulator.tool.flexure]]\nat_mm = 30\ncount = 10\npitch_mm = 2\n";
+    let controller = |keys: &str| format!("[[controller]]\nname = \"a\"\ndrives = [\"tube\"]\n{keys}\n");
+    let deployment = |keys: &str| {
+        controller(&format!(
+            "tube_deployment = {{ burr_speed_rpm = 1, feed_mm_per_s = 1, deployed_mm = 9, {keys} }}"
+        ))
+    };
+    assert!(parsed(&format!("{TUBES}{}", deployment("roll_deg = -360"))).is_ok());
+    for (text, said) in [
+        (deployment("roll_deg = 0"), "`controller.tube_deployment` needs a tool with `outer_tube`"),
+        (
+            controller("external = true"),
+            "`controller.drives` has `tube`, which is of a tool with `outer_tube`",
+        ),
+        (
+            format!("{TUBES}{}", deployment("roll_deg = 0").replace("deployed_mm = 9", "deployed_mm = 21")),
+            "`controller.tube_deployment.deployed_mm` is 21, allowed is 0 to 20",
+        ),
+        (
+            format!(
+                "{TUBES}{}",
+                deployment("roll_deg = 0").replace("feed_mm_per_s = 1", "feed_mm_per_s = 6")
+            ),
+            "`controller.tube_deployment.feed_mm_per_s` is 6, allowed is 0.01 to 5",
+        ),
+        (
+            format!("{TUBES}{}", deployment("retraction_mm = 10")),
+            "`controller.tube_deployment.retraction_mm` is 10, allowed is 0 to 9",
+        ),
+        (
+            format!("[manipulator]\nmodel = \"constant_curvature\"\n{TUBES}"),
+            "`tubes` slides out of a tube that holds it straight; expected planar, spatial or full",
+        ),
+    ] {
+        let refused = parsed(&text).unwrap_err();
+        assert!(refused.contains(said), "{refused}\nis not\n{said}");
+    }
+}

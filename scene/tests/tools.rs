@@ -200,6 +200,31 @@ fn a_tool_that_cannot_stand_is_refused_with_file_key_value_and_range() {
             "shape = \"cylinder\"\nlength_mm = 13.0\ndiameter_mm = 8.0\noffset_mm = 5.0",
             "`burr.offset_mm` is 5, allowed is 6 to 500: the cutter would lie inside the tube",
         ),
+        (
+            "[burr]",
+            "[outer_tube]\nend_mm = 40\nouter_diameter_mm = 7\ninner_diameter_mm = 6\ntravel_mm = 9\n[burr]",
+            "`tendon` stands beside `outer_tube`; expected one of the two",
+        ),
+        (
+            "[burr]",
+            "[outer_tube]\nend_mm = 35\nouter_diameter_mm = 7\ninner_diameter_mm = 6\ntravel_mm = 9\n[burr]",
+            "`outer_tube.end_mm` is 35, allowed is 36 to 54",
+        ),
+        (
+            "[burr]",
+            "[outer_tube]\nend_mm = 40\nouter_diameter_mm = 6\ninner_diameter_mm = 6\ntravel_mm = 9\n[burr]",
+            "`outer_tube.outer_diameter_mm` is 6, allowed is 6.02 to 30",
+        ),
+        (
+            "[burr]",
+            "[outer_tube]\nend_mm = 40\nouter_diameter_mm = 7\ninner_diameter_mm = 5.9\ntravel_mm = 9\n[burr]",
+            "`outer_tube.inner_diameter_mm` is 5.9, allowed is 6 to 6.98",
+        ),
+        (
+            "[burr]",
+            "[outer_tube]\nend_mm = 40\nouter_diameter_mm = 7\ninner_diameter_mm = 6\ntravel_mm = 900\n[burr]",
+            "`outer_tube.travel_mm` is 900, allowed is 0.1 to 500",
+        ),
         ("[burr]", "[ball]", "line 6: `ball`: unknown field `ball`"),
         ("name = \"drill\"", "name = \"a b\"", "`name` is \"a b\"; expected 1 to 64 letters"),
         (

@@ -31,7 +31,7 @@ impl Stretches {
         let count = (state.joint_count as usize).min(MAX_JOINTS);
         let mut stretches =
             Stretches { end_m: [0.0; MAX_JOINTS], curvature_per_m: [[0.0; 2]; MAX_JOINTS], count };
-        let mut before = rotation(&state.t_world_base);
+        let mut before = rotation(&t_world_tube(state));
         let mut start_m = 0.0;
         for i in 0..count {
             let length_m = stretch_m(state, i, count);
@@ -66,6 +66,20 @@ impl Stretches {
     }
 }
 
+/// Pose of the base of the tube in which the fibre lies: the tool's base, but for a tool that has slid out of an outer tube and turned in it.
+pub fn t_world_tube(state: &State) -> Pose {
+    if state.tube_deployed_m == 0.0 && state.tube_roll_rad == 0.0 {
+        return state.t_world_base;
+    }
+    let base = rotation(&state.t_world_base);
+    let ahead = base * Vector3::new(0.0, 0.0, state.tube_deployed_m);
+    let turned = base * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), state.tube_roll_rad);
+    Pose {
+        position_m: (Vector3::from(state.t_world_base.position_m) + ahead).into(),
+        orientation_xyzw: [turned.i, turned.j, turned.k, turned.w],
+    }
+}
+
 fn distance_m(a: &Pose, b: &Pose) -> f64 {
     (Vector3::from(a.position_m) - Vector3::from(b.position_m)).norm()
 }
@@ -96,7 +110,7 @@ pub(crate) fn node_curvatures(state: &State, nodes: u32, gauge_m: f64) -> impl I
 /// used, not its shape.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fibre {
-    /// From the tool's base to the fibre's start, metres.
+    /// From the tube's base ([`t_world_tube`]) to the fibre's start, metres.
     pub start_m: f64,
     /// Length of the fibre, metres.
     pub length_m: f64,
@@ -112,26 +126,26 @@ impl Fibre {
             return Fibre {
                 start_m: 0.0,
                 length_m: 0.0,
-                tip_m: distance_m(&state.t_world_base, &state.t_world_burr),
+                tip_m: distance_m(&t_world_tube(state), &state.t_world_burr),
             };
         };
         let length_m = Stretches::of(state).length_m();
         let first_m = 0.5 * stretch_m(state, 0, count);
         let last_m = 0.5 * stretch_m(state, last, count);
         Fibre {
-            start_m: distance_m(&state.t_world_base, &state.t_world_link[0]) - first_m,
+            start_m: distance_m(&t_world_tube(state), &state.t_world_link[0]) - first_m,
             length_m,
             tip_m: distance_m(&state.t_world_link[last], &state.t_world_burr) - last_m,
         }
     }
 
-    /// Pose of the burr, from that of the base and the curvatures of the nodes (toward and across of each): between nodes the curvature
+    /// Pose of the burr, from that of the tube's base and the curvatures of the nodes (toward and across of each): between nodes the curvature
     /// is linear, outside it is that of the nearest node.
-    pub fn burr(&self, t_world_base: &Pose, curvatures_per_m: &[f64]) -> Pose {
+    pub fn burr(&self, t_world_tube: &Pose, curvatures_per_m: &[f64]) -> Pose {
         let nodes = (curvatures_per_m.len() / 2) as u32;
         let mut here = Isometry3::from_parts(
-            Translation3::from(Vector3::from(t_world_base.position_m)),
-            rotation(t_world_base),
+            Translation3::from(Vector3::from(t_world_tube.position_m)),
+            rotation(t_world_tube),
         ) * Translation3::new(0.0, 0.0, self.start_m);
         let step_m = self.length_m / STEPS as f64;
         for step in 0..STEPS {

@@ -4,7 +4,7 @@ use messages::{MAX_TENDONS, Pose, SensorKind, SensorReading, State, Wrench};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use scene::{Scene, Tracked};
 
-use crate::fibre::Fibre;
+use crate::fibre::{Fibre, t_world_tube};
 use crate::measure::rotation;
 
 /// Puts the newest readings of chosen sensors in the place of a state's exact values. What no reading of them tells stays exact.
@@ -95,7 +95,7 @@ fn put_shape(state: &mut State, fibre: &Fibre, curvatures_per_m: &[f64]) {
     }
     let sum: f64 = curvatures_per_m.iter().step_by(2).sum();
     state.bend_rad = sum * fibre.length_m / nodes as f64;
-    let burr = fibre.burr(&state.t_world_base, curvatures_per_m);
+    let burr = fibre.burr(&t_world_tube(state), curvatures_per_m);
     put_burr(state, burr);
 }
 

@@ -374,7 +374,8 @@ impl Sim {
 impl Driver {
     /// Whether it is optional and does not join yet: it does with its first command that asks for something.
     fn stays_away(&self, command: &Command) -> bool {
-        let asks = [command.tendon_mode, command.arm_mode, command.burr_mode].iter().any(|mode| *mode != 0);
+        let modes = [command.tendon_mode, command.arm_mode, command.burr_mode, command.tube_mode];
+        let asks = modes.iter().any(|mode| *mode != 0);
         self.optional && self.sequence == 0 && !asks
     }
 

@@ -56,17 +56,32 @@ fn text(dimensions: &[Dimension], response: &Response) -> String {
     let first_hz = rounded(response.first_frequency_hz);
     let _ =
         write!(text, "\n{:<18} {first_hz:>7}  first bending mode while it is straight", "first_frequency_hz");
+    let slides = response.shapes.iter().any(|shape| shape.deployed_mm.is_some());
+    let loads = if slides { "deployed_mm" } else { "tendon   tension_n" };
     let _ = write!(
         text,
-        "\n\nat rest in free space; mm from the flange\ntendon   tension_n  bend_deg  toward_mm  across_mm  along_mm"
+        "\n\nat rest in free space; mm from the flange\n{loads}  bend_deg  toward_mm  across_mm  along_mm"
     );
-    for Shape { tendon, tension_n, bend_deg, toward_mm, across_mm, along_mm, stopped, settled } in
-        &response.shapes
-    {
+    for shape in &response.shapes {
+        let Shape {
+            tendon,
+            tension_n,
+            deployed_mm,
+            bend_deg,
+            toward_mm,
+            across_mm,
+            along_mm,
+            stopped,
+            settled,
+        } = shape;
         let tendon = tendon.map_or("none".to_owned(), |tendon| tendon.to_string());
+        let load = match deployed_mm {
+            Some(deployed_mm) => format!("{deployed_mm:>11}"),
+            None => format!("{tendon:<8} {tension_n:>9}"),
+        };
         let [bend, toward, across, along] =
             [bend_deg, toward_mm, across_mm, along_mm].map(|value| rounded(*value));
-        let _ = write!(text, "\n{tendon:<8} {tension_n:>9}  {bend:>8}  {toward:>9}  {across:>9}  {along:>8}");
+        let _ = write!(text, "\n{load}  {bend:>8}  {toward:>9}  {across:>9}  {along:>8}");
         if *stopped > 0 {
             let _ = write!(text, "  {stopped} on their stops");
         }

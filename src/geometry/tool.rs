@@ -11,7 +11,7 @@ const SIDES: u32 = 24;
 /// Circles of a ball of the burr between its poles.
 const CIRCLES: u32 = 11;
 
-/// The tool of a state: a tube through base and links up to the burr, closed at both ends, and the burr.
+/// The tool of a state: a tube through base and links up to the burr, closed at both ends, the burr, and the outer tube if there is one.
 pub fn surface(state: &State, radii: &ToolRadii) -> Mesh {
     let count = (state.joint_count as usize).min(state.t_world_link.len());
     let poses =
@@ -22,6 +22,10 @@ pub fn surface(state: &State, radii: &ToolRadii) -> Mesh {
         end.ahead_m = -radii.cutter.span_m();
     }
     let mut tool = swept(&rings);
+    if let Some(outer) = &radii.outer_tube {
+        let ring = |ahead_m: f64| Ring { pose: &state.t_world_base, ahead_m, radius_m: outer.outer_m };
+        tool.add(&swept(&[ring(0.0), ring(outer.end_m)]));
+    }
     tool.add(&swept(&burr_rings(&state.t_world_burr, &radii.cutter)));
     tool
 }

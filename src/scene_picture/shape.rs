@@ -62,12 +62,23 @@ impl Hole {
 pub struct ToolShape {
     /// From the base to the burr's centre.
     pub tube: Tube,
+    /// The tube that it slides out of, which stands.
+    pub outer: Option<Tube>,
     /// The burr's balls, from its front to its back.
     pub burr: Vec<Tube>,
 }
 
 impl ToolShape {
-    fn of(tool: &ManipulatorParameters, mut line_mm: Vec<Vector3<f64>>) -> ToolShape {
+    /// The tool along a line, its base at `base_mm`.
+    fn of(
+        tool: &ManipulatorParameters,
+        mut line_mm: Vec<Vector3<f64>>,
+        (base_mm, ahead): (&Vector3<f64>, &Vector3<f64>),
+    ) -> ToolShape {
+        let outer = tool.outer_tube.map(|outer| Tube {
+            line_mm: vec![*base_mm, base_mm + ahead * (1e3 * outer.end_m)],
+            radius_mm: 1e3 * outer.outer_radius_m,
+        });
         let end_mm = line_mm.last().copied().unwrap_or_default();
         let before = line_mm.iter().rev().find(|point| (end_mm - **point).norm() > 1e-6);
         let along = before.map_or_else(Vector3::zeros, |before| (end_mm - before).normalize());
@@ -83,12 +94,13 @@ impl ToolShape {
             line_mm.retain(|point| (end_mm - point).dot(&along) > span_mm);
             line_mm.push(behind_mm(tool.cutter.span_m()));
         }
-        ToolShape { tube: Tube { line_mm, radius_mm: 1e3 * tool.tube_radii_m[0] }, burr }
+        ToolShape { tube: Tube { line_mm, radius_mm: 1e3 * tool.tube_radii_m[0] }, outer, burr }
     }
 
     /// Whether a point lies in it.
     pub fn holds(&self, point_mm: &Vector3<f64>) -> bool {
-        self.tube.holds(point_mm) || self.burr.iter().any(|ball| ball.holds(point_mm))
+        let tubes = self.burr.iter().chain(&self.outer).chain([&self.tube]);
+        tubes.into_iter().any(|tube| tube.holds(point_mm))
     }
 }
 
@@ -137,9 +149,10 @@ impl Shapes {
         };
         let ahead = path_behind(&path_mm, &start_mm);
         let insertion_mm = length(&ahead);
-        let shape = |line_mm: Vec<Vector3<f64>>| ToolShape::of(&tool, line_mm);
+        let base_mm = start_mm - along * tool_mm;
+        let shape = |line_mm: Vec<Vector3<f64>>| ToolShape::of(&tool, line_mm, (&base_mm, &along));
         // The whole way of the burr: from the base of the tool at the start, and on along the path.
-        let mut way = vec![start_mm - along * tool_mm];
+        let mut way = vec![base_mm];
         way.extend(&ahead);
         Ok(Shapes {
             holes: scene.predrill.iter().map(hole).collect(),
@@ -147,7 +160,7 @@ impl Shapes {
             start_mm,
             along,
             toward,
-            at_start: shape(vec![start_mm - along * tool_mm, start_mm]),
+            at_start: shape(vec![base_mm, start_mm]),
             at_end: shape(last_of(&way, tool_mm)),
             path_mm,
             insertion_mm,

@@ -130,7 +130,7 @@ mod tests {
         };
         let tool = |at: [f64; 3]| {
             let tube = Tube { line_mm: vec![Vector3::from(at)], radius_mm: 3.0 };
-            ToolShape { burr: vec![tube.clone()], tube }
+            ToolShape { burr: vec![tube.clone()], outer: None, tube }
         };
         let shapes = Shapes {
             holes: Vec::new(),

@@ -88,6 +88,17 @@ pub fn dimensions(scene: &Scene) -> Result<Vec<Dimension>, Failure> {
             "distance of the standard pair of tendons from the axis",
         ));
     }
+    if let Some(outer) = scene.manipulator.tool.as_ref().and_then(|tool| tool.outer_tube.as_ref()) {
+        all.extend([
+            dimension("outer_tube_end_mm", outer.end_mm, "from the flange to the end of the outer tube"),
+            dimension(
+                "outer_tube_outer_mm",
+                outer.outer_diameter_mm,
+                "outer diameter of the outer tube; a pilot hole is at least as wide where it goes in",
+            ),
+            dimension("travel_mm", outer.travel_mm, "farthest that the tool slides out of the outer tube"),
+        ]);
+    }
     if let Some(shaft) = scene.manipulator.tool.as_ref().and_then(|tool| tool.drive_shaft.as_ref()) {
         all.extend(drive_shaft(shaft, &tool, scene.manipulator.burr_stall_torque_nmm));
     }

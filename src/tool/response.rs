@@ -15,6 +15,8 @@ use crate::failure::Failure;
 
 /// Tensions that are shown, N.
 const TENSIONS_N: [f64; 3] = [2.0, 5.0, 10.0];
+/// Lengths out of an outer tube that are shown, as shares of its travel.
+const DEPLOYED_SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 /// The tool has settled when no flexure turns faster, rad/s; at 1 ms it then moves less than a nanometre a step.
 const SETTLED_RAD_PER_S: f64 = 1e-6;
 /// Steps of 1 ms in which a critically damped tool settles, or is given up.
@@ -31,6 +33,9 @@ pub struct Shape {
     pub tendon: Option<usize>,
     /// Its tension.
     pub tension_n: f64,
+    /// Length of the tool out of its outer tube; absent: it has none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub deployed_mm: Option<f64>,
     /// Bend of the whole tool toward `tool.bend_toward`.
     pub bend_deg: f64,
     /// The burr's centre toward `tool.bend_toward`.
@@ -77,7 +82,14 @@ pub fn response(scene: &Scene) -> Result<Response, Failure> {
     let parameters = manipulator_parameters(scene).map_err(Failure::bad_input)?;
     let own = rung(scene.manipulator.model.unwrap_or_default());
     let tool = new(own, &parameters).map_err(Failure::bad_input)?;
-    let mut shapes = vec![shape(own, &parameters, None, 0.0)?];
+    let outer = scene.manipulator.tool.as_ref().and_then(|tool| tool.outer_tube.as_ref());
+    let mut shapes = match outer {
+        None => vec![shape(own, &parameters, None, 0.0)?],
+        Some(outer) => DEPLOYED_SHARES
+            .into_iter()
+            .map(|share| shape_deployed(own, &parameters, share * outer.travel_mm))
+            .collect::<Result<_, _>>()?,
+    };
     for tendon in 0..parameters.tendon_count() {
         for tension_n in TENSIONS_N {
             shapes.push(shape(own, &parameters, Some(tendon), tension_n)?);
@@ -125,9 +137,32 @@ fn shape(
     tendon: Option<usize>,
     tension_n: f64,
 ) -> Result<Shape, Failure> {
+    settled(rung, parameters, pulled(tendon, tension_n), None).map(|shape| Shape {
+        tendon,
+        tension_n,
+        ..shape
+    })
+}
+
+/// The shape without load, a length out of the outer tube; its place is from the outer tube's base.
+fn shape_deployed(
+    rung: Rung,
+    parameters: &ManipulatorParameters,
+    deployed_mm: f64,
+) -> Result<Shape, Failure> {
+    let shape = settled(rung, parameters, pulled(None, 0.0), Some(deployed_mm))?;
+    Ok(Shape { along_mm: shape.along_mm + deployed_mm, ..shape })
+}
+
+fn settled(
+    rung: Rung,
+    parameters: &ManipulatorParameters,
+    input: StepInput,
+    deployed_mm: Option<f64>,
+) -> Result<Shape, Failure> {
     let damped = ManipulatorParameters { damping_ratio: 1.0, ..parameters.clone() };
     let mut tool = new(rung, &damped).map_err(Failure::bad_input)?;
-    let input = pulled(tendon, tension_n);
+    tool.set_deployed(1e-3 * deployed_mm.unwrap_or(0.0));
     let mut settled = false;
     for _ in 0..MOST_STEPS {
         tool.step(STEP_S, &input).map_err(|cause| Failure::failed(cause.to_string()))?;
@@ -138,8 +173,9 @@ fn shape(
     }
     let burr_m = tool.t_world_tip().translation.vector;
     Ok(Shape {
-        tendon,
-        tension_n,
+        tendon: None,
+        tension_n: 0.0,
+        deployed_mm,
         bend_deg: tool.bend_rad().to_degrees(),
         toward_mm: 1e3 * burr_m.x,
         across_mm: 1e3 * burr_m.y,

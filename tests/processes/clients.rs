@@ -67,7 +67,8 @@ fn bad_commands(sequence: u64, tick: u64) -> Vec<(Command, &'static str)> {
             "`arm_speed_m_per_s` is 0, allowed is above 0 and at most 1",
         ),
         (Command { arm_mode: 9, ..good }, "`arm_mode` is 9, expected 0 none"),
-        (Command { reserved: 1, ..good }, "`reserved` is 1, expected 0"),
+        (Command { tube_mode: 3, ..good }, "`tube_mode` is 3, expected 0 none"),
+        (Command { tube_mode: 2, ..good }, "`tube_mode` drives the tube, which the scene does not give"),
         (Command { sequence: sequence - 1, ..good }, "`sequence` is 150, expected more than 150"),
         (Command { sequence: 1, ..good }, "`sequence` is 1, expected more than 150"),
         (

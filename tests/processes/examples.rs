@@ -7,7 +7,7 @@ use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Place, Run, assert_nothing_left, trabecula};
 
 /// Each scene, and the line by which it shows its feature.
-const GALLERY: [(&str, &str); 24] = [
+const GALLERY: [(&str, &str); 25] = [
     ("arm_compliance.toml", "[arm.compliance]"),
     ("arm_gantry.toml", "model = \"gantry\""),
     ("arm_joints.toml", "[[arm.joint]]"),
@@ -30,6 +30,7 @@ const GALLERY: [(&str, &str); 24] = [
     ("tool_drive_shaft.toml", "[manipulator.tool.drive_shaft]"),
     ("tool_pre_curved.toml", "start_shape = \"straight\""),
     ("tool_rigid.toml", "file = \"../tools/rigid_drill.toml\""),
+    ("tool_tube_in_tube.toml", "[controller.tube_deployment]"),
     ("tool_two_segments.toml", "file = \"../tools/two_segments.toml\""),
     ("truth.toml", "[truth.manipulator]"),
 ];

@@ -1,7 +1,7 @@
 //! Content of `/view/info`: the scene as the page needs it.
 
 use ipc_types::messages::Pose;
-use ipc_types::scene::{Cutter, Holder, Scene, planned_path_in_bone_mm};
+use ipc_types::scene::{Cutter, Holder, OuterTubeSize, Scene, planned_path_in_bone_mm};
 use serde_json::{Value, json};
 use voxel_grid::slice::ANATOMICAL;
 
@@ -22,6 +22,8 @@ pub struct ToolShape {
     pub tip_offset_m: f64,
     /// Outer radius of the tube.
     pub outer_radius_m: f64,
+    /// The tube out of which the tool slides, if there is one.
+    pub outer_tube: Option<OuterTubeSize>,
     /// The burr.
     pub cutter: Cutter,
     /// What joins the tool to the arm.
@@ -170,6 +172,7 @@ fn tool_part(scene: &Scene, tool: &ToolShape) -> Value {
         "burr_balls": tool.cutter.balls().iter().map(|ball| {
             json!({"behind_m": ball.behind_m, "radius_m": ball.radius_m})
         }).collect::<Vec<_>>(),
+        "outer_tube": tool.outer_tube.map(|tube| json!({"length_m": tube.end_m, "radius_m": tube.outer_m})),
         "shaft": {"length_m": tool.joint_positions_m.first(), "radius_m": tool.outer_radius_m},
         "holder": tool.holder.reach_m(from_flange_m).map(|length_m| {
             json!({"length_m": length_m, "radius_m": tool.holder.radius_m})

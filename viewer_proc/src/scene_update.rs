@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use ipc_types::messages::{Pose, State};
-use ipc_types::scene::Cutter;
+use ipc_types::scene::{Cutter, OuterTubeSize};
 use serde_json::{Value, json};
 
 use crate::board::Board;
@@ -18,6 +18,7 @@ const METRES_PER_NEWTON: f64 = 2e-3;
 #[derive(Debug)]
 pub struct Drawer {
     outer_radius_m: f64,
+    outer_tube: Option<OuterTubeSize>,
     cutter: Cutter,
     last: Option<Instant>,
 }
@@ -25,7 +26,12 @@ pub struct Drawer {
 impl Drawer {
     /// A drawer for this tool.
     pub fn new(tool: &ToolShape) -> Drawer {
-        Drawer { outer_radius_m: tool.outer_radius_m, cutter: tool.cutter, last: None }
+        Drawer {
+            outer_radius_m: tool.outer_radius_m,
+            outer_tube: tool.outer_tube,
+            cutter: tool.cutter,
+            last: None,
+        }
     }
 
     /// Whether somebody subscribes and the last drawing is old enough.
@@ -46,13 +52,18 @@ impl Drawer {
         let links = &state.t_world_link[..(state.joint_count as usize).min(state.t_world_link.len())];
         let starts = core::iter::once(&state.t_world_base).chain(links);
         let mut burr_end = state.t_world_burr;
-        burr_end.position_m = self.on_axis(state, self.cutter.span_m());
+        burr_end.position_m = on_axis(&state.t_world_burr, -self.cutter.span_m());
         let ends = links.iter().chain(core::iter::once(&burr_end));
-        let cylinders: Vec<Value> = starts.zip(ends).map(|(start, end)| self.cylinder(start, end)).collect();
+        let link = |(start, end): (&Pose, &Pose)| cylinder(self.outer_radius_m, start, end.position_m);
+        let outer = self.outer_tube.map(|tube| {
+            let base = &state.t_world_base;
+            cylinder(tube.outer_m, base, on_axis(base, tube.end_m))
+        });
+        let cylinders: Vec<Value> = starts.zip(ends).map(link).chain(outer).collect();
         let balls = self.cutter.balls().iter();
         let burr: Vec<Value> = balls
             .map(|ball| {
-                let centre_m = self.on_axis(state, ball.behind_m);
+                let centre_m = on_axis(&state.t_world_burr, -ball.behind_m);
                 json!({"pose": pose(&state.t_world_burr, centre_m), "size": point([2.0 * ball.radius_m; 3]),
                     "color": colour(0.8, 0.4, 0.0)})
             })
@@ -71,22 +82,23 @@ impl Drawer {
             .collect();
         entity("tool", time_ns, &json!(burr), &json!(cylinders), &json!(lines))
     }
+}
 
-    /// A point of the burr's axis, behind its centre.
-    fn on_axis(&self, state: &State, behind_m: f64) -> [f64; 3] {
-        let Pose { position_m, orientation_xyzw: [x, y, z, w] } = state.t_world_burr;
-        let axis = [2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y)];
-        core::array::from_fn(|i| position_m[i] - behind_m * axis[i])
-    }
+/// A point of a pose's z axis.
+fn on_axis(pose: &Pose, ahead_m: f64) -> [f64; 3] {
+    let [x, y, z, w] = pose.orientation_xyzw;
+    let axis = [2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y)];
+    core::array::from_fn(|i| pose.position_m[i] + ahead_m * axis[i])
+}
 
-    fn cylinder(&self, start: &Pose, end: &Pose) -> Value {
-        let (a, b) = (start.position_m, end.position_m);
-        let length_m = (0..3).map(|axis| (b[axis] - a[axis]).powi(2)).sum::<f64>().sqrt();
-        let middle = core::array::from_fn(|axis| 0.5 * (a[axis] + b[axis]));
-        let diameter = 2.0 * self.outer_radius_m;
-        json!({"pose": pose(start, middle), "size": point([diameter, diameter, length_m]),
-            "bottom_scale": 1.0, "top_scale": 1.0, "color": colour(0.6, 0.65, 0.7)})
-    }
+/// A cylinder along a pose's z axis, from its origin to a point.
+fn cylinder(radius_m: f64, start: &Pose, end_m: [f64; 3]) -> Value {
+    let from_m = start.position_m;
+    let length_m = (0..3).map(|axis| (end_m[axis] - from_m[axis]).powi(2)).sum::<f64>().sqrt();
+    let middle = core::array::from_fn(|axis| 0.5 * (from_m[axis] + end_m[axis]));
+    let diameter = 2.0 * radius_m;
+    json!({"pose": pose(start, middle), "size": point([diameter, diameter, length_m]),
+        "bottom_scale": 1.0, "top_scale": 1.0, "color": colour(0.6, 0.65, 0.7)})
 }
 
 /// A line through points as a drawing of its own, in JSON.

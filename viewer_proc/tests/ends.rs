@@ -49,6 +49,7 @@ fn shapes(scene: &Scene) -> (ToolShape, ArmLooks) {
         joint_positions_m: Vec::new(),
         tip_offset_m: 0.0,
         outer_radius_m: radii.tube_outer_m,
+        outer_tube: None,
         cutter: radii.cutter,
         holder: scene.arm.holder(),
         arm_parts: None,

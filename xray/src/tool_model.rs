@@ -15,7 +15,7 @@ const HOLDER_WALL_M: f64 = 2e-3;
 /// Shaft and links as nitinol tubes around a steel cable, the burr as a steel ball. With `notch`, every link between two flexures has a
 /// notch at its middle, on alternating sides of the bending plane. Where two links meet at an angle, the plane through the joint that
 /// halves it cuts both, so that no wedge is missing and no metal counts twice. Behind the base the shaft goes on to the holder on the
-/// arm's flange, a steel sleeve. The burr is the last part; of a longer cutter the parts of its balls are, which do not overlap, from the
+/// arm's flange, a steel sleeve. A tool that slides out of an outer tube has that one, of steel, about it. The burr is the last part; of a longer cutter the parts of its balls are, which do not overlap, from the
 /// front to the back, and the last link ends at the centre of the last ball.
 pub fn tool_of(state: &State, radii: &ToolRadii, holder: &Holder, notch: Option<&SceneNotch>) -> Tool {
     let front_m = holder.front_m(state.t_world_flange.position_m, state.t_world_base.position_m);
@@ -26,12 +26,20 @@ pub fn tool_of(state: &State, radii: &ToolRadii, holder: &Holder, notch: Option<
         None => add_scaled(state.t_world_burr.position_m, -cutter.span_m(), ahead),
     };
     let links = links_of(state, front_m, end_m);
-    let mut parts = Vec::with_capacity(2 * links.len() + 1 + cutter.balls().len());
+    let mut parts = Vec::with_capacity(2 * links.len() + 2 + cutter.balls().len());
     if let Some(sleeve) =
         front_m.and_then(|front_m| Link::new(0, state.t_world_flange.position_m, front_m, [0.0; 3]))
     {
         let inner_m = (holder.radius_m - HOLDER_WALL_M).max(0.0);
         parts.push(sleeve.part([None; 2], [holder.radius_m, inner_m], None, Material::Steel316L));
+    }
+    if let Some(outer) = &radii.outer_tube {
+        let base_m = state.t_world_base.position_m;
+        let end_m = add_scaled(base_m, outer.end_m, z_axis(&state.t_world_base.orientation_xyzw));
+        let tube = Link::new(0, front_m.unwrap_or(base_m), end_m, [0.0; 3]);
+        let part =
+            |tube: Link| tube.part([None; 2], [outer.outer_m, outer.inner_m], None, Material::Steel316L);
+        parts.extend(tube.map(part));
     }
     for (at, link) in links.iter().enumerate() {
         let before = at.checked_sub(1).and_then(|before| links.get(before));

@@ -1,7 +1,7 @@
 //! What the bridge sends of a session.
 
 use ipc_types::messages::{Frame, Phase, Pose, RunStatus, State};
-use ipc_types::scene::{Cutter, Scene, planned_path_mm};
+use ipc_types::scene::{Scene, ToolRadii, planned_path_mm};
 use openigtlink::{Body, Coordinates, Image, Message, Point, PolyData, Timestamp};
 
 use crate::ras;
@@ -72,22 +72,31 @@ pub(crate) fn figures(state: &State, status: Option<&RunStatus>, timestamp: Time
     message("State", timestamp, Body::Text(text))
 }
 
-/// The tool's radii as it is drawn.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Radii {
-    pub(crate) tube_m: f64,
-    pub(crate) cutter: Cutter,
-}
+/// A circle across a pose's z axis: radius, and how far behind the pose, m.
+type Ring<'p> = (&'p Pose, f64, f64);
 
-/// The tool as a surface: a tube through base, links and burr, closed by the widest circle of the burr, or of its balls, and its tip.
-pub(crate) fn tool(state: &State, radii: Radii, timestamp: Timestamp) -> Message {
-    let mut rings: Vec<(&Pose, f64, f64)> = vec![(&state.t_world_base, radii.tube_m, 0.0)];
-    rings.extend(links(state).iter().map(|link| (link, radii.tube_m, 0.0)));
+/// The tool as a surface: a tube through base, links and burr, closed by the widest circle of the burr, or of its balls, and its tip; and the
+/// outer tube about it if there is one.
+pub(crate) fn tool(state: &State, radii: &ToolRadii, timestamp: Timestamp) -> Message {
+    let tube_m = radii.tube_outer_m;
+    let mut rings: Vec<Ring> = vec![(&state.t_world_base, tube_m, 0.0)];
+    rings.extend(links(state).iter().map(|link| (link, tube_m, 0.0)));
     let balls = radii.cutter.balls().iter().rev();
     rings.extend(balls.map(|ball| (&state.t_world_burr, ball.radius_m, ball.behind_m)));
     rings.push((&state.t_world_tip, 0.0, 0.0));
     let mut surface = PolyData::default();
-    for (pose, radius_m, behind_m) in &rings {
+    add_tube(&mut surface, &rings);
+    if let Some(outer) = &radii.outer_tube {
+        let base = &state.t_world_base;
+        add_tube(&mut surface, &[(base, outer.outer_m, 0.0), (base, outer.outer_m, -outer.end_m)]);
+    }
+    message("Tool", timestamp, Body::PolyData(surface))
+}
+
+/// Adds the surface through circles one ahead of the other.
+fn add_tube(surface: &mut PolyData, rings: &[Ring]) {
+    let first = surface.points_mm.len() as u32;
+    for (pose, radius_m, behind_m) in rings {
         let behind_mm = (1000.0 * behind_m) as f32;
         let transform = ras::transform(pose);
         let radius_mm = (1000.0 * radius_m) as f32;
@@ -103,11 +112,10 @@ pub(crate) fn tool(state: &State, radii: Radii, timestamp: Timestamp) -> Message
     for ring in 0..rings.len() as u32 - 1 {
         for side in 0..SIDES {
             let next = (side + 1) % SIDES;
-            let (near, far) = (ring * SIDES, (ring + 1) * SIDES);
+            let (near, far) = (first + ring * SIDES, first + (ring + 1) * SIDES);
             surface.polygons.push(vec![near + side, near + next, far + next, far + side]);
         }
     }
-    message("Tool", timestamp, Body::PolyData(surface))
 }
 
 /// An X-ray at its detector: axis i along the rows, j down the columns, k from the detector toward the source.

@@ -3,12 +3,13 @@
 use std::time::{Duration, Instant};
 
 use ipc_types::messages::ControlAction;
+use ipc_types::scene::ToolRadii;
 use openigtlink::{Message, StatusCode, Timestamp};
 use trabecula_client::{Client, ClientError, Connection};
 
 use super::connection::Asked;
 use super::incoming::Request;
-use super::outgoing::{self, Radii};
+use super::outgoing;
 use super::plan::{Follower, Speeds};
 use super::{IgtlError, IgtlOptions, Permission};
 
@@ -23,7 +24,7 @@ const SLOW_PERIOD: Duration = Duration::from_millis(200);
 pub(crate) struct Joined {
     client: Client,
     follower: Follower,
-    radii: Radii,
+    radii: ToolRadii,
     slow_due: Instant,
     /// Tick of the newest state that was sent.
     sent_tick: Option<u64>,
@@ -38,7 +39,6 @@ impl Joined {
         };
         let client = Client::connect(&connection)?;
         let radii = client.scene().manipulator.radii();
-        let radii = Radii { tube_m: radii.tube_outer_m, cutter: radii.cutter };
         Ok(Joined {
             client,
             follower: Follower::new(speeds),
@@ -82,7 +82,7 @@ impl Joined {
                 self.sent_tick = Some(state.tick);
                 messages = outgoing::poses(state, now);
                 if slow {
-                    messages.push(outgoing::tool(state, self.radii, now));
+                    messages.push(outgoing::tool(state, &self.radii, now));
                 }
             }
             if slow {

@@ -31,9 +31,9 @@ extern "C" {
 
 /* Layouts of the messages below: what a program passes to trb_connect. */
 #define TRB_LAYOUTS \
-    "State=667f7e2cccade3c0;" \
-    "Command=b605ebd891a61955;" \
-    "Latched=614767b54ae410af;" \
+    "State=c7838dd30ed27c36;" \
+    "Command=bb53201b525a9c96;" \
+    "Latched=81124c23facff698;" \
     "Removed=5ce3babf608d61af;" \
     "SensorReading=c28288800b91c249;" \
     "Keyframe=e1b9ba2b5a994f57;" \
@@ -53,7 +53,7 @@ extern "C" {
     "Wrench=bf570e10fd89ea10;" \
     "Contact=c84e06f445b86662;" \
     "AppliedCommand=116d7b58e2c912bb;" \
-    "LatchedCommand=dcfc23c2f38f8931;" \
+    "LatchedCommand=47e8ff9bb9bed988;" \
     "CArmGeometry=7864e87c0e8671ed;" \
     "CArmProjection=46e6726030fe2f0e;" \
     "Abi=a16e5544816b9fdc"
@@ -100,6 +100,9 @@ extern "C" {
 #define TRB_PROTECTIVE_STOP_RELEASED 2
 #define TRB_BURR_NONE 0
 #define TRB_BURR_SPEED 1
+#define TRB_TUBE_NONE 0
+#define TRB_TUBE_MOVE_JP 1
+#define TRB_TUBE_HOLD 2
 #define TRB_SOURCE_NONE 0
 #define TRB_SOURCE_FRESH 1
 #define TRB_SOURCE_HELD 2
@@ -301,8 +304,16 @@ typedef struct trb_state {
     double tendon_tension_n[4];
     /* Displacement of each tendon from its straight, unloaded length; positive when pulled. */
     double tendon_displacement_m[4];
-    /* Pose of the tool base (start of the rigid shaft), including the mount's deflection; +z along the
-     * straight tool, +x toward tendon 0. */
+    /* How far the tube has slid out of the outer tube; 0 for a tool without one. */
+    double tube_deployed_m;
+    /* Speed of that. */
+    double tube_deploying_m_per_s;
+    /* Angle of the tube about its own axis in the outer tube, from +x toward +y of the tool base. */
+    double tube_roll_rad;
+    /* Speed of that. */
+    double tube_rolling_rad_per_s;
+    /* Pose of the tool base (start of the rigid shaft, or of the outer tube), including the mount's
+     * deflection; +z along the straight tool, +x toward tendon 0. */
     trb_pose t_world_base;
     /* Pose of the tip, the front of the burr: its centre plus its radius along the last link's +z. */
     trb_pose t_world_tip;
@@ -361,23 +372,27 @@ TRB_ASSERT(offsetof(trb_state, cutting_energy_j) == 664, "trb_state.cutting_ener
 TRB_ASSERT(offsetof(trb_state, crushing_energy_j) == 672, "trb_state.crushing_energy_j");
 TRB_ASSERT(offsetof(trb_state, tendon_tension_n) == 680, "trb_state.tendon_tension_n");
 TRB_ASSERT(offsetof(trb_state, tendon_displacement_m) == 712, "trb_state.tendon_displacement_m");
-TRB_ASSERT(offsetof(trb_state, t_world_base) == 744, "trb_state.t_world_base");
-TRB_ASSERT(offsetof(trb_state, t_world_tip) == 800, "trb_state.t_world_tip");
-TRB_ASSERT(offsetof(trb_state, t_world_burr) == 856, "trb_state.t_world_burr");
-TRB_ASSERT(offsetof(trb_state, t_world_link) == 912, "trb_state.t_world_link");
-TRB_ASSERT(offsetof(trb_state, arm_joint_position_rad) == 2704, "trb_state.arm_joint_position_rad");
-TRB_ASSERT(offsetof(trb_state, arm_joint_velocity_rad_per_s) == 2760, "trb_state.arm_joint_velocity_rad_per_s");
-TRB_ASSERT(offsetof(trb_state, arm_joint_deflection_rad) == 2816, "trb_state.arm_joint_deflection_rad");
-TRB_ASSERT(offsetof(trb_state, arm_manipulability_m3) == 2872, "trb_state.arm_manipulability_m3");
-TRB_ASSERT(offsetof(trb_state, t_world_flange) == 2880, "trb_state.t_world_flange");
-TRB_ASSERT(offsetof(trb_state, flange_wrench) == 2936, "trb_state.flange_wrench");
-TRB_ASSERT(offsetof(trb_state, t_world_body) == 2984, "trb_state.t_world_body");
-TRB_ASSERT(offsetof(trb_state, contacts) == 3208, "trb_state.contacts");
-TRB_ASSERT(offsetof(trb_state, applied) == 7048, "trb_state.applied");
-TRB_ASSERT(sizeof(trb_state) == 7144, "trb_state");
+TRB_ASSERT(offsetof(trb_state, tube_deployed_m) == 744, "trb_state.tube_deployed_m");
+TRB_ASSERT(offsetof(trb_state, tube_deploying_m_per_s) == 752, "trb_state.tube_deploying_m_per_s");
+TRB_ASSERT(offsetof(trb_state, tube_roll_rad) == 760, "trb_state.tube_roll_rad");
+TRB_ASSERT(offsetof(trb_state, tube_rolling_rad_per_s) == 768, "trb_state.tube_rolling_rad_per_s");
+TRB_ASSERT(offsetof(trb_state, t_world_base) == 776, "trb_state.t_world_base");
+TRB_ASSERT(offsetof(trb_state, t_world_tip) == 832, "trb_state.t_world_tip");
+TRB_ASSERT(offsetof(trb_state, t_world_burr) == 888, "trb_state.t_world_burr");
+TRB_ASSERT(offsetof(trb_state, t_world_link) == 944, "trb_state.t_world_link");
+TRB_ASSERT(offsetof(trb_state, arm_joint_position_rad) == 2736, "trb_state.arm_joint_position_rad");
+TRB_ASSERT(offsetof(trb_state, arm_joint_velocity_rad_per_s) == 2792, "trb_state.arm_joint_velocity_rad_per_s");
+TRB_ASSERT(offsetof(trb_state, arm_joint_deflection_rad) == 2848, "trb_state.arm_joint_deflection_rad");
+TRB_ASSERT(offsetof(trb_state, arm_manipulability_m3) == 2904, "trb_state.arm_manipulability_m3");
+TRB_ASSERT(offsetof(trb_state, t_world_flange) == 2912, "trb_state.t_world_flange");
+TRB_ASSERT(offsetof(trb_state, flange_wrench) == 2968, "trb_state.flange_wrench");
+TRB_ASSERT(offsetof(trb_state, t_world_body) == 3016, "trb_state.t_world_body");
+TRB_ASSERT(offsetof(trb_state, contacts) == 3240, "trb_state.contacts");
+TRB_ASSERT(offsetof(trb_state, applied) == 7080, "trb_state.applied");
+TRB_ASSERT(sizeof(trb_state) == 7176, "trb_state");
 
-/* A controller's command. Mode names follow CRTK. Mode 0 leaves tendons, arm or burr at their previous
- * command; a controller may drive only what the scene's `drives` allows. */
+/* A controller's command. Mode names follow CRTK. Mode 0 leaves tendons, arm, burr or tube at their
+ * previous command; a controller may drive only what the scene's `drives` allows. */
 typedef struct trb_command {
     /* Sequence number of this controller's commands: 1, 2, 3 and so on. */
     uint64_t sequence;
@@ -389,8 +404,8 @@ typedef struct trb_command {
     uint32_t arm_mode;
     /* 0 none, 1 speed. */
     uint32_t burr_mode;
-    /* Always 0. */
-    uint32_t reserved;
+    /* 0 none, 1 move_jp, 2 hold. */
+    uint32_t tube_mode;
     /* Tensions for servo_jf, 0 or more. */
     double tendon_force_n[4];
     /* Displacements for servo_jp and move_jp; positive pulls. */
@@ -412,13 +427,19 @@ typedef struct trb_command {
     double arm_pivot_m[3];
     /* Angular speed of the burr. */
     double burr_speed_rad_per_s;
+    /* Goal of the tube's move_jp: how far it slides out of the outer tube. */
+    double tube_deployed_m;
+    /* Goal of the tube's move_jp: its angle about its own axis. */
+    double tube_roll_rad;
+    /* Speed limit of its sliding; 0 selects the tool's limit. */
+    double tube_speed_m_per_s;
 } trb_command;
 TRB_ASSERT(offsetof(trb_command, sequence) == 0, "trb_command.sequence");
 TRB_ASSERT(offsetof(trb_command, state_tick) == 8, "trb_command.state_tick");
 TRB_ASSERT(offsetof(trb_command, tendon_mode) == 16, "trb_command.tendon_mode");
 TRB_ASSERT(offsetof(trb_command, arm_mode) == 20, "trb_command.arm_mode");
 TRB_ASSERT(offsetof(trb_command, burr_mode) == 24, "trb_command.burr_mode");
-TRB_ASSERT(offsetof(trb_command, reserved) == 28, "trb_command.reserved");
+TRB_ASSERT(offsetof(trb_command, tube_mode) == 28, "trb_command.tube_mode");
 TRB_ASSERT(offsetof(trb_command, tendon_force_n) == 32, "trb_command.tendon_force_n");
 TRB_ASSERT(offsetof(trb_command, tendon_displacement_m) == 64, "trb_command.tendon_displacement_m");
 TRB_ASSERT(offsetof(trb_command, arm_joint_position_rad) == 96, "trb_command.arm_joint_position_rad");
@@ -429,7 +450,10 @@ TRB_ASSERT(offsetof(trb_command, arm_axis) == 272, "trb_command.arm_axis");
 TRB_ASSERT(offsetof(trb_command, arm_depth_m) == 296, "trb_command.arm_depth_m");
 TRB_ASSERT(offsetof(trb_command, arm_pivot_m) == 304, "trb_command.arm_pivot_m");
 TRB_ASSERT(offsetof(trb_command, burr_speed_rad_per_s) == 328, "trb_command.burr_speed_rad_per_s");
-TRB_ASSERT(sizeof(trb_command) == 336, "trb_command");
+TRB_ASSERT(offsetof(trb_command, tube_deployed_m) == 336, "trb_command.tube_deployed_m");
+TRB_ASSERT(offsetof(trb_command, tube_roll_rad) == 344, "trb_command.tube_roll_rad");
+TRB_ASSERT(offsetof(trb_command, tube_speed_m_per_s) == 352, "trb_command.tube_speed_m_per_s");
+TRB_ASSERT(sizeof(trb_command) == 360, "trb_command");
 
 /* One controller's part of u_k. */
 typedef struct trb_latched_command {
@@ -446,7 +470,7 @@ TRB_ASSERT(offsetof(trb_latched_command, source) == 0, "trb_latched_command.sour
 TRB_ASSERT(offsetof(trb_latched_command, controller_index) == 4, "trb_latched_command.controller_index");
 TRB_ASSERT(offsetof(trb_latched_command, age_ticks) == 8, "trb_latched_command.age_ticks");
 TRB_ASSERT(offsetof(trb_latched_command, command) == 16, "trb_latched_command.command");
-TRB_ASSERT(sizeof(trb_latched_command) == 352, "trb_latched_command");
+TRB_ASSERT(sizeof(trb_latched_command) == 376, "trb_latched_command");
 
 /* u_k: all external input of tick k, and the only non-deterministic input of a run. Published before
  * the state that it leads to. */
@@ -464,7 +488,7 @@ TRB_ASSERT(offsetof(trb_latched, tick) == 0, "trb_latched.tick");
 TRB_ASSERT(offsetof(trb_latched, controller_count) == 8, "trb_latched.controller_count");
 TRB_ASSERT(offsetof(trb_latched, reset) == 12, "trb_latched.reset");
 TRB_ASSERT(offsetof(trb_latched, commands) == 16, "trb_latched.commands");
-TRB_ASSERT(sizeof(trb_latched) == 1424, "trb_latched");
+TRB_ASSERT(sizeof(trb_latched) == 1520, "trb_latched");
 
 /* Voxels that are removed from this tick on. Published before the tick's state, and only for ticks
  * that remove voxels; a tick that removes more than 4096 has several, in order of their `sequence`.

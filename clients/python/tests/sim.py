@@ -145,7 +145,7 @@ def drives_a_run() -> None:
             wanted = pushing(state.tick)
             with client.command() as command:
                 for name in wanted.dtype.names:
-                    if name not in ("sequence", "state_tick", "reserved"):
+                    if name not in ("sequence", "state_tick"):
                         command.array[name] = wanted.array[name]
 
 

@@ -13,9 +13,9 @@ from ._view import ArrayField, ElementsField, View, field, nested
 VERSION = "0.1.0"
 
 LAYOUTS = (
-    "State=667f7e2cccade3c0;"
-    "Command=b605ebd891a61955;"
-    "Latched=614767b54ae410af;"
+    "State=c7838dd30ed27c36;"
+    "Command=bb53201b525a9c96;"
+    "Latched=81124c23facff698;"
     "Removed=5ce3babf608d61af;"
     "SensorReading=c28288800b91c249;"
     "Keyframe=e1b9ba2b5a994f57;"
@@ -35,7 +35,7 @@ LAYOUTS = (
     "Wrench=bf570e10fd89ea10;"
     "Contact=c84e06f445b86662;"
     "AppliedCommand=116d7b58e2c912bb;"
-    "LatchedCommand=dcfc23c2f38f8931;"
+    "LatchedCommand=47e8ff9bb9bed988;"
     "CArmGeometry=7864e87c0e8671ed;"
     "CArmProjection=46e6726030fe2f0e;"
     "Abi=a16e5544816b9fdc"
@@ -161,6 +161,19 @@ class BurrMode(IntEnum):
 
 BURR_NONE = BurrMode.NONE
 BURR_SPEED = BurrMode.SPEED
+
+
+class TubeMode(IntEnum):
+    """What `Command::tube_mode` asks of a tube that slides in an outer one."""
+
+    NONE = 0
+    MOVE_JP = 1
+    HOLD = 2
+
+
+TUBE_NONE = TubeMode.NONE
+TUBE_MOVE_JP = TubeMode.MOVE_JP
+TUBE_HOLD = TubeMode.HOLD
 
 
 class CommandSource(IntEnum):
@@ -414,10 +427,10 @@ class State(View):
 
     dtype = np.dtype(
         {
-            "names": ["tick", "sim_time_s", "hash", "removed_total", "removed_in_tick", "joint_count", "tendon_count", "contact_count", "contact_total", "controller_count", "body_count", "contact_iterations", "arm_mode", "arm_status", "arm_joint_count", "arm_protective_stop", "joint_position_rad", "joint_velocity_rad_per_s", "bend_rad", "burr_speed_rad_per_s", "drive_shaft_wind_up_rad", "burr_force_n", "wall_force_n", "strength_share", "stop_excess_rad", "contact_residual_m_per_s", "cutting_energy_j", "crushing_energy_j", "tendon_tension_n", "tendon_displacement_m", "t_world_base", "t_world_tip", "t_world_burr", "t_world_link", "arm_joint_position_rad", "arm_joint_velocity_rad_per_s", "arm_joint_deflection_rad", "arm_manipulability_m3", "t_world_flange", "flange_wrench", "t_world_body", "contacts", "applied"],
-            "formats": ["<u8", "<f8", ("<u8", (2,)), "<u8", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", ("<f8", (32,)), ("<f8", (32,)), "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", ("<f8", (4,)), ("<f8", (4,)), Pose.dtype, Pose.dtype, Pose.dtype, (Pose.dtype, (32,)), ("<f8", (7,)), ("<f8", (7,)), ("<f8", (7,)), "<f8", Pose.dtype, Wrench.dtype, (Pose.dtype, (4,)), (Contact.dtype, (40,)), (AppliedCommand.dtype, (4,))],
-            "offsets": [0, 8, 16, 32, 40, 44, 48, 52, 56, 60, 64, 68, 72, 76, 80, 84, 88, 344, 600, 608, 616, 624, 632, 640, 648, 656, 664, 672, 680, 712, 744, 800, 856, 912, 2704, 2760, 2816, 2872, 2880, 2936, 2984, 3208, 7048],
-            "itemsize": 7144,
+            "names": ["tick", "sim_time_s", "hash", "removed_total", "removed_in_tick", "joint_count", "tendon_count", "contact_count", "contact_total", "controller_count", "body_count", "contact_iterations", "arm_mode", "arm_status", "arm_joint_count", "arm_protective_stop", "joint_position_rad", "joint_velocity_rad_per_s", "bend_rad", "burr_speed_rad_per_s", "drive_shaft_wind_up_rad", "burr_force_n", "wall_force_n", "strength_share", "stop_excess_rad", "contact_residual_m_per_s", "cutting_energy_j", "crushing_energy_j", "tendon_tension_n", "tendon_displacement_m", "tube_deployed_m", "tube_deploying_m_per_s", "tube_roll_rad", "tube_rolling_rad_per_s", "t_world_base", "t_world_tip", "t_world_burr", "t_world_link", "arm_joint_position_rad", "arm_joint_velocity_rad_per_s", "arm_joint_deflection_rad", "arm_manipulability_m3", "t_world_flange", "flange_wrench", "t_world_body", "contacts", "applied"],
+            "formats": ["<u8", "<f8", ("<u8", (2,)), "<u8", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", ("<f8", (32,)), ("<f8", (32,)), "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", ("<f8", (4,)), ("<f8", (4,)), "<f8", "<f8", "<f8", "<f8", Pose.dtype, Pose.dtype, Pose.dtype, (Pose.dtype, (32,)), ("<f8", (7,)), ("<f8", (7,)), ("<f8", (7,)), "<f8", Pose.dtype, Wrench.dtype, (Pose.dtype, (4,)), (Contact.dtype, (40,)), (AppliedCommand.dtype, (4,))],
+            "offsets": [0, 8, 16, 32, 40, 44, 48, 52, 56, 60, 64, 68, 72, 76, 80, 84, 88, 344, 600, 608, 616, 624, 632, 640, 648, 656, 664, 672, 680, 712, 744, 752, 760, 768, 776, 832, 888, 944, 2736, 2792, 2848, 2904, 2912, 2968, 3016, 3240, 7080],
+            "itemsize": 7176,
         }
     )
     tick: int = field("<Q", 0, "Number of ticks since the start of the run; a reset does not change it.")
@@ -450,24 +463,28 @@ class State(View):
     crushing_energy_j: float = field("<d", 672, "Energy that bone absorbed where it was crushed, since the start.")
     tendon_tension_n = ArrayField(np.float64, "Tension at the proximal end of each tendon.", "tendon_count")
     tendon_displacement_m = ArrayField(np.float64, "Displacement of each tendon from its straight, unloaded length; positive when pulled.", "tendon_count")
-    t_world_base: Pose = nested(Pose, 744, "Pose of the tool base (start of the rigid shaft), including the mount's deflection; +z along the straight tool, +x toward tendon 0.")
-    t_world_tip: Pose = nested(Pose, 800, "Pose of the tip, the front of the burr: its centre plus its radius along the last link's +z.")
-    t_world_burr: Pose = nested(Pose, 856, "Pose of the burr: its centre, axes of the last link.")
+    tube_deployed_m: float = field("<d", 744, "How far the tube has slid out of the outer tube; 0 for a tool without one.")
+    tube_deploying_m_per_s: float = field("<d", 752, "Speed of that.")
+    tube_roll_rad: float = field("<d", 760, "Angle of the tube about its own axis in the outer tube, from +x toward +y of the tool base.")
+    tube_rolling_rad_per_s: float = field("<d", 768, "Speed of that.")
+    t_world_base: Pose = nested(Pose, 776, "Pose of the tool base (start of the rigid shaft, or of the outer tube), including the mount's deflection; +z along the straight tool, +x toward tendon 0.")
+    t_world_tip: Pose = nested(Pose, 832, "Pose of the tip, the front of the burr: its centre plus its radius along the last link's +z.")
+    t_world_burr: Pose = nested(Pose, 888, "Pose of the burr: its centre, axes of the last link.")
     t_world_link = ElementsField(Pose, "Pose of each link just after its flexure, base to tip.", "joint_count")
     arm_joint_position_rad = ArrayField(np.float64, "Arm joint angles, base to wrist.", "arm_joint_count")
     arm_joint_velocity_rad_per_s = ArrayField(np.float64, "Arm joint velocities.", "arm_joint_count")
     arm_joint_deflection_rad = ArrayField(np.float64, "Elastic deflection of the arm's joints, included in `arm_joint_position_rad`; 0 without joint compliance.", "arm_joint_count")
-    arm_manipulability_m3: float = field("<d", 2872, "Distance from singularity: Yoshikawa's manipulability in m³, |det J| of six joints and the root of det(J Jᵀ) of seven; for the UR5 mostly 0.05 to 0.1.")
-    t_world_flange: Pose = nested(Pose, 2880, "Pose of the arm's flange.")
-    flange_wrench: Wrench = nested(Wrench, 2936, "Wrench that the tool exerts on the flange, about the tool base, world axes.")
+    arm_manipulability_m3: float = field("<d", 2904, "Distance from singularity: Yoshikawa's manipulability in m³, |det J| of six joints and the root of det(J Jᵀ) of seven; for the UR5 mostly 0.05 to 0.1.")
+    t_world_flange: Pose = nested(Pose, 2912, "Pose of the arm's flange.")
+    flange_wrench: Wrench = nested(Wrench, 2968, "Wrench that the tool exerts on the flange, about the tool base, world axes.")
     t_world_body = ElementsField(Pose, "Pose of each rigid body, in the scene's order.", "body_count")
     contacts = ElementsField(Contact, "Contacts that carry force, in the order of their spheres.", "contact_count")
     applied = ElementsField(AppliedCommand, "The command of each controller that this tick applied.", "controller_count")
 
 
 class Command(View):
-    """A controller's command. Mode names follow CRTK. Mode 0 leaves tendons, arm or burr at
-    their previous command; a controller may drive only what the scene's `drives` allows.
+    """A controller's command. Mode names follow CRTK. Mode 0 leaves tendons, arm, burr or tube
+    at their previous command; a controller may drive only what the scene's `drives` allows.
     """
 
     if not TYPE_CHECKING:
@@ -475,10 +492,10 @@ class Command(View):
 
     dtype = np.dtype(
         {
-            "names": ["sequence", "state_tick", "tendon_mode", "arm_mode", "burr_mode", "reserved", "tendon_force_n", "tendon_displacement_m", "arm_joint_position_rad", "arm_joint_velocity_rad_per_s", "t_world_base", "arm_speed_m_per_s", "arm_axis", "arm_depth_m", "arm_pivot_m", "burr_speed_rad_per_s"],
-            "formats": ["<u8", "<u8", "<u4", "<u4", "<u4", "<u4", ("<f8", (4,)), ("<f8", (4,)), ("<f8", (7,)), ("<f8", (7,)), Pose.dtype, "<f8", ("<f8", (3,)), "<f8", ("<f8", (3,)), "<f8"],
-            "offsets": [0, 8, 16, 20, 24, 28, 32, 64, 96, 152, 208, 264, 272, 296, 304, 328],
-            "itemsize": 336,
+            "names": ["sequence", "state_tick", "tendon_mode", "arm_mode", "burr_mode", "tube_mode", "tendon_force_n", "tendon_displacement_m", "arm_joint_position_rad", "arm_joint_velocity_rad_per_s", "t_world_base", "arm_speed_m_per_s", "arm_axis", "arm_depth_m", "arm_pivot_m", "burr_speed_rad_per_s", "tube_deployed_m", "tube_roll_rad", "tube_speed_m_per_s"],
+            "formats": ["<u8", "<u8", "<u4", "<u4", "<u4", "<u4", ("<f8", (4,)), ("<f8", (4,)), ("<f8", (7,)), ("<f8", (7,)), Pose.dtype, "<f8", ("<f8", (3,)), "<f8", ("<f8", (3,)), "<f8", "<f8", "<f8", "<f8"],
+            "offsets": [0, 8, 16, 20, 24, 28, 32, 64, 96, 152, 208, 264, 272, 296, 304, 328, 336, 344, 352],
+            "itemsize": 360,
         }
     )
     sequence: int = field("<Q", 0, "Sequence number of this controller's commands: 1, 2, 3 and so on.")
@@ -486,7 +503,7 @@ class Command(View):
     tendon_mode: TendonMode = field("<I", 16, "0 none, 1 servo_jf, 2 servo_jp, 3 move_jp.", TendonMode)
     arm_mode: ArmMode = field("<I", 20, "0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp, 5 hold, 6 servo_jv, 7 insert, 8 rcm.", ArmMode)
     burr_mode: BurrMode = field("<I", 24, "0 none, 1 speed.", BurrMode)
-    reserved: int = field("<I", 28, "Always 0.")
+    tube_mode: TubeMode = field("<I", 28, "0 none, 1 move_jp, 2 hold.", TubeMode)
     tendon_force_n = ArrayField(np.float64, "Tensions for servo_jf, 0 or more.", fewer_fit=True)
     tendon_displacement_m = ArrayField(np.float64, "Displacements for servo_jp and move_jp; positive pulls.", fewer_fit=True)
     arm_joint_position_rad = ArrayField(np.float64, "Joint angles for the arm's servo_jp and move_jp.", fewer_fit=True)
@@ -497,6 +514,9 @@ class Command(View):
     arm_depth_m: float = field("<d", 296, "Depth of insert, from the tool base position at which the insertion along this axis began.")
     arm_pivot_m = ArrayField(np.float64, "Remote centre of motion of rcm, patient frame.")
     burr_speed_rad_per_s: float = field("<d", 328, "Angular speed of the burr.")
+    tube_deployed_m: float = field("<d", 336, "Goal of the tube's move_jp: how far it slides out of the outer tube.")
+    tube_roll_rad: float = field("<d", 344, "Goal of the tube's move_jp: its angle about its own axis.")
+    tube_speed_m_per_s: float = field("<d", 352, "Speed limit of its sliding; 0 selects the tool's limit.")
 
 
 class LatchedCommand(View):
@@ -510,7 +530,7 @@ class LatchedCommand(View):
             "names": ["source", "controller_index", "age_ticks", "command"],
             "formats": ["<u4", "<u4", "<u8", Command.dtype],
             "offsets": [0, 4, 8, 16],
-            "itemsize": 352,
+            "itemsize": 376,
         }
     )
     source: CommandSource = field("<I", 0, "0 none, 1 fresh, 2 held, 3 safe command.", CommandSource)
@@ -532,7 +552,7 @@ class Latched(View):
             "names": ["tick", "controller_count", "reset", "commands"],
             "formats": ["<u8", "<u4", "<u4", (LatchedCommand.dtype, (4,))],
             "offsets": [0, 8, 12, 16],
-            "itemsize": 1424,
+            "itemsize": 1520,
         }
     )
     tick: int = field("<Q", 0, "k: the tick that advances `State.tick` from k to k+1.")
@@ -1050,6 +1070,7 @@ __all__ = [
     "ArmStatus",
     "ArmProtectiveStop",
     "BurrMode",
+    "TubeMode",
     "CommandSource",
     "ContactPart",
     "ControlAction",
@@ -1121,6 +1142,9 @@ __all__ = [
     "PROTECTIVE_STOP_RELEASED",
     "BURR_NONE",
     "BURR_SPEED",
+    "TUBE_NONE",
+    "TUBE_MOVE_JP",
+    "TUBE_HOLD",
     "SOURCE_NONE",
     "SOURCE_FRESH",
     "SOURCE_HELD",

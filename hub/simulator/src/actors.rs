@@ -6,7 +6,7 @@ use hub::Incoming;
 use hub::rate_limit::Connection;
 use hub::x_ray::{ControllerFrames, FrameMark, FrameStep};
 use messages::services::COMMAND;
-use messages::{ArmMode, BurrMode, Command, ControllerIndex, Part, TendonMode, Tick};
+use messages::{ArmMode, BurrMode, Command, ControllerIndex, Part, TendonMode, Tick, TubeMode};
 use scene::{Drives, Mode};
 
 use crate::oracle::seen_frames::SeenFrames;
@@ -186,6 +186,10 @@ impl Controller {
             command.burr_mode = BurrMode::Speed.code();
             command.burr_speed_rad_per_s = (self.sequence % 900) as f64;
         }
+        if self.drives.contains(&Drives::Tube) {
+            command.tube_mode = TubeMode::MoveJp.code();
+            command.tube_deployed_m = (self.sequence % 40) as f64 * 1e-3;
+        }
         command
     }
 
@@ -199,7 +203,7 @@ impl Controller {
             Bad::OthersPart => {
                 form = Form::Malformed;
                 if self.drives.contains(&Drives::Arm) {
-                    command.reserved = 1;
+                    command.arm_mode = 99;
                 } else {
                     command.arm_mode = ArmMode::Hold.code();
                 }

@@ -139,9 +139,9 @@ fn scene(plan: &Plan) -> (Scene, Vec<Vec<Drives>>) {
         Err(cause) => unreachable!("the simulator's scene: {cause}"),
     };
     let drives: Vec<Vec<Drives>> = match plan.controllers.len() {
-        1 => vec![vec![Drives::Tendon, Drives::Arm, Drives::Burr]],
-        2 => vec![vec![Drives::Tendon, Drives::Burr], vec![Drives::Arm]],
-        _ => vec![vec![Drives::Tendon], vec![Drives::Arm], vec![Drives::Burr]],
+        1 => vec![vec![Drives::Tendon, Drives::Arm, Drives::Burr, Drives::Tube]],
+        2 => vec![vec![Drives::Tendon, Drives::Burr], vec![Drives::Arm, Drives::Tube]],
+        _ => vec![vec![Drives::Tendon, Drives::Tube], vec![Drives::Arm], vec![Drives::Burr]],
     };
     scene.run.mode = plan.mode;
     scene.run.hold_ticks = plan.hold_ticks;

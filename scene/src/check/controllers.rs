@@ -31,6 +31,7 @@ pub(super) fn check(scene: &Scene, checker: &Checker) -> Result<(), SceneError> 
         }
         check_controller(controller, checker)?;
         check_image_feedback(controller, scene.drr.as_ref(), checker)?;
+        check_tube(controller, scene, checker)?;
     }
     Ok(())
 }
@@ -55,17 +56,40 @@ fn check_image_feedback(
     Err(checker.invalid("controller.curved_drilling.feedback", problem))
 }
 
+/// Only a tool that slides out of another tube has one to drive, and only so far.
+fn check_tube(controller: &Controller, scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
+    let outer = scene.manipulator.tool.as_ref().and_then(|tool| tool.outer_tube.as_ref());
+    match (outer, &controller.tube_deployment) {
+        (None, Some(_)) => {
+            let problem = "needs a tool with `outer_tube`; the scene's has none";
+            Err(checker.invalid("controller.tube_deployment", problem))
+        }
+        (None, None) if controller.drives.contains(&Drives::Tube) => {
+            let problem = "has `tube`, which is of a tool with `outer_tube`; the scene's has none";
+            Err(checker.invalid("controller.drives", problem))
+        }
+        (Some(outer), Some(plan)) => {
+            let key = |name: &str| format!("controller.tube_deployment.{name}");
+            checker.at_most(&key("deployed_mm"), plan.deployed_mm, outer.travel_mm)?;
+            checker.at_most(&key("feed_mm_per_s"), plan.feed_mm_per_s, outer.speed_mm_per_s)?;
+            checker.at_most(&key("retraction_mm"), plan.retraction_mm, plan.deployed_mm)
+        }
+        _ => Ok(()),
+    }
+}
+
 fn check_controller(controller: &Controller, checker: &Checker) -> Result<(), SceneError> {
     let kinds = [
         controller.curved_drilling.is_some(),
         controller.skiving.is_some(),
         controller.tension_sweep.is_some(),
+        controller.tube_deployment.is_some(),
         controller.hold.is_some(),
         controller.command.is_some(),
         controller.external,
     ];
     if kinds.iter().filter(|kind| **kind).count() != 1 {
-        let problem = "needs exactly one of `curved_drilling`, `skiving`, `tension_sweep`, `hold`, `command`, `external`";
+        let problem = "needs exactly one of `curved_drilling`, `skiving`, `tension_sweep`, `tube_deployment`, `hold`, `command`, `external`";
         return Err(checker.invalid(&format!("controller `{}`", controller.name), problem));
     }
     if controller.optional && !controller.external && controller.command.is_none() {

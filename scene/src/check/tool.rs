@@ -31,6 +31,7 @@ pub(crate) fn tool(tool: &ToolDescription, above: &str, checker: &Checker) -> Re
     check.shaft(places[0].at_mm)?;
     check.burr(&places)?;
     check.drive_shaft(&places)?;
+    check.outer_tube(&places)?;
     tool.tendon.iter().enumerate().try_for_each(|(index, tendon)| check.tendon(index, tendon, &places))
 }
 
@@ -181,6 +182,22 @@ impl Check<'_> {
         }
     }
 
+    /// It covers a part that bends and not the burr, has a wall and room for the tube, and no tendon slides with the tube.
+    fn outer_tube(&self, places: &[FlexurePlace]) -> Result<(), SceneError> {
+        let Some(outer) = &self.tool.outer_tube else { return Ok(()) };
+        let burr_mm = places[places.len() - 1].at_mm + self.tool.burr.offset_mm;
+        let back_mm = burr_mm - self.tool.burr.span_mm();
+        self.range("outer_tube.end_mm", outer.end_mm, places[0].at_mm, back_mm)?;
+        let (tube_mm, outer_mm) = (self.tool.tube.outer_diameter_mm, outer.outer_diameter_mm);
+        self.range("outer_tube.outer_diameter_mm", outer_mm, tube_mm + 0.02, 30.0)?;
+        self.range("outer_tube.inner_diameter_mm", outer.inner_diameter_mm, tube_mm, outer_mm - 0.02)?;
+        if !self.tool.tendon.is_empty() {
+            let problem = "stands beside `outer_tube`; expected one of the two: a tendon in a tube that slides is not modelled";
+            return Err(self.invalid("tendon", problem));
+        }
+        Ok(())
+    }
+
     /// Which keys a shape has, and that they give a body whose balls stand apart.
     fn shape(&self) -> Result<(), SceneError> {
         let burr = &self.tool.burr;
@@ -276,6 +293,9 @@ fn one_arc(tool: &ToolDescription, checker: &Checker) -> Result<(), SceneError> 
             format!("is constant_curvature, which is one arc; {why}; expected planar, spatial or full");
         Err(checker.invalid("manipulator.model", problem))
     };
+    if tool.outer_tube.is_some() {
+        return refused(format!("`{}` slides out of a tube that holds it straight", tool.name));
+    }
     let places = tool.flexures();
     let along = |tendon: &&ToolTendon| {
         tendon.from_flexure > 1 || tendon.to_flexure.is_some_and(|to| to < places.len())

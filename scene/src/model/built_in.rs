@@ -1,7 +1,8 @@
-//! The built-in controllers: `curved_drilling`, `skiving`, `tension_sweep`, `hold`.
+//! The built-in controllers: `curved_drilling`, `skiving`, `tension_sweep`, `tube_deployment`, `hold`.
 
 use std::path::PathBuf;
 
+use messages::MAX_DEPLOYED_M;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -133,7 +134,30 @@ impl TensionSweep {
     }
 }
 
-/// Holds a tension and the arm, with the burr at rest; of these, what the controller drives.
+/// Turns the tube in the outer tube, then slides it out with the burr on, and at the end draws it back. The arm is held.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TubeDeployment {
+    /// How far the tube slides out; the tool's `outer_tube.travel_mm` at most.
+    #[schemars(range(min = 0.0, max = MAX_DEPLOYED_M * 1e3))]
+    pub deployed_mm: f64,
+    /// Speed of that.
+    #[schemars(range(min = 0.01, max = 20.0))]
+    pub feed_mm_per_s: f64,
+    /// Angle about its own axis that it has first, from `tool.bend_toward` toward the direction across it.
+    #[serde(default)]
+    #[schemars(range(min = -360.0, max = 360.0))]
+    pub roll_deg: f64,
+    /// Burr speed.
+    #[schemars(range(min = 0.0, max = 60_000.0))]
+    pub burr_speed_rpm: f64,
+    /// Length by which it is drawn back at the end, so that the tunnel shows.
+    #[serde(default)]
+    #[schemars(range(min = 0.0, max = MAX_DEPLOYED_M * 1e3))]
+    pub retraction_mm: f64,
+}
+
+/// Holds a tension, the tube and the arm, with the burr at rest; of these, what the controller drives.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Hold {

@@ -3,11 +3,11 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::built_in::{CurvedDrilling, Hold, Skiving, TensionSweep};
+use super::built_in::{CurvedDrilling, Hold, Skiving, TensionSweep, TubeDeployment};
 use super::{NAME, NAME_EXPECTED};
 
-/// Who drives the tool. Exactly one of `curved_drilling`, `skiving`, `tension_sweep`, `hold`, `command` and `external`
-/// says what it is.
+/// Who drives the tool. Exactly one of `curved_drilling`, `skiving`, `tension_sweep`, `tube_deployment`, `hold`, `command` and
+/// `external` says what it is.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Controller {
@@ -25,6 +25,8 @@ pub struct Controller {
     pub skiving: Option<Skiving>,
     /// The built-in sweep of the tendon, from which `trabecula calibrate` writes a calibration.
     pub tension_sweep: Option<TensionSweep>,
+    /// The built-in controller that turns the tube and slides it out of the outer tube.
+    pub tube_deployment: Option<TubeDeployment>,
     /// The built-in controller that holds a tension.
     pub hold: Option<Hold>,
     /// A program to start, with its arguments; it finds the session's folder in the environment variable
@@ -63,6 +65,8 @@ pub enum Drives {
     Arm,
     /// The burr.
     Burr,
+    /// The tube that slides out of the tool's outer tube.
+    Tube,
     /// The C-arm: only its driver may ask for frames from a pose of its own. Undriven, everybody may.
     CArm,
 }

@@ -1,6 +1,6 @@
 //! `[manipulator.tool]`: a tool, as a tool file describes it.
 
-use messages::{MAX_JOINTS, MAX_TENDONS};
+use messages::{MAX_DEPLOYED_M, MAX_JOINTS, MAX_TENDONS};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -39,6 +39,8 @@ pub struct ToolDescription {
     pub burr: ToolBurr,
     /// The flexible shaft in the tube that turns the cutter. Absent: it bends with the tube for nothing, and does not twist.
     pub drive_shaft: Option<ToolDriveShaft>,
+    /// A straight tube out of which this one slides. Absent: the tool is one piece with its holder.
+    pub outer_tube: Option<ToolOuterTube>,
     /// The tendons, in the order of the commands.
     #[serde(default)]
     #[schemars(length(max = MAX_TENDONS))]
@@ -204,6 +206,48 @@ pub enum CutterShape {
     Cone,
     /// A drill bit: a conical point with a round tip, and the cylinder behind it.
     Bit,
+}
+
+/// A straight tube on the tool's base that holds the tool straight where it covers it. A drive slides the tool out of it and turns it in it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ToolOuterTube {
+    /// Where it ends; the tool stands out by `burr.offset_mm` and so on while nothing is deployed.
+    #[schemars(range(min = 0.01, max = 1000.0))]
+    pub end_mm: f64,
+    /// Outside; the contact spheres that it covers are as thick.
+    #[schemars(range(min = 0.5, max = 30.0))]
+    pub outer_diameter_mm: f64,
+    /// Lumen, in which the tool's tube lies without play.
+    #[schemars(range(min = 0.5, max = 30.0))]
+    pub inner_diameter_mm: f64,
+    /// Modulus of elasticity.
+    #[serde(default = "steel_modulus")]
+    #[schemars(range(min = 1e-3, max = 1000.0))]
+    pub youngs_modulus_gpa: f64,
+    /// Farthest that the tool slides out.
+    #[schemars(range(min = 0.1, max = MAX_DEPLOYED_M * 1e3))]
+    pub travel_mm: f64,
+    /// Largest speed of that.
+    #[serde(default = "slide_speed")]
+    #[schemars(range(min = 0.01, max = 1000.0))]
+    pub speed_mm_per_s: f64,
+    /// Largest speed of the roll.
+    #[serde(default = "roll_speed")]
+    #[schemars(range(min = 0.1, max = 3600.0))]
+    pub roll_speed_deg_per_s: f64,
+}
+
+const fn steel_modulus() -> f64 {
+    193.0
+}
+
+const fn slide_speed() -> f64 {
+    10.0
+}
+
+const fn roll_speed() -> f64 {
+    90.0
 }
 
 /// The flexible shaft that carries the motor's torque through the tube to the cutter.

@@ -75,5 +75,12 @@ pub enum ProtectiveStop {
     },
 }
 
+impl ProtectiveStop {
+    /// Whether the arm stands and must be released.
+    pub fn is_stopped(&self) -> bool {
+        matches!(self, ProtectiveStop::Stopped { .. })
+    }
+}
+
 /// How much harder than at its stop a released arm may press.
 pub const RELEASED_SHARE: f64 = 1.1;

@@ -32,6 +32,7 @@ mod helix;
 mod loads;
 mod modal;
 mod model;
+mod outer_tube;
 mod parameters;
 mod pressed;
 mod pressing;
@@ -57,6 +58,7 @@ pub use error::ManipulatorError;
 pub use flexure::{Notch, StiffnessRatios, UnitStiffness};
 pub use geometry::SphereKind;
 pub use model::{AnyManipulator, AnyManipulatorState, ManipulatorModel, Rung};
+pub use outer_tube::{BendingSpring, OuterTube};
 pub(crate) use parameters::pitch_m;
 pub use parameters::{
     ContactParameters, Integrator, ManipulatorParameters, Section, TendonParameters, TendonReach, TendonRoute,
@@ -158,8 +160,28 @@ impl Manipulator {
             layout,
             parameters,
         };
+        manipulator.set_deployed(0.0);
+        manipulator.state.joint_position_rad = manipulator.rest;
         manipulator.update_configuration();
         Ok(manipulator)
+    }
+
+    /// Says how far a tool with an outer tube is out of it, m: its springs, and the radius of what the outer tube covers. 0 at first. Where
+    /// the base is, which slides with it, is the caller's to say.
+    pub fn set_deployed(&mut self, deployed_m: f64) {
+        if self.parameters.outer_tube.is_none() {
+            return;
+        }
+        for joint in 0..self.layout.joints {
+            let spring = self.parameters.bending_spring(joint, deployed_m);
+            (self.stiffness[joint], self.rest[joint]) = (spring.bend_nm_per_rad, spring.rest_rad);
+            self.damping[joint] =
+                2.0 * self.parameters.damping_ratio / self.first_frequency_rad_per_s * spring.bend_nm_per_rad;
+        }
+        self.parameters.cover_spheres(&mut self.layout.spheres, deployed_m);
+        for (sphere, fixed) in self.spheres.iter_mut().zip(&self.layout.spheres) {
+            sphere.radius_m = fixed.radius_m;
+        }
     }
 
     /// Makes the tool straight, and at rest: a pre-curved tool that a hole or a guide holds.

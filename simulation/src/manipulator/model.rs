@@ -224,6 +224,18 @@ impl AnyManipulator {
         }
     }
 
+    /// Says how far a tool with an outer tube is out of it, m; 0 at first.
+    pub fn set_deployed(&mut self, deployed_m: f64) {
+        match self {
+            // It takes no such tool.
+            Self::ConstantCurvature(_) => {}
+            Self::Planar(tool) => tool.set_deployed(deployed_m),
+            Self::LongPlanar(tool) => tool.set_deployed(deployed_m),
+            Self::Spatial(tool) => tool.set_deployed(deployed_m),
+            Self::Full(tool) => tool.set_deployed(deployed_m),
+        }
+    }
+
     /// Says whether the burr turns in the next steps; one that stands still rubs like the tube. It turns at first.
     pub fn set_burr_turns(&mut self, turns: bool) {
         match self {

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::MAX_LINKS;
 use super::error::ManipulatorError;
 use super::flexure::{Notch, StiffnessRatios};
+use super::outer_tube::OuterTube;
 
 /// How a step is integrated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -154,6 +155,8 @@ pub struct ManipulatorParameters {
     pub tendon: TendonParameters,
     /// The tendons' routes, none for a tool without tendons; `None` for the antagonist pair.
     pub tendon_routes: Option<Vec<TendonRoute>>,
+    /// The tube out of which the tool slides, if there is one.
+    pub outer_tube: Option<OuterTube>,
     /// The contact model.
     pub contact: ContactParameters,
     /// How a step is integrated.
@@ -269,6 +272,7 @@ impl ManipulatorParameters {
                 presliding_m: 20.0e-6,
             },
             tendon_routes: None,
+            outer_tube: None,
             contact: ContactParameters {
                 friction_coefficient: 0.2,
                 burr_friction_coefficient: 0.0,
@@ -428,6 +432,11 @@ impl ManipulatorParameters {
         z.first().zip(z.last()).map_or(0.0, |(first, last)| last - first) + self.tip_offset_m
     }
 
+    /// Radius of the tool where it is widest, but for the burr, m: of its tube, or of the one that it slides out of.
+    pub fn widest_tube_m(&self) -> f64 {
+        self.outer_tube.map_or(self.tube_radii_m[0], |outer| outer.outer_radius_m)
+    }
+
     /// Number of tendons.
     pub fn tendon_count(&self) -> usize {
         self.tendon_routes.as_ref().map_or(2, Vec::len)
@@ -435,14 +444,20 @@ impl ManipulatorParameters {
 
     /// Boundaries of the cells of tube that the flexures represent, one more than there are flexures, m.
     pub(super) fn cell_edges_m(&self) -> Vec<f64> {
+        (0..=self.joint_positions_m.len()).map(|edge| self.cell_edge_m(edge)).collect()
+    }
+
+    /// One of [`Self::cell_edges_m`]: half way between two flexures, and as far beyond the outer ones.
+    pub(super) fn cell_edge_m(&self, edge: usize) -> f64 {
         let z = &self.joint_positions_m;
         let n = z.len();
         let burr = self.burr_centre_m();
         let first = if n > 1 { z[1] - z[0] } else { 2.0 * self.tip_offset_m.min(z[0]) };
         let last = if n > 1 { z[n - 1] - z[n - 2] } else { first };
-        let mut edges = vec![(z[0] - 0.5 * first).max(0.0)];
-        edges.extend(z.windows(2).map(|pair| 0.5 * (pair[0] + pair[1])));
-        edges.push((z[n - 1] + 0.5 * last).min(burr));
-        edges
+        match edge {
+            0 => (z[0] - 0.5 * first).max(0.0),
+            _ if edge < n => 0.5 * (z[edge - 1] + z[edge]),
+            _ => (z[n - 1] + 0.5 * last).min(burr),
+        }
     }
 }

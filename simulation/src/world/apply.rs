@@ -1,10 +1,11 @@
 //! Applies the latched commands to the actuators.
 
 use messages::{
-    ArmMode, BurrMode, Command, CommandSource, ControllerIndex, Latched, Pose, Refusal, TendonMode,
+    ArmMode, BurrMode, Command, CommandSource, ControllerIndex, Latched, Pose, Refusal, TendonMode, TubeMode,
 };
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
+use super::tube_drive::TubeRefusal;
 use super::{Driver, Simulation};
 use crate::arm::ArmCommand;
 use crate::manipulator::{MAX_TENDONS, ManipulatorModel};
@@ -18,7 +19,8 @@ impl Simulation<'_> {
                 continue;
             }
             let controller = ControllerIndex(entry.controller_index);
-            let outcomes = [self.apply_tendon(&entry.command), self.apply_arm(&entry.command)];
+            let command = &entry.command;
+            let outcomes = [self.apply_tendon(command), self.apply_arm(command), self.apply_tube(command)];
             if entry.command.arm_mode() != Ok(ArmMode::None) && outcomes[1].is_ok() {
                 self.arm_driver = Driver { controller, sequence: entry.command.sequence };
             }
@@ -56,6 +58,23 @@ impl Simulation<'_> {
             Err(unknown) => return Err(unknown.to_string()),
         }
         Ok(())
+    }
+
+    fn apply_tube(&mut self, command: &Command) -> Result<(), String> {
+        let mode = command.tube_mode().map_err(|unknown| unknown.to_string())?;
+        if mode == TubeMode::None {
+            return Ok(());
+        }
+        let is_stopped = self.arm.state().protective_stop.is_stopped();
+        let outcome = match &mut self.tube {
+            None => Err(TubeRefusal::NoTube),
+            Some(tube) if mode == TubeMode::Hold => tube.hold(),
+            Some(_) if is_stopped => Err(TubeRefusal::ProtectiveStop),
+            Some(tube) => {
+                tube.move_to([command.tube_deployed_m, command.tube_roll_rad], command.tube_speed_m_per_s)
+            }
+        };
+        outcome.map_err(|cause| format!("tube: {cause}"))
     }
 
     fn apply_arm(&mut self, command: &Command) -> Result<(), String> {

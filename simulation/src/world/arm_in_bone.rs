@@ -204,7 +204,7 @@ impl ArmWatch {
 
 impl Simulation<'_> {
     fn fixture(&self) -> Fixture {
-        let shaft_radius_m = self.manipulator.parameters().tube_radii_m[0];
+        let shaft_radius_m = self.manipulator.parameters().widest_tube_m();
         Fixture { holder: self.holder, shaft_radius_m }
     }
 

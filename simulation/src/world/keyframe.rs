@@ -13,7 +13,9 @@ use thiserror::Error;
 use zerocopy::{FromBytes, IntoBytes};
 
 use super::receding::Receding;
-use super::{BurrDriveState, Simulation, SimulationError, SimulationSnapshot, TendonDriveState};
+use super::{
+    BurrDriveState, Simulation, SimulationError, SimulationSnapshot, TendonDriveState, TubeDriveState,
+};
 use crate::arm::{ArmSnapshot, Compliance, ComplianceState};
 use crate::bone::BoneSnapshot;
 use crate::manipulator::AnyManipulatorState;
@@ -83,6 +85,9 @@ impl Simulation<'_> {
             let shaft = &self.burr_drive.state.shaft;
             end += postcard::to_slice(shaft, &mut buffer[end..]).map_err(too_long)?.len();
         }
+        if let Some(tube) = &self.tube {
+            end += postcard::to_slice(&tube.snapshot(), &mut buffer[end..]).map_err(too_long)?.len();
+        }
         if !self.sensors.is_empty() {
             end +=
                 postcard::to_slice(&self.sensors.serialised(), &mut buffer[end..]).map_err(too_long)?.len();
@@ -131,6 +136,14 @@ impl Simulation<'_> {
             (burr_drive.shaft, rest) =
                 postcard::take_from_bytes(rest).map_err(|cause| unreadable(cause.to_string()))?;
         }
+        let (tube, rest) = match &self.tube {
+            None => (None, rest),
+            Some(_) => {
+                let (tube, rest): (TubeDriveState, _) =
+                    postcard::take_from_bytes(rest).map_err(|cause| unreadable(cause.to_string()))?;
+                (Some(tube), rest)
+            }
+        };
         let (sensors, rest) = match self.sensors.is_empty() {
             true => (self.sensors.state(), rest),
             false => postcard::take_from_bytes(rest).map_err(|cause| unreadable(cause.to_string()))?,
@@ -166,6 +179,7 @@ impl Simulation<'_> {
             bone,
             rigid,
             tendon,
+            tube,
             burr_drive,
             burr_speed_rad_per_s,
             cutting_energy_j,

@@ -5,7 +5,7 @@ use messages::{
 };
 use nalgebra::{Isometry3, Vector3};
 
-use super::{Simulation, numbers};
+use super::{Simulation, flange_wrench, numbers};
 use crate::arm::{ArmMode, ProtectiveStop};
 use crate::manipulator::{ManipulatorModel, SphereKind};
 
@@ -13,6 +13,7 @@ impl Simulation<'_> {
     /// Writes the world into the message; the caller computes the hash afterwards.
     pub(super) fn update_state(&mut self, latched: &Latched, removed: usize) {
         self.write_tool();
+        self.write_tube();
         self.write_contacts();
         self.write_arm();
         self.write_bodies();
@@ -48,7 +49,11 @@ impl Simulation<'_> {
         state.bend_rad = tool.bend_rad();
         state.tendon_tension_n = tool.tendon_tensions_n();
         state.tendon_displacement_m = tool.tendon_displacements_m();
-        state.t_world_base = pose(&tool.t_world_link(0));
+        let t_world_tube = tool.t_world_link(0);
+        state.t_world_base = match &self.tube {
+            None => pose(&t_world_tube),
+            Some(tube) => pose(&(t_world_tube * tube.t_base_tube().inverse())),
+        };
         let burr = tool.t_world_tip();
         state.t_world_burr = pose(&burr);
         let front = burr * Isometry3::translation(0.0, 0.0, tool.parameters().cutter.front_radius_m());
@@ -56,7 +61,7 @@ impl Simulation<'_> {
         for (slot, link) in state.t_world_link.iter_mut().zip(1..=joints) {
             *slot = pose(&tool.t_world_link(link));
         }
-        let wrench = tool.flange_wrench();
+        let wrench = flange_wrench(tool, self.tube.as_ref());
         state.flange_wrench =
             Wrench { force_n: numbers(&wrench.force_n), torque_nm: numbers(&wrench.torque_nm) };
         let report = tool.last_report();
@@ -65,8 +70,19 @@ impl Simulation<'_> {
         state.contact_residual_m_per_s = report.contact_residual_m_per_s;
         let parameters = tool.parameters();
         let bends = tool.joint_positions_rad().iter().enumerate();
-        let past = bends.map(|(i, q)| (q - parameters.rest_rad(i)).abs() - parameters.joint_limit_rad);
+        let rest_rad = |i: usize| match &self.tube {
+            None => parameters.rest_rad(i),
+            Some(tube) => parameters.bending_spring(i, tube.deployed_m()).rest_rad,
+        };
+        let past = bends.map(|(i, q)| (q - rest_rad(i)).abs() - parameters.joint_limit_rad);
         state.stop_excess_rad = past.fold(0.0, f64::max);
+    }
+
+    fn write_tube(&mut self) {
+        let Some(tube) = &self.tube else { return };
+        let at = tube.at();
+        [self.state.tube_deployed_m, self.state.tube_roll_rad] = at.position;
+        [self.state.tube_deploying_m_per_s, self.state.tube_rolling_rad_per_s] = at.velocity;
     }
 
     /// Lists the contacts that carry force; the others are only counted.

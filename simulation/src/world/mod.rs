@@ -3,7 +3,7 @@
 //! One tick:
 //!
 //! 1. apply the latched commands: arm goal, tendon target, burr speed;
-//! 2. move the arm along its jerk-limited path; the flange is the manipulator's base;
+//! 2. move the arm along its jerk-limited path; the flange is the manipulator's base, on which a tool with an outer tube slides and turns;
 //! 3. find the contact planes between the manipulator's proxy spheres and the bone and rigid bodies;
 //! 4. step the manipulator with these planes and the tendon tensions, contact impulses inside its implicit solve; free bodies
 //!    step with it; without bodies, again from 3 if a sphere came farther than its planes were looked for, or into bone that bears more;
@@ -25,6 +25,7 @@ mod receding;
 mod setup;
 mod tendon_drive;
 mod tool;
+mod tube_drive;
 
 use std::sync::Arc;
 
@@ -43,7 +44,7 @@ use crate::bone::{
 };
 use crate::contact_plane::ContactPlane;
 use crate::manipulator::{
-    AnyManipulator, AnyManipulatorState, BaseMotion, ManipulatorError, ManipulatorModel, StepReport,
+    AnyManipulator, AnyManipulatorState, BaseMotion, ManipulatorError, ManipulatorModel, StepReport, Wrench,
 };
 use crate::rigid::{RigidError, RigidScene, RigidSnapshot, ToolDrive};
 use arm_in_bone::ArmWatch;
@@ -51,12 +52,14 @@ use burr_drive::{BurrDrive, BurrDriveState};
 use move_tool::Reach;
 use receding::Receding;
 use tendon_drive::{TendonDrive, TendonDriveState};
+use tube_drive::{TubeDrive, TubeDriveState};
 
 pub use feasibility::{Finding, Verdict, findings};
 pub use keyframe::KeyframeError;
 pub use lost::LostTool;
 pub use message::pose;
 pub use setup::{contact_kind, manipulator_parameters, rung};
+pub use tube_drive::TubeRefusal;
 
 /// The simulation's view of the CT: geometry and Hounsfield units, x fastest, borrowed.
 #[derive(Debug, Clone, Copy)]
@@ -125,6 +128,9 @@ pub enum SimulationError {
     /// The rigid bodies did.
     #[error("rigid bodies: {0}")]
     Rigid(#[from] RigidError),
+    /// The drive of a tube found no way to stop.
+    #[error("tube: {0}")]
+    Tube(#[from] TubeRefusal),
     /// The computed state is none of the tool.
     #[error(
         "the simulation has lost the tool: {0}; a smaller `run.dt_ms` or less extreme parameters of the tool may hold it"
@@ -144,6 +150,7 @@ pub struct SimulationSnapshot {
     bone: Option<BoneSnapshot>,
     rigid: Option<RigidSnapshot>,
     tendon: TendonDriveState,
+    tube: Option<TubeDriveState>,
     burr_drive: BurrDriveState,
     burr_speed_rad_per_s: f64,
     cutting_energy_j: f64,
@@ -181,6 +188,8 @@ pub struct Simulation<'v> {
     /// Workspace: the tool before the tick.
     before: AnyManipulatorState,
     tendon: TendonDrive,
+    /// Of a tool that slides out of an outer tube.
+    tube: Option<TubeDrive>,
     burr_drive: BurrDrive,
     /// Speed at which the burr turns in this tick; the command's, but for a motor that can stall.
     burr_speed_rad_per_s: f64,
@@ -343,6 +352,7 @@ impl<'v> Simulation<'v> {
         }
         self.apply(latched);
         let base = self.move_arm()?;
+        let base = self.slide_tube(base)?;
         self.turn_burr();
         self.report_arm_fault();
         let tendon = self.tendon.step(self.dt_s);
@@ -370,13 +380,25 @@ impl<'v> Simulation<'v> {
             angular_velocity_rad_per_s: arm.angular_velocity_rad_s,
         };
         let Some(compliance) = &mut self.compliance else { return Ok(rigid) };
-        let wrench = self.manipulator.flange_wrench();
+        let wrench = flange_wrench(&self.manipulator, self.tube.as_ref());
         let deflected = compliance.step(&self.arm, &wrench.force_n, &wrench.torque_nm)?;
         Ok(BaseMotion {
             t_world_base: deflected.t_world_tool,
             linear_velocity_m_per_s: deflected.linear_velocity_m_s,
             angular_velocity_rad_per_s: deflected.angular_velocity_rad_s,
         })
+    }
+
+    /// Moves the tube on the tool's base, or stops it where the arm made a protective stop; returns the motion of the tube's base.
+    fn slide_tube(&mut self, base: BaseMotion) -> Result<BaseMotion, SimulationError> {
+        let is_stopped = self.arm.state().protective_stop.is_stopped();
+        let Some(tube) = &mut self.tube else { return Ok(base) };
+        if is_stopped {
+            tube.hold()?;
+        }
+        tube.step(self.dt_s);
+        self.manipulator.set_deployed(tube.deployed_m());
+        Ok(tube.carried(&base))
     }
 
     fn wear(&mut self) -> Result<usize, SimulationError> {
@@ -423,6 +445,7 @@ impl<'v> Simulation<'v> {
             bone: self.bone.as_ref().map(|bone| bone.field.voxels().snapshot()),
             rigid: self.rigid.as_ref().map(RigidScene::snapshot),
             tendon: self.tendon.snapshot(),
+            tube: self.tube.as_ref().map(TubeDrive::snapshot),
             burr_drive: self.burr_drive.state,
             burr_speed_rad_per_s: self.burr_speed_rad_per_s,
             cutting_energy_j: self.cutting_energy_j,
@@ -441,6 +464,10 @@ impl<'v> Simulation<'v> {
         self.arm.restore(&snapshot.arm)?;
         if let (Some(compliance), Some(saved)) = (&mut self.compliance, &snapshot.compliance) {
             compliance.restore(saved);
+        }
+        if let (Some(tube), Some(saved)) = (&mut self.tube, &snapshot.tube) {
+            tube.restore(saved);
+            self.manipulator.set_deployed(tube.deployed_m());
         }
         self.manipulator.restore(&snapshot.manipulator);
         if let (Some(bone), Some(saved)) = (&mut self.bone, &snapshot.bone) {
@@ -474,6 +501,12 @@ impl<'v> Simulation<'v> {
         self.state.hash = hash;
         restored
     }
+}
+
+/// The wrench of the tool on the flange in the last step, about the tool's base.
+fn flange_wrench(tool: &AnyManipulator, tube: Option<&TubeDrive>) -> Wrench {
+    let wrench = tool.flange_wrench();
+    tube.map_or(wrench, |tube| tube.about_base(&wrench, &tool.base().t_world_base))
 }
 
 /// The components of a vector.

@@ -13,6 +13,7 @@ use super::drive_shaft::Torsion;
 use super::move_tool::PLANES_PER_SPHERE;
 use super::tendon_drive::TendonDrive;
 use super::tool::{described, twist_rad_per_m};
+use super::tube_drive::TubeDrive;
 use super::{Bone, Driver, Hounsfield, Simulation, SimulationError};
 use crate::arm::{Arm, ArmParameters, Compliance, ComplianceParameters, initial_q_rad, place_base_for};
 use crate::bone::{
@@ -72,6 +73,7 @@ pub(super) fn build<'v>(
         rigid,
         planes: Vec::with_capacity(sphere_count * (PLANES_PER_SPHERE + scene.body.len())),
         tendon: TendonDrive::new(),
+        tube: scene.manipulator.tool.as_ref().and_then(|tool| tool.outer_tube.as_ref()).map(TubeDrive::new),
         burr_drive,
         burr_speed_rad_per_s: 0.0,
         cutting_energy_j: 0.0,
@@ -85,7 +87,7 @@ pub(super) fn build<'v>(
         sensors: sensors::SensorArray::new(scene),
         state: State::zeroed(),
         predrilled,
-        refusals: Vec::with_capacity(messages::MAX_CONTROLLERS + 2),
+        refusals: Vec::with_capacity(3 * messages::MAX_CONTROLLERS + 2),
         holder: scene.arm.holder(),
         arm_watch: super::ArmWatch::default(),
         arm_driver: Driver::default(),

@@ -2,11 +2,11 @@
 
 use core::f64::consts::PI;
 
-use scene::{FlexurePlace, ToolDescription, ToolFlexure};
+use scene::{FlexurePlace, ToolDescription, ToolFlexure, ToolOuterTube};
 
 use crate::manipulator::{
-    MAX_SHAFT_SPHERES, ManipulatorParameters, Notch, Section, StiffnessRatios, TendonParameters, TendonReach,
-    TendonRoute, pitch_m,
+    MAX_SHAFT_SPHERES, ManipulatorParameters, Notch, OuterTube, Section, StiffnessRatios, TendonParameters,
+    TendonReach, TendonRoute, pitch_m,
 };
 
 /// The parameters of a described tool. What the description does not say, such as the contact model, is that of the standard tool.
@@ -65,6 +65,7 @@ pub(super) fn described(tool: &ToolDescription) -> ManipulatorParameters {
             friction_coefficient: tool.tendon_cable.friction,
             presliding_m: tool.tendon_cable.presliding_mm / 1e3,
         },
+        outer_tube: tool.outer_tube.as_ref().map(outer_tube),
         tendon_routes: Some(tool.tendon.iter().map(route).collect()),
         joint_positions_m: joints_m,
         ..ManipulatorParameters::jhu_27()
@@ -89,6 +90,15 @@ fn beside_shaft(
         shear_across_per_m2: share * ratios.shear_across_per_m2,
     };
     *stiffness = whole;
+}
+
+/// An outer tube in SI units; `I = pi/4 (r_o^4 - r_i^4)`.
+fn outer_tube(tube: &ToolOuterTube) -> OuterTube {
+    let [outer_radius_m, inner_radius_m] =
+        [tube.outer_diameter_mm, tube.inner_diameter_mm].map(|mm| mm / 2e3);
+    let [outer, inner] = [outer_radius_m, inner_radius_m].map(|r| r * r * r * r);
+    let bending_nm2 = tube.youngs_modulus_gpa * 1e9 * 0.25 * PI * (outer - inner);
+    OuterTube { end_m: tube.end_mm * 1e-3, outer_radius_m, bending_nm2 }
 }
 
 /// A tendon's twist in SI units.

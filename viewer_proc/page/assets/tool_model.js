@@ -16,7 +16,7 @@ const LEAP_M = 0.005;
 
 /** @type {Record<string, import("/assets/parts_list.js").Colour>} */
 export const COLOURS = {
-  arm: [0.5, 0.51, 0.53, 0.4], shaft: [0.66, 0.67, 0.7, 1], holder: [0.46, 0.47, 0.5, 1], linkEven: [0.16, 0.55, 0.78, 1], linkOdd: [0.52, 0.8, 0.93, 1],
+  arm: [0.5, 0.51, 0.53, 0.4], shaft: [0.66, 0.67, 0.7, 1], holder: [0.46, 0.47, 0.5, 1], outerTube: [0.58, 0.6, 0.64, 1], linkEven: [0.16, 0.55, 0.78, 1], linkOdd: [0.52, 0.8, 0.93, 1],
   burr: [0.96, 0.45, 0.08, 1], cursor: [0.2, 0.72, 0.45, 1], measure: [0.9, 0.75, 0.05, 1], target: [0.85, 0.15, 0.65, 1], planned: [0.1, 0.62, 0.33, 1], drilled: [0.95, 0.75, 0.1, 1],
   force: [0.86, 0.1, 0.16, 1], body: [0.55, 0.5, 0.75, 1], second: [0.45, 0.4, 0.95, 0.45],
 };
@@ -50,9 +50,13 @@ export class Trail {
 /** @param {PartsList} list @param {Poses} poses @param {object} tool of `/view/info` @param {object} [one] one colour for all */
 export function addTool(list, poses, tool, one) {
   const shaft = tool.shaft ?? { length_m: 0, radius_m: 0.003 };
-  const end = transform(poses.base, [0, 0, shaft.length_m]);
+  const end = poses.links[0]?.position ?? transform(poses.base, [0, 0, shaft.length_m]);
   list.cylinder(poses.base.position, end, shaft.radius_m, one ?? COLOURS.shaft);
   const front = holderFront(poses, tool);
+  if (tool.outer_tube) {
+    const { length_m, radius_m } = tool.outer_tube;
+    list.cylinder(front ?? poses.base.position, transform(poses.base, [0, 0, length_m]), radius_m, one ?? COLOURS.outerTube);
+  }
   if (front) {
     list.cylinder(poses.flange.position, front, tool.holder.radius_m, one ?? COLOURS.holder);
     list.cylinder(front, poses.base.position, shaft.radius_m, one ?? COLOURS.shaft);

@@ -1,8 +1,8 @@
-//! A burr that is longer than a ball: the union of its balls, counted once, at its place behind the tip.
+//! A burr that is longer than a ball: the union of its balls, counted once, at its place behind the tip. An outer tube.
 
 use messages::State;
 use proptest::prelude::*;
-use scene::{Cutter, CutterShape, STANDARD_HOLDER, STANDARD_RADII, ToolBurr, ToolRadii};
+use scene::{Cutter, CutterShape, OuterTubeSize, STANDARD_HOLDER, STANDARD_RADII, ToolBurr, ToolRadii};
 use xray::ray::WorldRay;
 use xray::tool::{PreparedPart, join_intervals};
 use xray::tool_model::tool_of;
@@ -86,6 +86,34 @@ fn the_tube_ends_where_a_long_burr_begins() {
     let long = cutter(CutterShape::Cylinder);
     assert!((length_m(Cutter::ball(2e-3)) - 0.03).abs() < 1e-12);
     assert!((length_m(long) - (0.03 - long.span_m())).abs() < 1e-12);
+}
+
+/// A ray across the tool, through both walls of the outer tube and of the tool's own where both are, of the own alone beyond.
+#[test]
+fn an_outer_tube_lies_about_the_tool_up_to_its_end() {
+    let (mut state, axis) = state();
+    // A base away from the flange: behind it the tube goes on to the holder.
+    let flange_m = axis.map(|a| -0.2 * a);
+    state.t_world_flange.position_m = flange_m;
+    let outer_tube = Some(OuterTubeSize { outer_m: 4.5e-3, inner_m: 3.7e-3, end_m: 0.02 });
+    let radii = ToolRadii { outer_tube, ..STANDARD_RADII };
+    let tool = tool_of(&state, &radii, &STANDARD_HOLDER, None);
+    let across_m = |along_m: f64, material: Material| {
+        let at: [f64; 3] = std::array::from_fn(|i| along_m * axis[i]);
+        let ray = WorldRay::between([at[0], -0.1, at[2]], [at[0], 0.1, at[2]]);
+        let of = |part: &&ToolPart| match part {
+            ToolPart::HollowCylinder { material: own, .. } | ToolPart::Cylinder { material: own, .. } => {
+                *own == material
+            }
+            _ => false,
+        };
+        tool.parts.iter().filter(of).map(|part| crossed_m(part, &ray)).sum::<f64>()
+    };
+    let cable_m = 2.0 * STANDARD_RADII.drive_cable_m;
+    for (along_m, steel_m) in [(-0.1, 1.6e-3), (0.001, 1.6e-3), (0.0199, 1.6e-3), (0.0201, 0.0)] {
+        assert!((across_m(along_m, Material::Steel316L) - steel_m - cable_m).abs() < 1e-12, "{along_m}");
+        assert!((across_m(along_m, Material::Nitinol) - 2e-3).abs() < 1e-12, "{along_m}");
+    }
 }
 
 #[test]

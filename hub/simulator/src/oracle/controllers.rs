@@ -2,7 +2,7 @@
 
 use hub::Incoming;
 use hub::rate_limit::Connection;
-use messages::{ArmMode, BurrMode, Command, CommandSource, ControllerIndex, Latched};
+use messages::{ArmMode, BurrMode, Command, CommandSource, ControllerIndex, Latched, TubeMode};
 use scene::{Drives, Mode};
 
 use super::Oracle;
@@ -90,7 +90,7 @@ impl Oracle {
     }
 }
 
-/// Burr off, arm stopped, tension as it is; of these, what the controller drives.
+/// Burr off, arm and tube stopped, tension as it is; of these, what the controller drives.
 fn safe(last: &Command, drives: &[Drives]) -> Command {
     let mut safe = Command { sequence: last.sequence, state_tick: last.state_tick, ..Command::zeroed() };
     if drives.contains(&Drives::Burr) {
@@ -98,6 +98,9 @@ fn safe(last: &Command, drives: &[Drives]) -> Command {
     }
     if drives.contains(&Drives::Arm) {
         safe.arm_mode = ArmMode::Hold.code();
+    }
+    if drives.contains(&Drives::Tube) {
+        safe.tube_mode = TubeMode::Hold.code();
     }
     safe
 }

@@ -359,6 +359,10 @@ impl ConstantCurvature {
 /// One arc cannot bend in part, nor twist.
 fn refuse_partial_tendons(p: &ManipulatorParameters) -> Result<(), ManipulatorError> {
     helix::refuse(p, "0: the rung constant_curvature does not twist")?;
+    if let Some(outer) = &p.outer_tube {
+        let allowed = "none: the rung constant_curvature is one arc, which an outer tube does not leave";
+        check("outer_tube.end_m", outer.end_m, allowed, |_| false)?;
+    }
     let joints = p.joint_positions_m.len();
     for TendonRoute { reach, .. } in p.tendon_routes.iter().flatten() {
         let allowed = "all flexures: the rung constant_curvature is one arc";

@@ -126,8 +126,32 @@ impl<const D: usize> SpatialChain<D> {
             layout,
             parameters,
         };
+        chain.set_deployed(0.0);
+        chain.state.position.copy_from_slice(&chain.rest);
         chain.update_configuration();
         Ok(chain)
+    }
+
+    /// Says how far a tool with an outer tube is out of it, m.
+    pub fn set_deployed(&mut self, deployed_m: f64) {
+        if self.parameters.outer_tube.is_none() {
+            return;
+        }
+        let damping_s = 2.0 * self.parameters.damping_ratio / self.first_frequency_rad_per_s;
+        for joint in 0..self.layout.joints {
+            let spring = self.parameters.bending_spring(joint, deployed_m);
+            let bend = self.layout.bend(joint);
+            (self.stiffness[bend], self.rest[bend]) = (spring.bend_nm_per_rad, spring.rest_rad);
+            self.damping[bend] = damping_s * spring.bend_nm_per_rad;
+            if D > 1 {
+                self.stiffness[bend + 1] = spring.lateral_nm_per_rad;
+                self.damping[bend + 1] = damping_s * spring.lateral_nm_per_rad;
+            }
+        }
+        self.parameters.cover_spheres(&mut self.layout.spheres, deployed_m);
+        for (sphere, fixed) in self.spheres.iter_mut().zip(&self.layout.spheres) {
+            sphere.radius_m = fixed.radius_m;
+        }
     }
 
     /// Makes the tool straight, and at rest: a pre-curved tool that a hole or a guide holds.

@@ -37,7 +37,7 @@ impl Start<'_> {
 
     /// A feed along a path of the arm.
     pub(super) fn arm_feed(&self) -> Option<Feed<'_>> {
-        self.feeds().find(|feed| feed.drives.contains(&Drives::Arm) && feed.length_mm > 0.0)
+        self.feeds().find(|feed| feed.is_arms && feed.drives.contains(&Drives::Arm) && feed.length_mm > 0.0)
     }
 }
 

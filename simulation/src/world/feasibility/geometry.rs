@@ -49,7 +49,7 @@ impl Start<'_> {
     }
 
     fn tube_diameter_mm(&self) -> f64 {
-        2e3 * self.simulation.manipulator.parameters().shaft_sphere_radius_m
+        2e3 * self.simulation.manipulator.parameters().widest_tube_m()
     }
 
     /// The largest Hounsfield unit of the volume.
@@ -196,7 +196,12 @@ pub(super) fn burr_thinner_than_tool(start: &Start) -> Option<String> {
     if tool.burr_diameter_mm.is_none() && tool.tool.is_none() {
         return None;
     }
-    let (burr_mm, tube_mm) = (2e3 * tool.radii().cutter.widest_radius_m(), start.tube_diameter_mm());
+    let burr_mm = 2e3 * tool.radii().cutter.widest_radius_m();
+    // An outer tube that stands need not follow.
+    let tube_mm = match start.arm_feed() {
+        Some(_) => start.tube_diameter_mm(),
+        None => 2e3 * tool.radii().tube_outer_m,
+    };
     (burr_mm < tube_mm)
         .then(|| format!("is {burr_mm}: the shaft, {tube_mm:.1} mm thick, does not follow so thin a burr"))
 }

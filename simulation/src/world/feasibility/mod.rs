@@ -127,6 +127,8 @@ struct Feed<'a> {
     /// Simulated time of the feed and of the retraction after it.
     time_s: f64,
     drives: &'a [Drives],
+    /// Whether it is the arm's; a tube slides out of a tool that stands.
+    is_arms: bool,
 }
 
 impl<'a> Start<'a> {
@@ -135,10 +137,13 @@ impl<'a> Start<'a> {
         self.scene.controller.iter().filter_map(feed)
     }
 
-    /// Whether a controller moves a part. Holding and the sweep of a tendon keep the arm where it is.
+    /// Whether a controller moves a part. Holding, the sweep of a tendon and a tube that slides keep the arm where it is.
     fn is_led(&self, part: Drives) -> bool {
-        let is_still =
-            |controller: &Controller| controller.hold.is_some() || controller.tension_sweep.is_some();
+        let is_still = |controller: &Controller| {
+            controller.hold.is_some()
+                || controller.tension_sweep.is_some()
+                || controller.tube_deployment.is_some()
+        };
         self.scene.controller.iter().any(|entry| entry.drives.contains(&part) && !is_still(entry))
     }
 }
@@ -148,7 +153,12 @@ fn feed(controller: &Controller) -> Option<Feed<'_>> {
     if let Some(plan) = &controller.curved_drilling {
         let time_s = plan.insertion_mm / plan.feed_mm_per_s + plan.retraction_mm / plan.retraction_mm_per_s;
         let (table, length_key) = ("controller.curved_drilling", "insertion_mm");
-        return Some(Feed { table, length_key, length_mm: plan.insertion_mm, time_s, drives });
+        return Some(Feed { table, length_key, length_mm: plan.insertion_mm, time_s, drives, is_arms: true });
+    }
+    if let Some(plan) = &controller.tube_deployment {
+        let time_s = (plan.deployed_mm + plan.retraction_mm) / plan.feed_mm_per_s;
+        let (table, length_key) = ("controller.tube_deployment", "deployed_mm");
+        return Some(Feed { table, length_key, length_mm: plan.deployed_mm, time_s, drives, is_arms: false });
     }
     let plan = controller.skiving.as_ref()?;
     let (table, length_key) = ("controller.skiving", "depth_mm");
@@ -158,5 +168,6 @@ fn feed(controller: &Controller) -> Option<Feed<'_>> {
         length_mm: plan.depth_mm,
         time_s: plan.depth_mm / plan.feed_mm_per_s,
         drives,
+        is_arms: true,
     })
 }

@@ -1,0 +1,82 @@
+//! A tool that slides out of a straight tube: the springs of its flexures, as far as that tube covers them.
+//!
+//! Two tubes, one in the other without play, bend by the same angle. The outer one is straight by itself, so where both are, the curvature
+//! is the mean of theirs, weighted by their bending stiffness: `kappa = k_i kappa_i / (k_i + k_o)` (Dupont, Lock, Itkowitz and Butler 2010,
+//! "Design and control of concentric-tube robots", IEEE Trans. Robotics 26, 209, eq. 6; Webster, Romano and Cowan 2009, IEEE Trans.
+//! Robotics 25, 67). Of a flexure whose stretch of tube stands out by the share f, the two parts are in series:
+//!
+//! `1/k = f / k_i + (1 - f) / (k_i + k_o)`, `q_0 = q_i (f + (1 - f) k_i / (k_i + k_o))`, with `k_o = E I / length`.
+//!
+//! The outer tube bends only where flexures lie in it; the rest of it is rigid, as the tool's own shaft is. The tool slides and turns in
+//! it without friction, so stretch, shear and torsion are the tool's own.
+
+use super::geometry::{SphereKind, SphereLayout};
+use super::parameters::ManipulatorParameters;
+
+/// A straight tube on the tool's base, out of which the tool slides.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OuterTube {
+    /// From the base to its end, m.
+    pub end_m: f64,
+    /// Outside, m: that of the contact spheres that it covers.
+    pub outer_radius_m: f64,
+    /// Bending stiffness E I, N m².
+    pub bending_nm2: f64,
+}
+
+/// The bending spring of a flexure.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BendingSpring {
+    /// In the bending plane, N m/rad.
+    pub bend_nm_per_rad: f64,
+    /// Across it, N m/rad.
+    pub lateral_nm_per_rad: f64,
+    /// Bend without load, rad.
+    pub rest_rad: f64,
+}
+
+impl OuterTube {
+    /// Radius of a contact sphere `along_m` from the base of the drawn-back tool, whose own is `own_m`. The outer tube's end is round.
+    fn radius_m(&self, along_m: f64, own_m: f64, deployed_m: f64) -> f64 {
+        let behind_m = self.end_m - (along_m + deployed_m);
+        let share = (behind_m / self.outer_radius_m).clamp(0.0, 1.0);
+        own_m + share * (self.outer_radius_m - own_m)
+    }
+}
+
+impl ManipulatorParameters {
+    /// The spring of flexure `joint` with `deployed_m` of the tool out of its outer tube; without one, its own.
+    pub fn bending_spring(&self, joint: usize, deployed_m: f64) -> BendingSpring {
+        let own = self.joint_stiffness_nm_per_rad.get(joint).copied().unwrap_or(0.0);
+        let lateral = self.stiffness_ratios(joint).lateral * own;
+        let rest_rad = self.rest_rad(joint);
+        let Some(outer) = &self.outer_tube else {
+            return BendingSpring { bend_nm_per_rad: own, lateral_nm_per_rad: lateral, rest_rad };
+        };
+        let [from_m, to_m] = [joint, joint + 1].map(|edge| self.cell_edge_m(edge));
+        let length_m = to_m - from_m;
+        let out = ((to_m + deployed_m - outer.end_m) / length_m).clamp(0.0, 1.0);
+        let added = outer.bending_nm2 / length_m;
+        let with = |k: f64| 1.0 / (out / k + (1.0 - out) / (k + added));
+        BendingSpring {
+            bend_nm_per_rad: with(own),
+            lateral_nm_per_rad: with(lateral),
+            rest_rad: rest_rad * (out + (1.0 - out) * own / (own + added)),
+        }
+    }
+
+    /// Gives every sphere of shaft and segments its radius with `deployed_m` of the tool out of its outer tube.
+    pub(super) fn cover_spheres(&self, spheres: &mut [SphereLayout], deployed_m: f64) {
+        let Some(outer) = &self.outer_tube else { return };
+        for sphere in spheres {
+            let (own_m, link_m) = match sphere.kind {
+                SphereKind::Shaft => (self.shaft_sphere_radius_m, 0.0),
+                SphereKind::Segment(joint) => {
+                    (self.segment_sphere_radius_m, self.joint_positions_m.get(joint).copied().unwrap_or(0.0))
+                }
+                SphereKind::Burr => continue,
+            };
+            sphere.radius_m = outer.radius_m(link_m + sphere.along_m, own_m, deployed_m);
+        }
+    }
+}

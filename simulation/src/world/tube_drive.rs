@@ -1,0 +1,170 @@
+//! The drive of a tool that slides out of an outer tube and turns in it: jerk-limited motion of both to a goal.
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use scene::ToolOuterTube;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::arm::{AxisLimits, AxisState, Goal, Planner, Segment, TrajectoryError};
+use crate::manipulator::{BaseMotion, Wrench};
+
+/// Time in which the drive reaches its speed from rest, and half of which its acceleration takes to build up, s: an assumption, the size of
+/// a small lead screw's.
+const SPEED_UP_S: f64 = 0.1;
+
+/// Why the tube does not take a command.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+pub enum TubeRefusal {
+    /// The tool is one piece with its holder.
+    #[error("the tool has no `outer_tube` to slide out of")]
+    NoTube,
+    /// The goal is farther than the drive goes.
+    #[error("`tube_deployed_m` is {asked_m}, allowed is 0 to {travel_m}, `outer_tube.travel_mm` of the tool")]
+    BeyondTravel {
+        /// Goal, m.
+        asked_m: f64,
+        /// Farthest, m.
+        travel_m: f64,
+    },
+    /// The arm stands because the tool pressed too hard.
+    #[error("the arm made a protective stop; `hold` of the arm releases it")]
+    ProtectiveStop,
+    /// There is no such motion.
+    #[error(transparent)]
+    NoMotion(#[from] TrajectoryError),
+}
+
+/// Where the tube is: how far out, m, and its roll, rad.
+type Tube = AxisState<2>;
+
+/// The drive's motion as plain data.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(super) struct TubeDriveState {
+    segment: Segment<2>,
+    /// Ticks since its start.
+    ticks: u64,
+    /// After the last tick.
+    at: Tube,
+}
+
+/// The drive of the tube.
+pub(super) struct TubeDrive {
+    state: TubeDriveState,
+    planner: Planner<2>,
+    travel_m: f64,
+    limits: AxisLimits<2>,
+}
+
+impl TubeDrive {
+    /// Of a tool that is drawn back.
+    pub(super) fn new(outer: &ToolOuterTube) -> TubeDrive {
+        let velocity = [outer.speed_mm_per_s * 1e-3, outer.roll_speed_deg_per_s.to_radians()];
+        let acceleration = velocity.map(|speed| speed / SPEED_UP_S);
+        let limits =
+            AxisLimits { velocity, acceleration, jerk: acceleration.map(|a| a / (0.5 * SPEED_UP_S)) };
+        let at = AxisState::at_rest([0.0; 2]);
+        let segment = Segment { start: at, goal: Goal::Independent([0.0; 2]), limits };
+        let mut drive = TubeDrive {
+            state: TubeDriveState { segment, ticks: 0, at },
+            planner: Planner::new(),
+            travel_m: outer.travel_mm * 1e-3,
+            limits,
+        };
+        drive.plan_again();
+        drive
+    }
+
+    fn plan_again(&mut self) {
+        // What was planned once has a plan.
+        if self.planner.plan(&self.state.segment).is_ok() {
+            self.planner.commit();
+        }
+    }
+
+    pub(super) fn snapshot(&self) -> TubeDriveState {
+        self.state
+    }
+
+    pub(super) fn restore(&mut self, state: &TubeDriveState) {
+        self.state = *state;
+        self.plan_again();
+    }
+
+    fn start(&mut self, goal: Goal<2>, speed_m_per_s: f64) -> Result<(), TrajectoryError> {
+        let mut limits = self.limits;
+        if speed_m_per_s > 0.0 {
+            limits.velocity[0] = limits.velocity[0].min(speed_m_per_s);
+        }
+        if self.state.segment.goal == goal && self.state.segment.limits == limits {
+            return Ok(());
+        }
+        let segment = Segment { start: self.state.at, goal, limits };
+        self.planner.plan(&segment)?;
+        self.planner.commit();
+        (self.state.segment, self.state.ticks) = (segment, 0);
+        Ok(())
+    }
+
+    /// Starts a motion from the present one to a goal; a repeat of the present goal has no effect.
+    pub(super) fn move_to(
+        &mut self,
+        [deployed_m, roll_rad]: [f64; 2],
+        speed_m_per_s: f64,
+    ) -> Result<(), TubeRefusal> {
+        if deployed_m > self.travel_m {
+            return Err(TubeRefusal::BeyondTravel { asked_m: deployed_m, travel_m: self.travel_m });
+        }
+        Ok(self.start(Goal::Independent([deployed_m, roll_rad]), speed_m_per_s)?)
+    }
+
+    /// Stops as fast as the limits allow.
+    pub(super) fn hold(&mut self) -> Result<(), TubeRefusal> {
+        Ok(self.start(Goal::Standstill, 0.0)?)
+    }
+
+    /// Moves by a tick.
+    pub(super) fn step(&mut self, dt_s: f64) {
+        self.state.ticks += 1;
+        let mut at = self.planner.sample(self.state.ticks as f64 * dt_s);
+        // A stop on the way in may end a rounding error before the drawn-back tool.
+        at.position[0] = at.position[0].clamp(0.0, self.travel_m);
+        self.state.at = at;
+    }
+
+    /// Where the tube is, and how fast.
+    pub(super) fn at(&self) -> &Tube {
+        &self.state.at
+    }
+
+    pub(super) fn deployed_m(&self) -> f64 {
+        self.state.at.position[0]
+    }
+
+    /// From the tool's base to the tube's, which slides along +z and turns about it.
+    pub(super) fn t_base_tube(&self) -> Isometry3<f64> {
+        let [deployed_m, roll_rad] = self.state.at.position;
+        Isometry3::from_parts(
+            Translation3::new(0.0, 0.0, deployed_m),
+            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), roll_rad),
+        )
+    }
+
+    /// The motion of the tube's base on a tool base that moves itself.
+    pub(super) fn carried(&self, base: &BaseMotion) -> BaseMotion {
+        let axis = base.t_world_base.rotation * Vector3::z();
+        let [deployed_m, _] = self.state.at.position;
+        let [sliding_m_per_s, rolling_rad_per_s] = self.state.at.velocity;
+        let turned = base.angular_velocity_rad_per_s.cross(&(axis * deployed_m));
+        BaseMotion {
+            t_world_base: base.t_world_base * self.t_base_tube(),
+            linear_velocity_m_per_s: base.linear_velocity_m_per_s + turned + axis * sliding_m_per_s,
+            angular_velocity_rad_per_s: base.angular_velocity_rad_per_s + axis * rolling_rad_per_s,
+        }
+    }
+
+    /// A wrench about the tube's base, whose pose is `t_world_tube`, about the tool's base.
+    pub(super) fn about_base(&self, wrench: &Wrench, t_world_tube: &Isometry3<f64>) -> Wrench {
+        let lever_m = t_world_tube.rotation * Vector3::new(0.0, 0.0, self.deployed_m());
+        Wrench { force_n: wrench.force_n, torque_nm: wrench.torque_nm + lever_m.cross(&wrench.force_n) }
+    }
+}
