@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use ipc_types::scene::ToolDescription;
+use ipc_types::scene::{Scene, ToolDescription};
 use simulation::manipulator::ManipulatorParameters;
 use simulation::manipulator_parameters;
 use trabecula::failure::Failure;
@@ -10,10 +10,11 @@ use trabecula::scenes::BuiltIn;
 use trabecula::tool::source::ToolSource;
 
 /// Name and text of each file in `configs/tools`, the standard tool first.
-const SHIPPED: [(&str, &str); 4] = [
+const SHIPPED: [(&str, &str); 5] = [
     ("jhu_27", include_str!("../configs/tools/jhu_27.toml")),
     ("two_segments", include_str!("../configs/tools/two_segments.toml")),
     ("steerable_drill", include_str!("../configs/tools/steerable_drill.toml")),
+    ("tube_in_tube", include_str!("../configs/tools/tube_in_tube.toml")),
     ("rigid_drill", include_str!("../configs/tools/rigid_drill.toml")),
 ];
 
@@ -36,7 +37,7 @@ pub fn tools(files: &[PathBuf]) -> Result<Vec<NamedTool>, Failure> {
     }
     let of_file = |file: &PathBuf| {
         let source = ToolSource::load(Some(file))?;
-        let parameters = manipulator_parameters(&source.scene).map_err(Failure::bad_input)?;
+        let parameters = half_out(&source.scene)?;
         Ok(NamedTool { name: source.to_string(), parameters })
     };
     files.iter().map(of_file).collect()
@@ -45,8 +46,18 @@ pub fn tools(files: &[PathBuf]) -> Result<Vec<NamedTool>, Failure> {
 fn shipped((name, text): (&str, &str)) -> Result<NamedTool, Failure> {
     let mut scene = BuiltIn::FreeSpace.scene()?;
     scene.manipulator.tool = Some(ToolDescription::parse(text, Path::new(name)).map_err(Failure::bad_input)?);
-    let parameters = manipulator_parameters(&scene).map_err(Failure::bad_input)?;
-    Ok(NamedTool { name: name.to_owned(), parameters })
+    Ok(NamedTool { name: name.to_owned(), parameters: half_out(&scene)? })
+}
+
+/// A scene's tool; one that slides out of an outer tube stands half out: as if that tube ended so much nearer to the tool's base.
+fn half_out(scene: &Scene) -> Result<ManipulatorParameters, Failure> {
+    let mut parameters = manipulator_parameters(scene).map_err(Failure::bad_input)?;
+    let travel_mm =
+        scene.manipulator.tool.as_ref().and_then(|tool| Some(tool.outer_tube.as_ref()?.travel_mm));
+    if let (Some(outer), Some(travel_mm)) = (&mut parameters.outer_tube, travel_mm) {
+        outer.end_m -= 0.5e-3 * travel_mm;
+    }
+    Ok(parameters)
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use crate::arm_model::ArmModel;
 use crate::message::{c_arm_message, projection_message};
 use crate::tool_model::{points_of, tool_of};
 use crate::{
-    CArm, DrrError, DrrRenderer, FrameReport, FrameSeed, LabelRequest, Labels, RenderKind, VolumeView,
+    CArm, DrrError, DrrRenderer, FrameReport, FrameSeed, LabelRequest, Labels, RenderKind, Tool, VolumeView,
 };
 
 /// What becomes of the cached picture of the anatomy.
@@ -89,8 +89,7 @@ pub fn render_job(
     job: &Job,
 ) -> Result<Rendered, DrrError> {
     take_removals(renderer, view, job)?;
-    let mut tool = tool_of(&job.state, &job.radii, &job.holder, job.notch.as_ref());
-    tool.arm = job.arm.as_ref().map(|arm| arm.placed(&job.state));
+    let tool = tool_and_arm(job);
     let seed = FrameSeed { seed: job.noise_seed, frame: job.state.tick };
     let mut pixels = vec![0_u16; job.c_arm.pixels()];
     let report = match job.cache {
@@ -125,12 +124,17 @@ pub fn label_job(
     bone_from_hu: i16,
 ) -> Result<Labels, DrrError> {
     take_removals(renderer, view, job)?;
-    let tool = tool_of(&job.state, &job.radii, &job.holder, job.notch.as_ref());
+    let tool = tool_and_arm(job);
     // The burr's parts are the tool's last ones.
     let burr = tool.parts.len().saturating_sub(job.radii.cutter.balls().len());
     let points_m = points_of(&job.state);
     let request = LabelRequest { tool: &tool, burr, points_m: &points_m, bone_from_hu };
     renderer.labels(view, &job.c_arm, &request)
+}
+
+fn tool_and_arm(job: &Job) -> Tool {
+    let arm = job.arm.as_ref().map(|arm| arm.placed(&job.state));
+    Tool { arm, ..tool_of(&job.state, &job.radii, &job.holder, job.notch.as_ref()) }
 }
 
 fn take_removals(renderer: &mut DrrRenderer, view: &VolumeView<'_>, job: &Job) -> Result<(), DrrError> {

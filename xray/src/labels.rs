@@ -64,9 +64,9 @@ pub struct Labels {
     /// The bits of each pixel's classes, [`Class::bit`].
     pub mask: Vec<u8>,
     /// Attenuation (-ln of the transmission) of the anatomy without what the tool displaces. With `metal` it is that of the frame before
-    /// noise and blur, by Siddon's projector, without an arm that frames show.
+    /// noise and blur, by Siddon's projector.
     pub anatomy: Vec<f32>,
-    /// Attenuation that the tool's metal adds. For one photon energy the line integral of the metal; a spectrum is hardened by the anatomy.
+    /// Attenuation that the metal of the tool, and of the arm where frames show it, adds. For one photon energy the line integral of the metal; a spectrum is hardened by the anatomy.
     pub metal: Vec<f32>,
     /// Length of the ray in bone, m. The tool takes none of it away.
     pub bone_m: Vec<f32>,

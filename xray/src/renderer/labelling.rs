@@ -15,6 +15,7 @@ use crate::lanes::lanes;
 use crate::ray::{IndexRay, RayFan, WorldRay};
 use crate::removal::{AttenuationField, is_drilled, is_occupied};
 use crate::siddon;
+use crate::solids::SolidLayer;
 use crate::tool::{PreparedPart, SeenPart, join_intervals};
 
 impl DrrRenderer {
@@ -36,11 +37,15 @@ impl DrrRenderer {
             let refused = |reason| DrrError::ToolPart { part: number, reason };
             prepared.push(PreparedPart::new(part).map_err(refused)?);
         }
+        let fan = RayFan::new(&self.grid, c_arm);
+        let mut arm = SolidLayer::default();
+        self.pool.install(|| arm.draw(request.tool.arm.as_ref(), c_arm, &fan));
         let labeller = Labeller {
             renderer: self,
             tissue: self.tissue.field(view, &self.removed),
             bone: self.bone.as_ref().map(|layer| layer.field(view, &self.removed)),
-            fan: RayFan::new(&self.grid, c_arm),
+            fan,
+            arm,
             parts: self.parts_in_view(&prepared, c_arm, request.burr)?,
             bone_from_hu: request.bone_from_hu,
             bone_attenuates: self.bone_attenuates(request.bone_from_hu),
@@ -161,7 +166,7 @@ fn total(pieces: &[Piece; 3], counts: [bool; 3]) -> f64 {
     part(0) + part(1) + part(2)
 }
 
-/// The tool on a ray.
+/// The tool and the arm on a ray.
 #[derive(Default)]
 struct AlongTool {
     mask: u8,
@@ -179,6 +184,7 @@ pub(crate) struct Labeller<'a> {
     tissue: AttenuationField<'a>,
     bone: Option<AttenuationField<'a>>,
     fan: RayFan,
+    arm: SolidLayer,
     parts: Vec<PartInView>,
     bone_from_hu: i16,
     bone_attenuates: bool,
@@ -201,6 +207,10 @@ impl Labeller<'_> {
         let index_ray = self.fan.index_ray_of(column, row, &ray);
         let voxels = self.along_voxels(&index_ray);
         let mut tool = self.along_tool(column, row, &ray);
+        if let Some([arm_m]) = self.arm.row(row as usize, column as usize, 1) {
+            tool.metal += self.renderer.aluminium_per_m * arm_m;
+            tool.lengths_m[Material::Aluminium.index()] += arm_m;
+        }
         let (anatomy, metal) = self.attenuations(&index_ray, &voxels, &mut tool);
         let bit = |there: bool, class: Class| if there { class.bit() } else { 0 };
         let depth_m = |at: Option<f64>| at.map_or(f32::NAN, |at| (at * self.source_detector_m) as f32);
@@ -293,7 +303,9 @@ impl Labeller<'_> {
         }
         match self.renderer.exposure.spectrum() {
             None => (tissue, tool.metal),
-            Some(table) if tool.envelopes.is_empty() => (table.attenuation(tissue, cortical), 0.0),
+            Some(table) if tool.lengths_m == [0.0; Material::COUNT] && tool.envelopes.is_empty() => {
+                (table.attenuation(tissue, cortical), 0.0)
+            }
             Some(table) => {
                 let anatomy = table.exact(tissue, cortical, &[0.0; Material::COUNT]);
                 (anatomy, table.exact(tissue, cortical, &tool.lengths_m) - anatomy)

@@ -78,7 +78,7 @@ fn torus(radius_m: f64, tube_m: f64) -> ClosedMesh {
     })
 }
 
-fn cuboid(half_m: [f32; 3]) -> ClosedMesh {
+pub fn cuboid(half_m: [f32; 3]) -> ClosedMesh {
     let corner =
         |n: usize| [0, 1, 2].map(|axis| if n >> axis & 1 == 1 { half_m[axis] } else { -half_m[axis] });
     let quads = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
