@@ -208,7 +208,7 @@ fn a_tool_that_cannot_stand_is_refused_with_file_key_value_and_range() {
         (
             "[burr]",
             "[outer_tube]\nend_mm = 35\nouter_diameter_mm = 7\ninner_diameter_mm = 6\ntravel_mm = 9\n[burr]",
-            "`outer_tube.end_mm` is 35, allowed is 36 to 54",
+            "`outer_tube.end_mm` is 35, allowed is 36 to 52",
         ),
         (
             "[burr]",

@@ -37,11 +37,22 @@ fn rigidities_nm2() -> [f64; 2] {
 }
 
 fn scene_with(more: &str) -> Scene {
+    scene_of(more, None)
+}
+
+/// A scene with the shipped tool, or with another outer tube about it.
+fn scene_of(more: &str, outer_tube: Option<&str>) -> Scene {
     let folder: PathBuf = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/tools");
     let text = format!(
         "name = \"tubes\"\nrun = {{ mode = \"lockstep\", duration_s = 60.0 }}\n{more}\n[manipulator]\nfile = \"tube_in_tube.toml\"\n{TOOL}"
     );
-    Scene::parse_with(&text, &folder.join("scene.toml"), &|file| std::fs::read_to_string(file)).unwrap()
+    let read = |file: &Path| {
+        let text = std::fs::read_to_string(file)?;
+        let Some(other) = outer_tube else { return Ok(text) };
+        let [before, after] = ["[outer_tube]", "[stop]"].map(|table| text.find(table).unwrap());
+        Ok(format!("{}{other}{}", &text[..before], &text[after..]))
+    };
+    Scene::parse_with(&text, &folder.join("scene.toml"), &read).unwrap()
 }
 
 fn parameters() -> ManipulatorParameters {
@@ -415,4 +426,46 @@ fn a_protective_stop_stops_the_tube_too() {
     let released = Command { arm_mode: ArmMode::Hold.code(), ..move_tube(0.0, 0.0, 0.0) };
     drive(&mut simulation, released, 3000, |state| state.tube_deployed_m > 0.0);
     assert_eq!(simulation.state().tube_deployed_m, 0.0);
+}
+
+/// Thin and thick, soft and stiff, slow and fast, at every step: the tool stays whole, and ends at rest where it was sent.
+#[test]
+fn an_outer_tube_at_the_ends_of_its_ranges_loses_no_tool() {
+    let ends: [(f64, f64, f64, f64, f64, f64); 5] = [
+        (1e-3, 3.63, 3.6, 500.0, 1000.0, 3600.0),
+        (1e-3, 30.0, 3.6, 0.1, 0.01, 0.1),
+        (1000.0, 30.0, 3.6, 500.0, 1000.0, 3600.0),
+        (1000.0, 3.63, 3.6, 40.0, 1000.0, 3600.0),
+        (193.0, 30.0, 29.98, 500.0, 10.0, 90.0),
+    ];
+    for (modulus_gpa, outer_mm, inner_mm, travel_mm, speed, roll_speed) in ends {
+        for (model, dt_ms) in [
+            (scene::ManipulatorRung::Planar, 0.1),
+            (scene::ManipulatorRung::Planar, 10.0),
+            (scene::ManipulatorRung::Spatial, 1.0),
+            (scene::ManipulatorRung::Full, 10.0),
+        ] {
+            let tubes = format!(
+                "[outer_tube]\nend_mm = 80.0\nouter_diameter_mm = {outer_mm:?}\ninner_diameter_mm = {inner_mm:?}\n\
+                 youngs_modulus_gpa = {modulus_gpa:?}\ntravel_mm = {travel_mm:?}\nspeed_mm_per_s = {speed:?}\n\
+                 roll_speed_deg_per_s = {roll_speed:?}\n"
+            );
+            let mut scene = scene_of("gravity_m_per_s2 = [0.0, 9.81, 0.0]", Some(&tubes));
+            scene.manipulator.model = Some(model);
+            scene.run.dt_ms = dt_ms;
+            let mut simulation = Simulation::new(&scene, None).unwrap();
+            let goal_mm = travel_mm.min(speed);
+            drive(&mut simulation, move_tube(goal_mm, 360.0, 0.0), (3000.0 / dt_ms) as u64, |state| {
+                let speeds = state.joint_velocity_rad_per_s.iter().chain(&state.joint_position_rad);
+                assert!(speeds.copied().all(f64::is_finite));
+                assert!((state.bend_rad.to_degrees()).abs() < 120.0, "{}", state.bend_rad);
+                true
+            });
+            let state = simulation.state();
+            let still = state.joint_velocity_rad_per_s.iter().fold(0.0f64, |most, v| most.max(v.abs()));
+            let off_m = (state.tube_deployed_m - goal_mm * 1e-3).abs();
+            assert!(off_m < 1e-12 || speed < 1.0, "{off_m}");
+            assert!(still < 0.05, "{model:?}, {dt_ms} ms, {modulus_gpa} GPa: {still} rad/s at the end");
+        }
+    }
 }

@@ -58,21 +58,21 @@ const GOLDEN: [Golden; 3] = [
         in_bone: true,
         command: feed,
         ticks: 1000,
-        hash: "56fb19992ecd328bb42e8232cac4b785",
+        hash: "1686326cb772e4ab259951e3a2e4fcef",
     },
     Golden {
         scene: BODIES,
         in_bone: false,
         command: feed,
         ticks: 600,
-        hash: "870347ab72e141ffb5d0ac3aa7d200ef",
+        hash: "7bfbe3fababa8a2a1c1a032de0465093",
     },
     Golden {
         scene: FREE,
         in_bone: false,
         command: wander,
         ticks: 2000,
-        hash: "f8e0ec8d3a0517634496e98b27c2dd00",
+        hash: "79813bca3f55f0a0a112e3cee4f8d46b",
     },
 ];
 

@@ -44,7 +44,7 @@ fn force(run: &RunLane) -> Option<String> {
 fn tip_at_rest(run: &RunLane) -> Option<String> {
     let moves = |scene: &Scene| {
         let drives = scene.controller.iter().flat_map(|controller| &controller.drives);
-        drives.into_iter().any(|part| matches!(part, Drives::Tendon | Drives::Arm))
+        drives.into_iter().any(|part| matches!(part, Drives::Tendon | Drives::Arm | Drives::Tube))
     };
     let is_driven = run.scene.as_ref().is_some_and(moves);
     (run.course.ticks > 0 && is_driven && run.course.peaks.tip_travel_m < STILL_M).then(|| {

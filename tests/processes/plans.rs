@@ -241,7 +241,11 @@ fn geometry_that_a_log_has_not_is_refused_by_name() {
         ("tunnel", "a.ply", "expected a file that ends in .stl or .obj or .vtp"),
         ("burr-path", "a.json", "expected a file that ends in .mrk.json or .fcsv or .vtp"),
         ("deviation", "a.stl", "expected a file that ends in .csv or .parquet or .vtp"),
-        ("planned-path", "a.vtp", "plans no path: expected a controller `curved_drilling` or `skiving`"),
+        (
+            "planned-path",
+            "a.vtp",
+            "plans no path: expected a controller `curved_drilling`, `skiving` or `tube_deployment`",
+        ),
         ("deviation", "a.csv", "plans no path"),
         ("tunnel", "a.stl", "this run has no volume"),
     ] {

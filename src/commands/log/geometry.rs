@@ -216,7 +216,7 @@ fn scene_of(reader: &LogReader, log: &Path) -> Result<Scene, Failure> {
 fn planned(log: &Path, scene: &Scene) -> Result<Vec<[f64; 3]>, Failure> {
     planned_path_in_bone_mm(scene).ok_or_else(|| {
         Failure::bad_input(format!(
-            "{}: the scene of this run plans no path: expected a controller `curved_drilling` or `skiving`",
+            "{}: the scene of this run plans no path: expected a controller `curved_drilling`, `skiving` or `tube_deployment`",
             log.display()
         ))
     })
