@@ -8,7 +8,9 @@ use clap::{Args, Subcommand};
 use crate::charts::{drr, flexure, physics, stability};
 use crate::sheet::Sheet;
 use trabecula::failure::Failure;
+use trabecula::plan::OwnTool;
 use trabecula::say::Figures;
+use trabecula::tool::source::ToolSource;
 
 /// What to measure.
 #[derive(Debug, Subcommand)]
@@ -110,6 +112,9 @@ pub struct FlexureChartArguments {
 /// How many scenes, and which.
 #[derive(Debug, Args)]
 pub struct PromiseArguments {
+    /// A scene or tool file, whose tool all scenes get in place of the standard one.
+    #[arg(long, value_name = "FILE")]
+    tool: Option<PathBuf>,
     /// Scenes in free space, 0 to 10000.
     #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(0..=10_000))]
     free: u64,
@@ -153,8 +158,10 @@ pub fn run(command: &ChartCommand) -> Result<(), Failure> {
             done
         }
         ChartCommand::Promise(arguments) => {
-            let plan =
-                physics::promise::Plan { free: arguments.free, bone: arguments.bone, seed: arguments.seed };
+            let source = arguments.tool.as_deref().map(|file| ToolSource::load(Some(file))).transpose()?;
+            let tool = source.map(|source| OwnTool::of(&source.scene));
+            let PromiseArguments { free, bone, seed, .. } = *arguments;
+            let plan = physics::promise::Plan { tool, free, bone, seed };
             let mut sheet = Sheet::new(arguments.figures);
             let exceeded = physics::promise::run(&plan, &mut sheet)?;
             sheet.end();

@@ -16,14 +16,15 @@ use crate::scenes::SceneSource;
 
 /// Arguments of `plan`.
 #[derive(Debug, Args)]
-#[command(group = clap::ArgGroup::new("what").required(true).args(["scene", "check", "list"]))]
+#[command(group = clap::ArgGroup::new("what").required(true).multiple(true).args(["scene", "check", "list"]))]
 pub struct PlanArguments {
     /// Scene file with a `tolerance`.
     pub scene: Option<PathBuf>,
     /// Step a log's commands through the reference model and report the tip error; takes a run's folder or its `run.mcap`.
-    #[arg(long, value_name = "LOG")]
+    #[arg(long, value_name = "LOG", conflicts_with_all = ["scene", "list"])]
     pub check: Option<PathBuf>,
-    /// Print the table of measured errors and costs behind the choice.
+    /// Print the table of errors and costs behind the choice; with a scene, that of its tool, which is measured if it is not the
+    /// standard one.
     #[arg(long)]
     pub list: bool,
     /// With `--check`: number of ticks to compare.
@@ -52,15 +53,21 @@ pub struct PlanArguments {
 /// Bad input (2); a log whose path error exceeded its scene's tolerance (1).
 pub fn run(arguments: &PlanArguments) -> Result<(), Failure> {
     match (&arguments.scene, &arguments.check) {
+        (scene, None) if arguments.list => list(scene.as_deref(), arguments.figures),
         (Some(scene), _) => show(scene, arguments.figures),
         (None, Some(log)) => check_log(log, arguments),
-        (None, None) => {
-            arguments
-                .figures
-                .say(|| plan::TABLE.trim_end().to_owned(), || json!({ "table_csv": plan::TABLE }));
-            Ok(())
-        }
+        (None, None) => list(None, arguments.figures),
     }
+}
+
+fn list(scene: Option<&Path>, figures: Figures) -> Result<(), Failure> {
+    let table = match scene {
+        Some(file) => plan::Table::of(&SceneSource::File(file.to_owned()).load()?)?,
+        None => plan::Table::standard()?,
+    };
+    let text = plan::write(&table.rows);
+    figures.say(|| text.trim_end().to_owned(), || json!({ "table_csv": text, "tool": table.tool }));
+    Ok(())
 }
 
 fn show(file: &Path, figures: Figures) -> Result<(), Failure> {

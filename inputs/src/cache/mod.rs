@@ -1,4 +1,5 @@
-//! Volumes that take long to make or to decode, kept in the user's cache folder for the next command that needs them.
+//! Volumes that take long to make or to decode, and measured tables of tools, kept in the user's cache folder for the next command that
+//! needs them.
 //!
 //! The folder is `trabecula` in `$XDG_CACHE_HOME`, or in `$HOME/.cache`. It is used only if it belongs to this user and is closed to others
 //! (mode 700), and each of its files ([`mod@entry`]) only after a check of all that it holds: a damaged one is said, removed and made anew.
@@ -6,10 +7,11 @@
 //! that cannot be written, everything works as it would without a cache.
 //!
 //! **Invariant:** a volume from the cache is to the bit the one that would be made: its name is a hash of all that it is made of
-//! ([`mod@key`]), this build included.
+//! ([`mod@key`]), this build included. A table ([`mod@text`]) likewise.
 
 pub mod entry;
 pub mod key;
+pub mod text;
 
 use std::fs::{DirBuilder, File};
 use std::io;
@@ -27,7 +29,7 @@ use volume_io::{Volume, VolumeError, volume_hash};
 use entry::{Damage, Kept};
 use key::Key;
 
-/// Most bytes that the folder holds; beyond, the volumes that were unused for the longest time are removed.
+/// Most bytes that the folder holds; beyond, the files that were unused for the longest time are removed.
 pub const LIMIT_BYTES: u64 = 2 << 30;
 /// What is made faster than this is not kept: to read and to check it would take as long.
 const WORTH_KEEPING: Duration = Duration::from_millis(100);
@@ -53,7 +55,7 @@ pub fn tell_remarks_by(tell: fn(&str)) {
     let _ = REMARKS.set(tell);
 }
 
-fn remark(text: &str) {
+pub(crate) fn remark(text: &str) {
     if let Some(tell) = REMARKS.get() {
         tell(text);
     }
@@ -139,6 +141,13 @@ pub struct CachedFile {
     pub used: SystemTime,
 }
 
+impl CachedFile {
+    /// Whether it is a table of measured errors; else it is a volume, or what is left of one.
+    pub fn is_table(&self) -> bool {
+        self.name.ends_with(text::ENDING)
+    }
+}
+
 impl Cache {
     /// Opens the folder; creates it and those above if they are missing.
     ///
@@ -173,9 +182,17 @@ impl Cache {
     /// # Errors
     /// What is wrong with the file.
     pub fn find(&self, key: &Key) -> Result<Option<Made>, Damage> {
+        let Some((file, bytes)) = self.open_file(&key.name())? else { return Ok(None) };
+        let made = entry::read(&file, bytes, key)?;
+        self.mark_used(&file);
+        Ok(Some(made))
+    }
+
+    /// A file of the folder and its length; none if there is none of this name.
+    fn open_file(&self, name: &str) -> Result<Option<(File, u64)>, Damage> {
         // Neither follows a link nor waits for the writer of a pipe.
         let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
-        let file = match rustix::fs::openat(&self.folder, key.name(), flags, Mode::empty()) {
+        let file = match rustix::fs::openat(&self.folder, name, flags, Mode::empty()) {
             Ok(file) => File::from(file),
             Err(Errno::NOENT) => return Ok(None),
             Err(Errno::LOOP | Errno::NXIO) => return Err(Damage::NotAFile),
@@ -185,11 +202,13 @@ impl Cache {
         if !is_own_file(&stat) {
             return Err(Damage::NotAFile);
         }
-        let made = entry::read(&file, u64::try_from(stat.st_size).unwrap_or(0), key)?;
-        // Used now; one that cannot be marked is removed earlier than it need be.
+        Ok(Some((file, u64::try_from(stat.st_size).unwrap_or(0))))
+    }
+
+    /// Used now; a file that cannot be marked is removed earlier than it need be.
+    fn mark_used(&self, file: &File) {
         let now = Timespec { tv_sec: 0, tv_nsec: UTIME_NOW };
-        let _ = rustix::fs::futimens(&file, &Timestamps { last_access: now, last_modification: now });
-        Ok(Some(made))
+        let _ = rustix::fs::futimens(file, &Timestamps { last_access: now, last_modification: now });
     }
 
     /// Keeps a volume; removes others if the folder would become too large.
@@ -198,7 +217,16 @@ impl Cache {
     /// The system's. Then the folder holds what it held before, less what was removed.
     pub fn keep(&self, key: &Key, made: &Made) -> io::Result<()> {
         let kept = Kept::of(key, made)?;
-        let bytes = kept.bytes();
+        self.write(&key.name(), kept.bytes(), |file| kept.write(file))
+    }
+
+    /// Writes a file of this name and length.
+    fn write(
+        &self,
+        name: &str,
+        bytes: u64,
+        write: impl FnOnce(&mut output_file::OutputFile) -> io::Result<()>,
+    ) -> io::Result<()> {
         if bytes > self.limit_bytes {
             return Err(io::ErrorKind::FileTooLarge.into());
         }
@@ -208,9 +236,8 @@ impl Cache {
             return Err(io::ErrorKind::StorageFull.into());
         }
         self.make_room(bytes);
-        let path = self.file(key);
-        let mut file = output_file::OutputFile::create(&path).map_err(io::Error::other)?;
-        kept.write(&mut file)?;
+        let mut file = output_file::OutputFile::create(&self.path.join(name)).map_err(io::Error::other)?;
+        write(&mut file)?;
         // A run that began at the same time may have been faster; its file is the same.
         file.keep().map_err(io::Error::other)
     }
@@ -228,7 +255,7 @@ impl Cache {
         }
     }
 
-    /// The volumes in the folder, and what killed programs have left of some.
+    /// The volumes and tables in the folder, and what killed programs have left of some.
     pub fn files(&self) -> Vec<CachedFile> {
         let entries = Dir::read_from(&self.folder).into_iter().flatten().flatten();
         let names = entries.filter_map(|entry| entry.file_name().to_str().ok().map(str::to_owned));
@@ -245,7 +272,7 @@ impl Cache {
         })
     }
 
-    /// Removes every volume of the cache, and nothing else. Returns how many files and bytes that were.
+    /// Removes every volume and table of the cache, and nothing else. Returns how many files and bytes that were.
     pub fn clear(&self) -> (usize, u64) {
         let removed: Vec<CachedFile> =
             self.files().into_iter().filter(|file| self.remove(&file.name)).collect();
@@ -264,11 +291,13 @@ fn is_own_file(stat: &Stat) -> bool {
         && stat.st_nlink == 1
 }
 
-/// Whether a name is that of a volume, or of a draft of one.
+/// Whether a name is that of a volume, of a table, or of a draft of one.
 fn is_our_name(name: &str) -> bool {
-    let hash = name.strip_suffix(ENDING);
-    hash.is_some_and(|hash| hash.len() == 64 && hash.bytes().all(|byte| byte.is_ascii_hexdigit()))
-        || name.starts_with(output_file::DRAFT_PREFIX)
+    let is_hash = |ending: &str, digits: usize| {
+        let hash = name.strip_suffix(ending);
+        hash.is_some_and(|hash| hash.len() == digits && hash.bytes().all(|byte| byte.is_ascii_hexdigit()))
+    };
+    is_hash(ENDING, 64) || is_hash(text::ENDING, 32) || name.starts_with(output_file::DRAFT_PREFIX)
 }
 
 #[cfg(test)]

@@ -4,9 +4,9 @@ use ipc_types::scene::{ContactVoxels, Integrator, Scene};
 use simulation::manipulator::Rung;
 use simulation::rung;
 
-use super::TABLE;
-use super::load::{Load, Pull, check_tool};
-use super::table::{Row, Settings, contact_name, integrator_name, read};
+use super::load::{Load, Pull, is_standard_tool, tendons_leave_the_plane};
+use super::own::{self, Table};
+use super::table::{Row, Settings, contact_name, integrator_name};
 use crate::failure::Failure;
 
 /// Settings that the scene's author fixed and the choice must keep.
@@ -72,6 +72,8 @@ pub struct Choice {
     pub load: Load,
     /// What the scene fixed.
     pub given: Given,
+    /// The tool that the row was measured for; none for the standard one.
+    pub tool: Option<String>,
 }
 
 impl Choice {
@@ -90,61 +92,85 @@ impl Choice {
                 row.drilled_path_mm, row.grid_path_mm
             );
         }
-        [
+        let [beam, wall] = row.beam.map_or_else(Default::default, |beam| {
+            let at_rest = [beam.end_moment_mm, beam.tip_force_mm, beam.capstan_mm, beam.wall_mm];
+            let [moment, force, capstan, wall] = at_rest;
+            [
+                format!(
+                    "end moment {moment:.4}, tip force {force:.4}, capstan {capstan:.4}, wall {wall:.4}, "
+                ),
+                format!("wall {:.4}, ", beam.wall_path_mm),
+            ]
+        });
+        let (pull, costed) = match &self.tool {
+            None => ("pull", "as measured for the table".to_owned()),
+            Some(_) => ("loads in free space", "estimated from the standard tool's".to_owned()),
+        };
+        let mut lines = vec![
             format!("settings      {}", row.settings.text()),
             format!("named         {} (kept)", self.given.text()),
             format!(
-                "tip error     {:.4} mm expected (end moment {:.4}, tip force {:.4}, capstan {:.4}, wall {:.4}, pull {:.4}{tip})",
+                "tip error     {:.4} mm expected ({beam}{pull} {:.4}{tip})",
                 row.tip_mm(load),
-                row.end_moment_mm,
-                row.tip_force_mm,
-                row.capstan_mm,
-                row.wall_mm,
                 row.rest_mm
             ),
             format!(
-                "path error    {:.4} mm r.m.s. expected (wall {:.4}, pull {:.4}{path})",
+                "path error    {:.4} mm r.m.s. expected ({wall}{pull} {:.4}{path})",
                 row.path_mm(load),
-                row.wall_path_mm,
                 row.free_path_mm
             ),
-            format!(
-                "cost          {:.1} us per simulated millisecond, as measured for the table",
-                row.us_per_ms(load)
-            ),
-        ]
-        .join("\n")
+            format!("cost          {:.1} us per simulated millisecond, {costed}", row.us_per_ms(load)),
+        ];
+        if let Some(tool) = &self.tool {
+            lines.push(format!("measured      for the scene's own tool, `{tool}`"));
+        }
+        lines.join("\n")
     }
 }
 
 /// Writes the cheapest settings within the scene's tolerance into the scene; `None` if the scene states no tip or path
-/// error.
+/// error. The errors of a tool of its own are measured, unless they are kept from an earlier use.
+///
+/// # Errors
+/// Bad input: no measured settings meet the tolerance, or none of those that also match what the scene fixes; or nothing can be measured
+/// for the scene's tool.
+pub fn resolve(scene: &mut Scene, text: &str) -> Result<Option<Choice>, Failure> {
+    if !asks(scene) {
+        return Ok(None);
+    }
+    if !is_standard_tool(scene) {
+        // Measuring takes long: not for a scene that is refused whatever is found.
+        let given = Given::of(scene, text);
+        if !own::settings(scene)?.iter().any(|settings| given.allows(settings)) {
+            return Err(refusal(scene, &given, &[], Load::of(scene)));
+        }
+    }
+    resolve_by(scene, text, &Table::of(scene)?)
+}
+
+/// The same by the errors of this table.
 ///
 /// # Errors
 /// Bad input: no measured settings meet the tolerance, or none of those that also match what the scene fixes.
-pub fn resolve(scene: &mut Scene, text: &str) -> Result<Option<Choice>, Failure> {
-    let rows = read(TABLE)
-        .ok_or_else(|| Failure::failed("the built-in table of measured errors cannot be parsed"))?;
-    resolve_by(scene, text, &rows)
-}
-
-fn resolve_by(scene: &mut Scene, text: &str, rows: &[Row]) -> Result<Option<Choice>, Failure> {
-    let choice = choose(scene, Given::of(scene, text), rows)?;
+pub fn resolve_by(scene: &mut Scene, text: &str, table: &Table) -> Result<Option<Choice>, Failure> {
+    let choice = choose(scene, Given::of(scene, text), table)?;
     if let Some(choice) = &choice {
         choice.row.settings.write_into(scene);
     }
     Ok(choice)
 }
 
-fn choose(scene: &Scene, given: Given, rows: &[Row]) -> Result<Option<Choice>, Failure> {
-    let Some(tolerance) = &scene.tolerance else { return Ok(None) };
-    if tolerance.tip_mm.is_none() && tolerance.path_mm.is_none() {
-        return Ok(None);
-    }
-    check_tool(scene)?;
+/// Whether a scene states an error of tip or path.
+fn asks(scene: &Scene) -> bool {
+    scene.tolerance.is_some_and(|tolerance| tolerance.tip_mm.is_some() || tolerance.path_mm.is_some())
+}
+
+fn choose(scene: &Scene, given: Given, table: &Table) -> Result<Option<Choice>, Failure> {
+    let Some(tolerance) = scene.tolerance.filter(|_| asks(scene)) else { return Ok(None) };
     let load = Load::of(scene);
     let flat = !leaves_the_plane(scene);
-    let rows: Vec<&Row> = rows
+    let rows: Vec<&Row> = table
+        .rows
         .iter()
         .filter(|row| given.allows(&row.settings))
         .filter(|row| flat || matches!(row.settings.rung, Rung::Spatial | Rung::Full))
@@ -157,7 +183,7 @@ fn choose(scene: &Scene, given: Given, rows: &[Row]) -> Result<Option<Choice>, F
         })
         .min_by(|a, b| a.us_per_ms(load).total_cmp(&b.us_per_ms(load)));
     match best {
-        Some(row) => Ok(Some(Choice { row: **row, load, given })),
+        Some(row) => Ok(Some(Choice { row: **row, load, given, tool: table.tool.clone() })),
         None => Err(refusal(scene, &given, &rows, load)),
     }
 }
@@ -170,8 +196,7 @@ fn leaves_the_plane(scene: &Scene) -> bool {
     let size = |v: &[f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
     let gravity = &scene.gravity_m_per_s2;
     let part: f64 = across.iter().zip(gravity).map(|(a, g)| a * g).sum();
-    let winds = |twist: Option<f64>| twist.is_some_and(|twist| twist != 0.0);
-    let pulled = scene.tendon.iter().any(|tendon| tendon.across_mm != 0.0 || winds(tendon.twist_deg_per_mm));
+    let pulled = tendons_leave_the_plane(&scene.tendon, scene.manipulator.tool.as_ref());
     pulled || !scene.body.is_empty() || part.abs() > 1e-6 * size(&across) * size(gravity).max(1e-300)
 }
 
@@ -183,7 +208,7 @@ fn refusal(scene: &Scene, given: &Given, rows: &[&Row], load: Load) -> Failure {
     let named = given.text();
     if rows.is_empty() {
         return Failure::bad_input(format!(
-            "scene `{}`: `tolerance`: the scene fixes {named}, for which no errors were measured; use settings that `trabecula plan --list` lists, or fix fewer of them",
+            "scene `{}`: `tolerance`: the scene fixes {named}, for which no errors were measured; use settings that `trabecula plan --list SCENE` lists, or fix fewer of them",
             scene.name
         ));
     }
@@ -192,7 +217,10 @@ fn refusal(scene: &Scene, given: &Given, rows: &[&Row], load: Load) -> Failure {
     let path_mm = least(&|row| row.path_mm(load));
     let tolerance = scene.tolerance.unwrap_or_default();
     let ask = |key: &str, asked: Option<f64>, least: f64| {
-        asked.map(|asked| format!("`tolerance.{key}` is {asked}, allowed is {least:.4} to 100"))
+        asked.map(|asked| match least.is_finite() {
+            true => format!("`tolerance.{key}` is {asked}, allowed is {least:.4} to 100"),
+            false => format!("`tolerance.{key}` is {asked}: leave it out, every one of them loses the tool"),
+        })
     };
     let asked: Vec<String> =
         [ask("tip_mm", tolerance.tip_mm, tip_mm), ask("path_mm", tolerance.path_mm, path_mm)]
@@ -214,6 +242,7 @@ mod tests {
     use std::path::Path;
 
     use super::*;
+    use crate::plan::Beam;
 
     const SCENE: &str = r#"
 name = "planned"
@@ -250,14 +279,16 @@ bend_toward = [1.0, 0.0, 0.0]
                         let us = f64::from(place) * links as f64 / dt_ms * (2.0 - order);
                         rows.push(Row {
                             settings: Settings { rung, links, integrator, dt_ms, contact },
-                            end_moment_mm: 0.5 * tip,
-                            tip_force_mm: tip,
-                            capstan_mm: 0.1 * tip,
-                            wall_mm: 0.2 * tip,
+                            beam: Some(Beam {
+                                end_moment_mm: 0.5 * tip,
+                                tip_force_mm: tip,
+                                capstan_mm: 0.1 * tip,
+                                wall_mm: 0.2 * tip,
+                                wall_path_mm: tip + 0.5 * order * dt_ms,
+                            }),
                             voxel_wall_mm: if balls { 0.2 } else { 0.0 },
                             rest_mm: 0.3 * tip,
                             hard_rest_mm: 0.6 * tip,
-                            wall_path_mm: tip + 0.5 * order * dt_ms,
                             free_path_mm: tip + order * dt_ms,
                             hard_path_mm: 2.0 * (tip + order * dt_ms),
                             grid_path_mm: 0.05,
@@ -276,9 +307,13 @@ bend_toward = [1.0, 0.0, 0.0]
         rows
     }
 
+    fn table() -> Table {
+        Table { rows: rows(), tool: None }
+    }
+
     fn planned(more: &str) -> Result<(Scene, Option<Choice>), Failure> {
         let (mut scene, text) = scene(more);
-        resolve_by(&mut scene, &text, &rows()).map(|choice| (scene, choice))
+        resolve_by(&mut scene, &text, &table()).map(|choice| (scene, choice))
     }
 
     #[test]
@@ -296,7 +331,7 @@ bend_toward = [1.0, 0.0, 0.0]
         assert_eq!(after.run.dt_ms, choice.row.settings.dt_ms);
         let resolved = after.clone();
         let text = toml::to_string(&after).unwrap();
-        let again = resolve_by(&mut after, &text, &rows()).unwrap().unwrap();
+        let again = resolve_by(&mut after, &text, &table()).unwrap().unwrap();
         assert_eq!((after, again.row.settings), (resolved, choice.row.settings));
     }
 
@@ -368,11 +403,11 @@ bend_toward = [1.0, 0.0, 0.0]
     #[test]
     fn looser_is_never_dearer() {
         let (mut scene, _) = scene("tolerance = { tip_mm = 1.0, path_mm = 1.0 }");
-        let rows = rows();
+        let table = table();
         let mut cost = |tip_mm: f64, path_mm: f64| {
             let tolerance = scene.tolerance.as_mut().unwrap();
             (tolerance.tip_mm, tolerance.path_mm) = (Some(tip_mm), Some(path_mm));
-            let choice = choose(&scene, Given::default(), &rows).ok()??;
+            let choice = choose(&scene, Given::default(), &table).ok()??;
             assert!(choice.row.tip_mm(FREE) <= tip_mm && choice.row.path_mm(FREE) <= path_mm);
             Some(choice.row.us_per_ms(FREE))
         };

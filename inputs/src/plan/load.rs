@@ -1,8 +1,8 @@
 //! What a scene does to its tool, as far as the measured errors depend on it.
 
-use ipc_types::scene::{Controller, Drives, Feedback, Scene};
-
-use crate::failure::Failure;
+use ipc_types::scene::{Contact, Controller, Drives, Feedback, Manipulator, Scene, Tendon, ToolDescription};
+use simulation::manipulator::{ManipulatorParameters, TendonRoute};
+use simulation::manipulator_parameters;
 
 /// What a scene does to the tool, as far as errors depend on it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -33,10 +33,23 @@ impl Load {
     /// What a scene names.
     pub fn of(scene: &Scene) -> Load {
         let drivers = scene.controller.iter().filter(|entry| entry.drives.contains(&Drives::Tendon));
-        let pull =
-            if drivers.map(share_of_gentle).all(|share| share <= 1.0) { Pull::Gentle } else { Pull::Hard };
+        let is_gentle = !has_tendons(scene) || drivers.map(share_of_gentle).all(|share| share <= 1.0);
+        let pull = if is_gentle { Pull::Gentle } else { Pull::Hard };
         Load { bone: scene.volume.is_some(), pull }
     }
+}
+
+fn has_tendons(scene: &Scene) -> bool {
+    !scene.tendon.is_empty() || scene.manipulator.tool.as_ref().is_none_or(|tool| !tool.tendon.is_empty())
+}
+
+/// Whether a tendon lies beside the bending plane or winds out of it.
+pub(super) fn tendons_leave_the_plane(tendons: &[Tendon], tool: Option<&ToolDescription>) -> bool {
+    let leaves =
+        |across_mm: f64, twist: Option<f64>| across_mm != 0.0 || twist.is_some_and(|twist| twist != 0.0);
+    let of_tool = tool.filter(|_| tendons.is_empty()).map_or(&[][..], |tool| &tool.tendon);
+    tendons.iter().any(|it| leaves(it.across_mm, it.twist_deg_per_mm))
+        || of_tool.iter().any(|it| leaves(it.across_mm, it.twist_deg_per_mm))
 }
 
 /// The most tension that a controller may ask for, over that of a gentle pull; infinite if the scene does not say.
@@ -50,49 +63,45 @@ fn share_of_gentle(entry: &Controller) -> f64 {
     ramped.or(at_once).unwrap_or(f64::INFINITY)
 }
 
-/// Refuses a tool other than the one whose errors were measured.
-///
-/// # Errors
-/// Bad input: the scene has another tool, or changes the tool's stiffness, mass, damping or mount, or has more tendon friction.
-pub fn check_tool(scene: &Scene) -> Result<(), Failure> {
-    let tool = &scene.manipulator;
-    let changed = [
-        ("stiffness_scale", tool.stiffness_scale, 1.0),
-        ("mass_scale", tool.mass_scale, 1.0),
-        ("mount_stiffness_n_per_m", tool.mount_stiffness_n_per_m, 2.0e5),
-        ("damping_ratio", tool.damping_ratio, 0.05),
-        ("notch_width_mm", tool.notch_width_mm, 0.73),
-        ("notch_past_axis_mm", tool.notch_past_axis_mm, 0.495),
-    ];
-    let refuse = |key: &str, given: f64, expected: String| {
-        Failure::bad_input(format!(
-            "scene `{}`: `manipulator.{key}` is {given}; with a `tolerance` of tip or path, expected {expected}: the errors were measured for the standard tool (leave `tip_mm` and `path_mm` out and name `model`, `links`, `integrator` and `dt_ms` instead)",
-            scene.name
-        ))
-    };
-    if let Some(other) = &tool.tool {
-        return Err(Failure::bad_input(format!(
-            "scene `{}`: `manipulator.tool` is `{}`; with a `tolerance` of tip or path, expected the standard tool, for which the errors were measured (leave `tip_mm` and `path_mm` out and name `model`, `links`, `integrator` and `dt_ms` instead)",
-            scene.name, other.name
-        )));
+/// Whether a scene's tool is, to the bit, the one whose errors the built-in table holds; with up to [`MOST_TENDON_FRICTION`], too.
+pub fn is_standard_tool(scene: &Scene) -> bool {
+    let mut own = scene.as_it_is();
+    own.gravity_m_per_s2 = [0.0; 3];
+    own.contact = Contact::default();
+    own.manipulator.links = None;
+    own.manipulator.integrator = None;
+    if own.manipulator.tendon_friction.is_some_and(|friction| friction <= MOST_TENDON_FRICTION) {
+        own.manipulator.tendon_friction = None;
     }
-    for (key, given, standard) in changed {
-        if let Some(given) = given.filter(|given| *given != standard) {
-            return Err(refuse(key, given, format!("{standard}")));
+    let cuts_its_own_way =
+        |tool: &ToolDescription| tool.drive_shaft.is_some() || tool.burr.cutting_coefficient.is_some();
+    if own.manipulator.tool.as_ref().is_some_and(cuts_its_own_way) {
+        return false;
+    }
+    let mut standard = own.clone();
+    standard.manipulator = Manipulator::default();
+    standard.tendon.clear();
+    match (manipulator_parameters(&own), manipulator_parameters(&standard)) {
+        (Ok(own), Ok(standard)) => with_its_pair(own) == standard,
+        _ => false,
+    }
+}
+
+/// Two tendons opposite each other are what the standard tool calls its pair.
+fn with_its_pair(mut tool: ManipulatorParameters) -> ManipulatorParameters {
+    let offset_m = tool.tendon_routes.as_deref().and_then(|routes| match routes {
+        [one, other] => {
+            let offset_m = one.channel_m[0];
+            let alike = [offset_m, -offset_m].map(|x| TendonRoute::from([x, 0.0]));
+            (alike == [one.clone(), other.clone()]).then_some(offset_m)
         }
+        _ => None,
+    });
+    if let Some(offset_m) = offset_m {
+        tool.tendon.offset_m = offset_m;
+        tool.tendon_routes = None;
     }
-    for (key, given) in [
-        ("lateral_stiffness_ratio", tool.lateral_stiffness_ratio),
-        ("torsion_stiffness_ratio", tool.torsion_stiffness_ratio),
-    ] {
-        if let Some(given) = given {
-            return Err(refuse(key, given, "that of the notches".to_owned()));
-        }
-    }
-    match tool.tendon_friction.filter(|friction| *friction > MOST_TENDON_FRICTION) {
-        Some(friction) => Err(refuse("tendon_friction", friction, format!("at most {MOST_TENDON_FRICTION}"))),
-        None => Ok(()),
-    }
+    tool
 }
 
 #[cfg(test)]
@@ -130,15 +139,30 @@ mod tests {
     }
 
     #[test]
-    fn a_tool_that_was_not_measured_is_refused_with_its_key() {
+    fn a_tool_is_the_standard_one_by_what_it_is_and_not_by_what_it_is_called() {
         let hold = "hold = { tension_n = 6.0 }";
-        for key in
-            ["stiffness_scale = 2.0", "mass_scale = 0.5", "damping_ratio = 0.01", "tendon_friction = 0.4"]
-        {
-            let refused = check_tool(&scene(key, hold)).unwrap_err();
-            let name = key.split(' ').next().unwrap();
-            assert!(refused.code == 2 && refused.message.contains(name), "{refused}");
+        for changed in [
+            "stiffness_scale = 2.0",
+            "mass_scale = 0.5",
+            "damping_ratio = 0.01",
+            "tendon_friction = 0.4",
+            "mount_stiffness_n_per_m = 1e5",
+            "notch_width_mm = 0.7",
+            "lateral_stiffness_ratio = 2.0",
+            "burr_diameter_mm = 6.0",
+        ] {
+            assert!(!is_standard_tool(&scene(changed, hold)), "{changed}");
         }
-        assert!(check_tool(&scene("tendon_friction = 0.3\nstiffness_scale = 1.0", hold)).is_ok());
+        let mut same = scene("tendon_friction = 0.3\nstiffness_scale = 1.0\nlinks = 9", hold);
+        same.gravity_m_per_s2 = [0.0, 0.0, -9.81];
+        assert!(is_standard_tool(&same));
+        let file = |text: &str| ToolDescription::parse(text, Path::new("tool.toml")).unwrap();
+        same.manipulator.tool = Some(file(include_str!("../../../configs/tools/jhu_27.toml")));
+        assert!(is_standard_tool(&same));
+        same.manipulator.tool = Some(file(include_str!("../../../configs/tools/two_segments.toml")));
+        assert!(!is_standard_tool(&same));
+        let mut stiffer = scene("", hold);
+        stiffer.truth = Some(toml::from_str("manipulator = { stiffness_scale = 1.1 }").unwrap());
+        assert!(!is_standard_tool(&stiffer), "the tool as it is counts");
     }
 }

@@ -1,19 +1,23 @@
 //! Finds the cheapest physics settings whose measured errors meet a scene's tolerance.
 //!
-//! The errors and costs are those of `table.csv`, which `trabecula chart physics` measures and writes again as
-//! `physics-plan.csv`; a test compares a part of it with a fresh measurement.
+//! The errors and costs of the standard tool are those of `table.csv`, which `trabecula chart physics` measures and writes again as
+//! `physics-plan.csv`; a test compares a part of it with a fresh measurement. Those of another tool are measured when a scene first needs
+//! them ([`Table::of`]).
 
 pub mod check;
 mod choice;
 mod load;
+pub mod measure;
 mod model_error;
+mod own;
 pub mod reference;
 pub mod table;
 
-pub use choice::resolve;
-pub use load::{GENTLE_N, Load, MOST_TENDON_FRICTION, Pull, RAMPED_N};
+pub use choice::{resolve, resolve_by};
+pub use load::{GENTLE_N, Load, MOST_TENDON_FRICTION, Pull, RAMPED_N, is_standard_tool};
 pub use model_error::ModelError;
-pub use table::{Row, Settings, write};
+pub use own::{OwnTool, Table};
+pub use table::{Beam, Row, Settings, write};
 
 use ipc_types::scene::Scene;
 

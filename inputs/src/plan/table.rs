@@ -10,12 +10,17 @@ use super::load::{Load, Pull};
 /// Number of flexures of the standard tool.
 pub(super) const OWN_LINKS: usize = 27;
 
+/// Number of flexures of a scene's tool.
+pub(super) fn own_links(scene: &Scene) -> usize {
+    scene.manipulator.tool.as_ref().map_or(OWN_LINKS, |tool| tool.flexures().len())
+}
+
 /// The settings of a table row.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
     /// Rung.
     pub rung: Rung,
-    /// Number of links; 27 means the tool's own flexures.
+    /// Number of links; as many as the tool has flexures (the standard one has 27) means those themselves.
     pub links: usize,
     /// Integrator.
     pub integrator: Integrator,
@@ -43,7 +48,7 @@ impl Settings {
             Rung::Full => ManipulatorRung::Full,
         });
         // The tool's own flexures come from its tables; no number of equal links reproduces them.
-        if self.links != OWN_LINKS {
+        if self.links != own_links(scene) {
             scene.manipulator.links = Some(self.links);
         }
         scene.manipulator.integrator = Some(self.integrator);
@@ -70,11 +75,9 @@ pub fn integrator_name(integrator: Integrator) -> &'static str {
     }
 }
 
-/// Measured errors (mm; infinite where the tool was lost) and costs (microseconds per simulated millisecond).
+/// Errors of the chain as a beam, against closed forms, mm.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Row {
-    /// The settings measured.
-    pub settings: Settings,
+pub struct Beam {
     /// Tip error under a pure end moment, against the circular arc.
     pub end_moment_mm: f64,
     /// Tip error under a dead force, worst load, against the elastica.
@@ -83,14 +86,29 @@ pub struct Row {
     pub capstan_mm: f64,
     /// Tip error at rest against a wall, against the converged solution.
     pub wall_mm: f64,
+    /// Path error while moving onto the wall, r.m.s.
+    pub wall_path_mm: f64,
+}
+
+impl Beam {
+    fn tip_mm(&self) -> f64 {
+        worst(&[self.end_moment_mm, self.tip_force_mm, self.capstan_mm, self.wall_mm])
+    }
+}
+
+/// Measured errors (mm; infinite where the tool was lost or nothing was measured) and costs (microseconds per simulated millisecond).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Row {
+    /// The settings measured.
+    pub settings: Settings,
+    /// As a beam; none for a scene's own tool, which is compared with the reference alone.
+    pub beam: Option<Beam>,
     /// Error of a tool sphere at rest on a flat wall of voxels.
     pub voxel_wall_mm: f64,
     /// Tip error at rest under a gentle pull in free space, against the reference.
     pub rest_mm: f64,
     /// The same under a hard pull.
     pub hard_rest_mm: f64,
-    /// Path error while moving onto the wall, r.m.s.
-    pub wall_path_mm: f64,
     /// Path error of gentle pulls in free space, against the reference, r.m.s., the worst pull.
     pub free_path_mm: f64,
     /// The same of hard pulls.
@@ -99,7 +117,7 @@ pub struct Row {
     pub drilled_path_mm: f64,
     /// How far the path moves with the place of the voxels, r.m.s., the worst pair of places.
     pub grid_path_mm: f64,
-    /// Median step time of the pulls in free space: the manipulator alone.
+    /// Median step time of the pulls in free space: the manipulator alone. Of an own tool, estimated.
     pub free_us_per_ms: f64,
     /// Median step time of the default scene, including contact and drilling.
     pub drilling_us_per_ms: f64,
@@ -128,6 +146,23 @@ const COLUMNS: [&str; 19] = [
 ];
 
 impl Row {
+    /// A row of which nothing is known: every error counts as infinite.
+    pub(super) fn unmeasured(settings: Settings) -> Row {
+        Row {
+            settings,
+            beam: None,
+            voxel_wall_mm: f64::NAN,
+            rest_mm: f64::NAN,
+            hard_rest_mm: f64::NAN,
+            free_path_mm: f64::NAN,
+            hard_path_mm: f64::NAN,
+            drilled_path_mm: f64::NAN,
+            grid_path_mm: f64::NAN,
+            free_us_per_ms: f64::NAN,
+            drilling_us_per_ms: f64::NAN,
+        }
+    }
+
     /// Position error of the burr at rest: the worst problem; the voxel problem counts only with bone.
     pub fn tip_mm(&self, load: Load) -> f64 {
         let voxel_wall_mm = if load.bone { self.voxel_wall_mm } else { 0.0 };
@@ -135,8 +170,7 @@ impl Row {
             Pull::Gentle => self.rest_mm,
             Pull::Hard => worst(&[self.rest_mm, self.hard_rest_mm]),
         };
-        let beam = [self.end_moment_mm, self.tip_force_mm, self.capstan_mm, self.wall_mm];
-        worst(&[worst(&beam), voxel_wall_mm, rest_mm])
+        worst(&[self.beam.map_or(0.0, |beam| beam.tip_mm()), voxel_wall_mm, rest_mm])
     }
 
     /// Path error of the burr: the worst problem. With bone, what the drilled paths were off and how far the place of the voxels moves
@@ -146,7 +180,7 @@ impl Row {
             Pull::Gentle => self.free_path_mm,
             Pull::Hard => worst(&[self.free_path_mm, self.hard_path_mm]),
         };
-        let free = worst(&[self.wall_path_mm, pulled]);
+        let free = worst(&[self.beam.map_or(0.0, |beam| beam.wall_path_mm), pulled]);
         if load.bone { worst(&[free, self.drilled_path_mm]) + worst(&[self.grid_path_mm]) } else { free }
     }
 
@@ -155,27 +189,27 @@ impl Row {
         if load.bone { self.drilling_us_per_ms } else { self.free_us_per_ms }
     }
 
-    /// The errors in the order of the columns.
-    fn errors(&self) -> [f64; 12] {
+    /// The errors in the order of the columns; none where a column is not of this tool.
+    fn errors(&self) -> [Option<f64>; 12] {
         [
-            self.end_moment_mm,
-            self.tip_force_mm,
-            self.capstan_mm,
-            self.wall_mm,
-            self.voxel_wall_mm,
-            self.rest_mm,
-            self.hard_rest_mm,
-            self.wall_path_mm,
-            self.free_path_mm,
-            self.hard_path_mm,
-            self.drilled_path_mm,
-            self.grid_path_mm,
+            self.beam.map(|beam| beam.end_moment_mm),
+            self.beam.map(|beam| beam.tip_force_mm),
+            self.beam.map(|beam| beam.capstan_mm),
+            self.beam.map(|beam| beam.wall_mm),
+            Some(self.voxel_wall_mm),
+            Some(self.rest_mm),
+            Some(self.hard_rest_mm),
+            self.beam.map(|beam| beam.wall_path_mm),
+            Some(self.free_path_mm),
+            Some(self.hard_path_mm),
+            Some(self.drilled_path_mm),
+            Some(self.grid_path_mm),
         ]
     }
 }
 
 /// The largest error; NaN counts as infinite.
-fn worst(errors: &[f64]) -> f64 {
+pub(super) fn worst(errors: &[f64]) -> f64 {
     errors.iter().fold(0.0, |most, &error| if error.is_finite() { most.max(error) } else { f64::INFINITY })
 }
 
@@ -189,7 +223,10 @@ pub fn write(rows: &[Row]) -> String {
         let _ = write!(text, "{},{},{integrator},{},{contact}", s.rung.name(), s.links, s.dt_ms);
         for error in row.errors() {
             // Writing to a String cannot fail.
-            let _ = write!(text, ",{error:.4e}");
+            let _ = match error {
+                Some(error) => write!(text, ",{error:.4e}"),
+                None => write!(text, ","),
+            };
         }
         let _ = writeln!(text, ",{:.2},{:.2}", row.free_us_per_ms, row.drilling_us_per_ms);
     }
@@ -211,6 +248,17 @@ fn row(line: &str) -> Option<Row> {
         return None;
     }
     let number = |index: usize| cells.get(index)?.parse::<f64>().ok();
+    let is_beam = [5, 6, 7, 8, 12].map(|index: usize| cells.get(index).is_some_and(|cell| !cell.is_empty()));
+    let beam = match is_beam {
+        [false, false, false, false, false] => None,
+        _ => Some(Beam {
+            end_moment_mm: number(5)?,
+            tip_force_mm: number(6)?,
+            capstan_mm: number(7)?,
+            wall_mm: number(8)?,
+            wall_path_mm: number(12)?,
+        }),
+    };
     Some(Row {
         settings: Settings {
             rung: Rung::ALL.into_iter().find(|rung| Some(&rung.name()) == cells.first())?,
@@ -223,14 +271,10 @@ fn row(line: &str) -> Option<Row> {
                 .into_iter()
                 .find(|contact| Some(&contact_name(*contact)) == cells.get(4))?,
         },
-        end_moment_mm: number(5)?,
-        tip_force_mm: number(6)?,
-        capstan_mm: number(7)?,
-        wall_mm: number(8)?,
+        beam,
         voxel_wall_mm: number(9)?,
         rest_mm: number(10)?,
         hard_rest_mm: number(11)?,
-        wall_path_mm: number(12)?,
         free_path_mm: number(13)?,
         hard_path_mm: number(14)?,
         drilled_path_mm: number(15)?,
@@ -257,8 +301,20 @@ mod tests {
 
     #[test]
     fn what_was_lost_is_infinitely_wrong() {
-        let row = Row { wall_mm: f64::NAN, ..read(TABLE).unwrap()[0] };
+        let first = read(TABLE).unwrap()[0];
+        let beam = first.beam.map(|beam| Beam { wall_mm: f64::NAN, ..beam });
+        let row = Row { beam, ..first };
         assert_eq!(row.tip_mm(FREE), f64::INFINITY);
         assert_eq!(read("rung,links\nplanar,4\n"), None);
+    }
+
+    /// A tool of a scene's own has no closed forms: their columns stay empty and count for nothing; half of them is no table.
+    #[test]
+    fn what_is_not_of_a_tool_is_left_out() {
+        let row = Row { beam: None, ..read(TABLE).unwrap()[0] };
+        let text = write(&[row]);
+        assert_eq!(read(&text), Some(vec![row]));
+        assert_eq!((row.tip_mm(FREE), row.path_mm(FREE)), (row.rest_mm, row.free_path_mm));
+        assert_eq!(read(&text.replacen("planes,,", "planes,1.0,", 1)), None);
     }
 }

@@ -4,14 +4,14 @@ use crate::effort::Effort;
 use ipc_types::scene::{ContactVoxels, Integrator as SceneIntegrator};
 use simulation::manipulator::{Integrator, ManipulatorError, Rung};
 
-use super::against::{References, distance_mm};
 use super::drilled::Drilling;
 use super::problems::{self, Measured};
-use super::trials::{self, TunnelReferences};
+use super::standard::{self, TunnelReferences};
 use super::voxel_wall::voxel_wall_mm;
 use crate::charts::method::Method;
 use trabecula::failure::Failure;
-use trabecula::plan::{Pull, Row, Settings};
+use trabecula::plan::measure::against::{References, distance_mm};
+use trabecula::plan::{Beam, Pull, Row, Settings};
 
 /// Links of each rung; the tool has 27 flexures. A richer rung is not worth its cost while the error from few links
 /// dominates.
@@ -116,18 +116,20 @@ pub fn without_bone(settings: &Settings, references: &mut References) -> Result<
     let (_, tip_force, _) = by(problems::tip_force)?;
     let (_, _, capstan) = by(problems::capstan)?;
     let (_, wall_path, wall) = by(problems::wall)?;
-    let gentle = trials::free(settings, Pull::Gentle, references)?;
-    let hard = trials::free(settings, Pull::Hard, references)?;
+    let gentle = standard::free(settings, Pull::Gentle, references)?;
+    let hard = standard::free(settings, Pull::Hard, references)?;
     Ok(Row {
         settings: *settings,
-        end_moment_mm: mm(end_moment),
-        tip_force_mm: mm(tip_force),
-        capstan_mm: named(&capstan, "tip_um"),
-        wall_mm: named(&wall, "end_um"),
+        beam: Some(Beam {
+            end_moment_mm: mm(end_moment),
+            tip_force_mm: mm(tip_force),
+            capstan_mm: named(&capstan, "tip_um"),
+            wall_mm: named(&wall, "end_um"),
+            wall_path_mm: mm(wall_path),
+        }),
         voxel_wall_mm: f64::NAN,
         rest_mm: gentle.end_mm,
         hard_rest_mm: hard.end_mm,
-        wall_path_mm: mm(wall_path),
         free_path_mm: gentle.worst_path_mm,
         hard_path_mm: hard.worst_path_mm,
         drilled_path_mm: f64::NAN,
@@ -159,7 +161,7 @@ pub fn measure(
     save(&rows)?;
     let quick = effort == Effort::Quick;
     let drilling = Drilling::new(SPACING_MM, if quick { QUICK_SHARE } else { 1.0 })?;
-    let grid = |contact| trials::grid_mm(&Settings { contact, ..STANDARD });
+    let grid = |contact| standard::grid_mm(&Settings { contact, ..STANDARD });
     let grid_mm =
         if quick { [f64::NAN; 2] } else { [grid(ContactVoxels::Planes)?, grid(ContactVoxels::Balls)?] };
     for place in 0..rows.len() {
@@ -193,7 +195,7 @@ fn in_bone(
     let compared = drilling.compare(&settings, references)?;
     let (mut worst_mm, mut us_per_ms) = (compared.worst_path_mm, compared.us_per_ms);
     if effort == Effort::Full {
-        let tunnels_mm = trials::drilled_mm(&settings, of_tunnels)?;
+        let tunnels_mm = standard::drilled_mm(&settings, of_tunnels)?;
         worst_mm = if tunnels_mm.is_nan() { f64::NAN } else { worst_mm.max(tunnels_mm) };
         // The path is the same every time; other load on the machine only adds to the cost.
         for _ in 1..TIMINGS {
@@ -250,7 +252,7 @@ mod tests {
             for (name, few_mm, many_mm) in [
                 ("rest", few.rest_mm, many.rest_mm),
                 ("free path", few.free_path_mm, many.free_path_mm),
-                ("tip force", few.tip_force_mm, many.tip_force_mm),
+                ("tip force", few.beam.unwrap().tip_force_mm, many.beam.unwrap().tip_force_mm),
             ] {
                 let both = few_mm.is_finite() && many_mm.is_finite();
                 assert!(
@@ -295,13 +297,14 @@ mod tests {
         for settings in settings(Effort::Quick) {
             let table = rows.iter().find(|row| row.settings == settings).unwrap();
             let now = without_bone(&settings, &mut references).unwrap();
+            let (then, of_beam) = (table.beam.unwrap(), now.beam.unwrap());
             for (name, then, now) in [
-                ("end moment", table.end_moment_mm, now.end_moment_mm),
-                ("tip force", table.tip_force_mm, now.tip_force_mm),
-                ("capstan", table.capstan_mm, now.capstan_mm),
-                ("wall", table.wall_mm, now.wall_mm),
+                ("end moment", then.end_moment_mm, of_beam.end_moment_mm),
+                ("tip force", then.tip_force_mm, of_beam.tip_force_mm),
+                ("capstan", then.capstan_mm, of_beam.capstan_mm),
+                ("wall", then.wall_mm, of_beam.wall_mm),
                 ("voxel wall", table.voxel_wall_mm, voxel_wall_mm(settings.contact, SPACING_MM).unwrap()),
-                ("wall path", table.wall_path_mm, now.wall_path_mm),
+                ("wall path", then.wall_path_mm, of_beam.wall_path_mm),
                 ("rest", table.rest_mm, now.rest_mm),
                 ("hard rest", table.hard_rest_mm, now.hard_rest_mm),
                 ("free path", table.free_path_mm, now.free_path_mm),

@@ -5,10 +5,10 @@ use ipc_types::scene::{Feedback, Mode, Scene};
 use nalgebra::Vector3;
 use simulation::CtView;
 
-use super::against::{Compared, References, against_reference, path};
 use trabecula::failure::Failure;
 use trabecula::launcher::volume_source;
 use trabecula::plan::Settings;
+use trabecula::plan::measure::against::{Compared, References, Run, against_reference, path};
 use trabecula::scenes::BuiltIn;
 
 /// The feed of 28 mm at 1.5 mm/s, before the tool retracts.
@@ -49,7 +49,7 @@ impl Drilling {
     /// # Errors
     /// The physics refuses them.
     pub fn compare(&self, settings: &Settings, references: &mut References) -> Result<Compared, Failure> {
-        against_reference(&self.with(settings), Some(self.ct()), references)
+        Ok(against_reference(&Run::new(&self.with(settings), Some(self.ct())), references)?)
     }
 
     /// Drills with these settings: the burr's path, and what a simulated millisecond costs, µs.
@@ -57,7 +57,7 @@ impl Drilling {
     /// # Errors
     /// The physics refuses them.
     pub fn path(&self, settings: &Settings) -> Result<(Vec<Vector3<f64>>, f64), Failure> {
-        path(&self.with(settings), Some(self.ct()))
+        Ok(path(&Run::new(&self.with(settings), Some(self.ct())))?)
     }
 
     fn with(&self, settings: &Settings) -> Scene {

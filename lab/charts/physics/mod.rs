@@ -1,13 +1,12 @@
 //! `trabecula chart physics`: error against cost for every rung, integrator and baseline, one panel per problem.
 
-mod against;
 mod candidates;
 mod drilled;
 mod elastica;
 mod peers;
 mod problems;
 pub mod promise;
-mod trials;
+mod standard;
 mod voxel_wall;
 
 use crate::effort::Effort;

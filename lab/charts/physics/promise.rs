@@ -3,21 +3,22 @@
 //! Every scene is run with the settings that `plan` chooses, beside the reference of `plan --check`, on the same voxels. A scene with bone
 //! is run again on voxels at another place: the bound states both errors, so the distance to that path must keep it, too.
 
-use ipc_types::scene::Scene;
+use ipc_types::messages;
+use ipc_types::scene::{Scene, Tolerance};
 use serde_json::json;
-use simulation::CtView;
 
-use super::against::{References, against_reference, distance_mm, path};
-use super::trials::{Trial, block};
 use crate::random::uniform;
-use crate::reproduce::rig::Block;
 use crate::sheet::Sheet;
 use trabecula::failure::Failure;
-use trabecula::plan::{GENTLE_N, RAMPED_N, resolve};
+use trabecula::plan::measure::against::{References, Run, against_reference, distance_mm, path};
+use trabecula::plan::measure::trials::{HOLE_MM, Trial, block};
+use trabecula::plan::{GENTLE_N, OwnTool, RAMPED_N, Table, resolve_by};
 
 /// How many scenes, and which.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct Plan {
+    /// Another tool than the standard one.
+    pub tool: Option<OwnTool>,
     /// Scenes in free space.
     pub free: u64,
     /// Scenes in bone.
@@ -42,7 +43,11 @@ pub fn run(plan: &Plan, sheet: &mut Sheet) -> Result<usize, Failure> {
         let mut worst: f64 = 0.0;
         for number in 0..count {
             let seed = plan.seed + number;
-            let kept = if what == "free" { in_free_space(seed)? } else { in_bone(seed)? };
+            let kept = if what == "free" {
+                in_free_space(seed, plan.tool.as_ref())?
+            } else {
+                in_bone(seed, plan.tool.as_ref())?
+            };
             sheet.line(&format!("{what} {seed:>4}: {}", kept.line));
             sheet.push(what, json!({"seed": seed, "share_of_tolerance": kept.share}));
             // NaN counts as exceeded.
@@ -72,18 +77,27 @@ enum Ground {
     Bone,
 }
 
-/// A pull, a sweep or a feed, with random tension, friction and duration.
-fn trial(ground: Ground, random: &mut u64) -> Trial {
-    let bone = ground == Ground::Bone;
+/// A pull, a sweep or a feed, with random tension, friction and duration. A tool of its own has its friction, and its other tendons may be
+/// pulled, too; one without tendons is fed.
+fn trial(ground: Ground, tool: Option<&OwnTool>, random: &mut u64) -> Trial {
+    let (bone, tendons) = (ground == Ground::Bone, tool.map_or(1, OwnTool::tendons));
     let hard = !bone && uniform(random) < 0.3;
-    let kind = if bone { 2 } else { (3.0 * uniform(random)) as usize };
+    let kinds = if tendons > 1 { 4.0 } else { 3.0 };
+    let kind = if bone || tendons == 0 { 2 } else { (kinds * uniform(random)) as usize };
     let gentle_n = if kind == 2 { RAMPED_N } else { GENTLE_N };
     let tension_n = if hard { between(gentle_n, 60.0, random) } else { between(0.5, gentle_n, random) };
+    let tension_n = if tendons == 0 { 0.0 } else { tension_n };
     let friction = between(0.0, 0.3, random);
     let mut trial = match kind {
         0 => Trial::hold(tension_n, friction),
         1 => Trial::sweep(tension_n, tension_n / 3.0, friction),
-        _ => Trial::feed(tension_n, between(2.0, 8.0, random), between(5.0, 20.0, random)),
+        2 => Trial::feed(tension_n, between(2.0, 8.0, random), between(5.0, 20.0, random)),
+        _ => {
+            let mut tensions_n = [0.0; messages::MAX_TENDONS];
+            tensions_n[(tendons as f64 * uniform(random)) as usize] = tension_n;
+            tensions_n[(tendons as f64 * uniform(random)) as usize] = between(0.0, tension_n, random);
+            Trial::pull(tensions_n)
+        }
     };
     trial.tool = format!("tendon_friction = {friction:?}\n");
     if !bone {
@@ -92,40 +106,55 @@ fn trial(ground: Ground, random: &mut u64) -> Trial {
     trial
 }
 
-/// The tightest tolerance that `plan` accepts for the trial, and three times it: what the scene asks for lies between.
-fn planned(trial: &Trial, bone: Option<&Block>, random: &mut u64) -> Result<(Scene, f64), Failure> {
+/// The trial's scene, and its text.
+fn scene_of(trial: &Trial, ground: Ground, tool: Option<&OwnTool>) -> Result<(Scene, String), Failure> {
+    let (scene, text) = trial.scene("", ground == Ground::Bone)?;
+    let own = tool.map(|tool| tool.scene(trial, ground == Ground::Bone)).transpose()?;
+    Ok((own.unwrap_or(scene), text))
+}
+
+/// Plans for a tolerance between the tightest that `plan` accepts and three times that; returns it.
+fn plan_within(scene: &mut Scene, text: &str, random: &mut u64) -> Result<f64, Failure> {
     let factor = 3.0_f64.powf(uniform(random));
+    let table = Table::of(scene)?;
     let mut path_mm = 0.001;
     loop {
-        let tolerance = format!("tolerance = {{ path_mm = {path_mm:?} }}\n");
-        let (mut scene, text) = trial.scene(&tolerance, bone)?;
-        match resolve(&mut scene, &text) {
-            Ok(_) => return Ok((scene, path_mm)),
+        scene.tolerance = Some(Tolerance { path_mm: Some(path_mm), ..Tolerance::default() });
+        match resolve_by(scene, text, &table) {
+            Ok(_) => return Ok(path_mm),
             Err(refused) if path_mm > 50.0 => return Err(refused),
             Err(_) => path_mm *= 1.02 * factor,
         }
     }
 }
 
-fn in_free_space(seed: u64) -> Result<Kept, Failure> {
+fn in_free_space(seed: u64, tool: Option<&OwnTool>) -> Result<Kept, Failure> {
     let mut random = seed;
-    let trial = trial(Ground::Air, &mut random);
-    let (scene, path_mm) = planned(&trial, None, &mut random)?;
-    let off = against_reference(&scene, None, &mut References::default())?;
+    let trial = trial(Ground::Air, tool, &mut random);
+    let (mut scene, text) = scene_of(&trial, Ground::Air, tool)?;
+    let path_mm = plan_within(&mut scene, &text, &mut random)?;
+    if tool.is_some() {
+        // Its own weight, any way in the plane in which it bends.
+        let angle = between(0.0, std::f64::consts::TAU, &mut random);
+        scene.gravity_m_per_s2 = [9.81 * angle.cos(), 0.0, 9.81 * angle.sin()];
+    }
+    let run = Run { tensions_n: trial.tensions_n, ..Run::new(&scene, None) };
+    let off = against_reference(&run, &mut References::default())?;
     let line = format!("{}: {:.4} mm of {path_mm:.4}", settings(&scene), off.path_mm);
     Ok(Kept { share: off.path_mm / path_mm, line })
 }
 
-fn in_bone(seed: u64) -> Result<Kept, Failure> {
+fn in_bone(seed: u64, tool: Option<&OwnTool>) -> Result<Kept, Failure> {
     let mut random = seed;
-    let trial = trial(Ground::Bone, &mut random);
+    let trial = trial(Ground::Bone, tool, &mut random);
+    let hole_mm = tool.map_or(HOLE_MM, OwnTool::hole_mm);
     let mut place = || [0; 3].map(|_| uniform(&mut random));
-    let (here, there) = (block(place()), block(place()));
-    let (scene, path_mm) = planned(&trial, Some(&here), &mut random)?;
-    let view = CtView { geometry: here.geometry, hu: &here.hu };
-    let off = against_reference(&scene, Some(view), &mut References::default())?;
-    let (own, _) = path(&scene, Some(view))?;
-    let (other, _) = path(&scene, Some(CtView { geometry: there.geometry, hu: &there.hu }))?;
+    let (here, there) = (block(place(), hole_mm), block(place(), hole_mm));
+    let (mut scene, text) = scene_of(&trial, Ground::Bone, tool)?;
+    let path_mm = plan_within(&mut scene, &text, &mut random)?;
+    let off = against_reference(&Run::new(&scene, Some(here.ct())), &mut References::default())?;
+    let (own, _) = path(&Run::new(&scene, Some(here.ct())))?;
+    let (other, _) = path(&Run::new(&scene, Some(there.ct())))?;
     let moved_mm = distance_mm(&own, &other);
     let worst_mm = if moved_mm.is_nan() { f64::NAN } else { off.path_mm.max(moved_mm) };
     let line = format!(
@@ -152,6 +181,6 @@ mod tests {
     /// up to 62 times.
     #[test]
     fn a_planned_path_error_is_kept_in_free_space_and_in_bone() {
-        assert_eq!(run(&Plan { free: 12, bone: 2, seed: 1 }, &mut Sheet::default()).unwrap(), 0);
+        assert_eq!(run(&Plan { tool: None, free: 12, bone: 2, seed: 1 }, &mut Sheet::default()).unwrap(), 0);
     }
 }

@@ -4,21 +4,57 @@ use std::time::Instant;
 
 use controllers::built_in;
 use hub::in_process::{Answer, InProcess};
-use ipc_types::messages::Latched;
+use ipc_types::messages::{Latched, MAX_TENDONS, TendonMode};
 use ipc_types::scene::Scene;
 use nalgebra::Vector3;
 use simulation::{CtView, Simulation};
-
-use trabecula::failure::Failure;
-use trabecula::plan::reference::{Reference, settings_of};
 use zerocopy::IntoBytes;
+
+use crate::failure::Failure;
+use crate::plan::reference::{Reference, settings_of};
 
 /// Samples of the burr per simulated second.
 const SAMPLES_PER_S: f64 = 100.0;
 /// From here on the path error of a run that ends then is asked for, s.
 const SHORTEST_S: f64 = 0.1;
 
+/// A run to compare.
+#[derive(Debug, Clone, Copy)]
+pub struct Run<'a> {
+    /// Its scene.
+    pub scene: &'a Scene,
+    /// The scene's volume.
+    pub ct: Option<CtView<'a>>,
+    /// What a controller that is not built in asks for from the first tick on, N.
+    pub tensions_n: [f64; MAX_TENDONS],
+}
+
+impl<'a> Run<'a> {
+    /// A run of built-in controllers.
+    pub fn new(scene: &'a Scene, ct: Option<CtView<'a>>) -> Run<'a> {
+        Run { scene, ct, tensions_n: [0.0; MAX_TENDONS] }
+    }
+}
+
+/// Why a comparison came to no figure.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum NotCompared {
+    /// The physics refuses the scene or a step.
+    #[error("{0}")]
+    Run(String),
+    /// The reference does.
+    #[error("the reference (`full`, own flexures): {0}")]
+    Reference(String),
+}
+
+impl From<NotCompared> for Failure {
+    fn from(cause: NotCompared) -> Failure {
+        Failure::failed(cause.to_string())
+    }
+}
+
 /// What a run was off, and what it cost.
+#[derive(Debug, Clone)]
 pub struct Compared {
     /// Path error, r.m.s. over the run.
     pub path_mm: f64,
@@ -28,6 +64,10 @@ pub struct Compared {
     pub end_mm: f64,
     /// Median time of a step over its length, µs per simulated millisecond.
     pub us_per_ms: f64,
+    /// The burr at every sample, m.
+    pub burr_m: Vec<Vector3<f64>>,
+    /// The reference's burr at every sample, m.
+    pub reference_m: Vec<Vector3<f64>>,
 }
 
 /// Root mean square of distances that come one by one.
@@ -45,32 +85,36 @@ impl Mean {
     }
 }
 
-fn failed(scene: &Scene, cause: &dyn core::fmt::Display) -> Failure {
-    Failure::failed(format!("scene `{}`: {cause}", scene.name))
+fn said(scene: &Scene, cause: &dyn core::fmt::Display) -> String {
+    format!("scene `{}`: {cause}", scene.name)
 }
 
-/// Runs a scene's built-in controllers and calls `see` after every tick with the run, u_k and the time of the step, ns.
-fn play(
-    scene: &Scene,
-    ct: Option<CtView>,
-    mut see: impl FnMut(&Simulation, &Latched, u64) -> Result<(), Failure>,
-) -> Result<(), Failure> {
-    let simulation = Simulation::new(scene, ct).map_err(|cause| failed(scene, &cause))?;
+/// Runs a scene's controllers and calls `see` after every tick with the run, u_k and the time of the step, ns.
+fn play(run: &Run, mut see: impl FnMut(&Simulation, &Latched, u64)) -> Result<(), NotCompared> {
+    let Run { scene, ct, tensions_n } = *run;
+    let failed = |cause: &dyn core::fmt::Display| NotCompared::Run(said(scene, cause));
+    let simulation = Simulation::new(scene, ct).map_err(|cause| failed(&cause))?;
     let mut run = InProcess::new(scene, simulation);
     let mut controllers = Vec::new();
     for entry in &scene.controller {
         let built_in = built_in(scene, &entry.name, &ipc_types::text_file::read);
-        controllers.extend(built_in.map_err(|cause| failed(scene, &cause))?);
+        controllers.push(built_in.map_err(|cause| failed(&cause))?);
     }
     for _ in 0..scene.tick_count() {
         let latched = run.latch(|index, state, command| {
-            controllers[index.slot()].step(state, command);
+            match &mut controllers[index.slot()] {
+                Some(controller) => controller.step(state, command),
+                None => {
+                    command.tendon_mode = TendonMode::ServoJf.code();
+                    command.tendon_force_n = tensions_n;
+                }
+            }
             Answer::Command
         });
-        let latched = latched.map_err(|cause| failed(scene, &cause))?;
+        let latched = latched.map_err(|cause| failed(&cause))?;
         let began = Instant::now();
-        run.step(&latched).map_err(|cause| failed(scene, &cause))?;
-        see(run.plant(), &latched, began.elapsed().as_nanos() as u64)?;
+        run.step(&latched).map_err(|cause| failed(&cause))?;
+        see(run.plant(), &latched, began.elapsed().as_nanos() as u64);
     }
     Ok(())
 }
@@ -106,13 +150,14 @@ impl References {
         scene: &Scene,
         ct: Option<CtView>,
         latched: Vec<Latched>,
-    ) -> Result<&[Vector3<f64>], Failure> {
+    ) -> Result<&[Vector3<f64>], NotCompared> {
         let settings = settings_of(scene);
         let same = |known: &Known| known.scene == settings && known.latched.as_bytes() == latched.as_bytes();
         let place = match self.known.iter().position(same) {
             Some(place) => place,
             None => {
-                let refused = |cause: simulation::SimulationError| failed(scene, &cause);
+                let refused =
+                    |cause: simulation::SimulationError| NotCompared::Reference(said(scene, &cause));
                 let mut reference = Reference::new(scene, ct).map_err(refused)?;
                 let mut burr_m = Vec::new();
                 for latched in &latched {
@@ -131,24 +176,29 @@ impl References {
 ///
 /// # Errors
 /// The physics refuses the scene or a step.
-pub fn against_reference(
-    scene: &Scene,
-    ct: Option<CtView>,
-    references: &mut References,
-) -> Result<Compared, Failure> {
+pub fn against_reference(run: &Run, references: &mut References) -> Result<Compared, NotCompared> {
+    let Run { scene, ct, .. } = *run;
     let (mut all, mut own, mut nanoseconds) = (Vec::new(), Vec::new(), Vec::new());
-    play(scene, ct, |run, latched, step_ns| {
+    play(run, |run, latched, step_ns| {
         nanoseconds.push(step_ns);
         all.push(*latched);
         own.push(Vector3::from(run.state().t_world_burr.position_m));
-        Ok(())
     })?;
     let reference = references.burr_m(scene, ct, all)?;
     let (mut mean, us_per_ms) = (Mean::default(), median(nanoseconds, scene.run.dt_ms));
-    let mut compared = Compared { path_mm: 0.0, worst_path_mm: 0.0, end_mm: 0.0, us_per_ms };
+    let mut compared = Compared {
+        path_mm: 0.0,
+        worst_path_mm: 0.0,
+        end_mm: 0.0,
+        us_per_ms,
+        burr_m: Vec::new(),
+        reference_m: Vec::new(),
+    };
     for (tick, (own, reference)) in
         (1..).zip(own.iter().zip(reference)).filter(|(tick, _)| tick % every(scene) == 0)
     {
+        compared.burr_m.push(*own);
+        compared.reference_m.push(*reference);
         compared.end_mm = (own - reference).norm() * 1e3;
         compared.path_mm = mean.add(compared.end_mm);
         if tick as f64 * scene.dt_s() >= SHORTEST_S - 1e-9 {
@@ -165,14 +215,14 @@ pub fn against_reference(
 ///
 /// # Errors
 /// The physics refuses the scene or a step.
-pub fn path(scene: &Scene, ct: Option<CtView>) -> Result<(Vec<Vector3<f64>>, f64), Failure> {
+pub fn path(run: &Run) -> Result<(Vec<Vector3<f64>>, f64), NotCompared> {
+    let scene = run.scene;
     let (every, mut path, mut nanoseconds) = (every(scene), Vec::new(), Vec::new());
-    play(scene, ct, |run, latched, step_ns| {
+    play(run, |run, latched, step_ns| {
         nanoseconds.push(step_ns);
         if (latched.tick + 1).is_multiple_of(every) {
             path.push(Vector3::from(run.state().t_world_burr.position_m));
         }
-        Ok(())
     })?;
     Ok((path, median(nanoseconds, scene.run.dt_ms)))
 }

@@ -1,0 +1,98 @@
+//! Texts in the cache: tables of measured errors.
+//!
+//! ```text
+//! trabecula text 1 KEY CHECKSUM      32 hexadecimal digits each, and a line feed
+//! the text
+//! ```
+//!
+//! The checksum is XXH3-128 of the key and the text.
+
+use std::io::{self, Read, Write};
+use std::path::PathBuf;
+
+use xxhash_rust::xxh3::xxh3_128;
+
+use super::Cache;
+use super::entry::Damage;
+
+/// End of the name of a text in the folder.
+pub(super) const ENDING: &str = ".table";
+/// Most bytes of a text: a table has a few thousand.
+const MAX_TEXT_BYTES: u64 = 1 << 20;
+const MAGIC: &str = "trabecula text 1";
+
+/// What a text is the answer to, as a hash.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TextKey(u128);
+
+impl TextKey {
+    /// The key of all these parts, and of this build, whose sources decide what becomes of them.
+    pub fn of(parts: &[&str]) -> TextKey {
+        let build = recorder_proc::build_info::current();
+        let of_build = [build.version.as_str(), &build.target, build.rustc.as_deref().unwrap_or("")];
+        let mut all = Vec::new();
+        for part in of_build.iter().chain(parts) {
+            // With its length before it, so that no other parts make the same bytes.
+            all.extend((part.len() as u64).to_le_bytes());
+            all.extend(part.as_bytes());
+        }
+        TextKey(xxh3_128(&all))
+    }
+
+    /// Its file's name.
+    pub fn name(self) -> String {
+        format!("{:032x}{ENDING}", self.0)
+    }
+}
+
+fn head(key: TextKey, text: &str) -> String {
+    let checked = [&key.0.to_le_bytes(), text.as_bytes()].concat();
+    format!("{MAGIC} {:032x} {:032x}\n", key.0, xxh3_128(&checked))
+}
+
+impl Cache {
+    /// The text of a key, checked; none if there is none.
+    ///
+    /// # Errors
+    /// What is wrong with the file.
+    pub fn find_text(&self, key: TextKey) -> Result<Option<String>, Damage> {
+        let Some((mut file, bytes)) = self.open_file(&key.name())? else { return Ok(None) };
+        if bytes > MAX_TEXT_BYTES {
+            return Err(Damage::Length { bytes, expected: MAX_TEXT_BYTES });
+        }
+        let mut all = String::new();
+        Read::by_ref(&mut file).take(MAX_TEXT_BYTES).read_to_string(&mut all).map_err(Damage::Read)?;
+        let text = all.split_once('\n').map_or("", |(_, text)| text);
+        if all != head(key, text) + text {
+            return Err(Damage::Head("it has another checksum"));
+        }
+        self.mark_used(&file);
+        Ok(Some(text.to_owned()))
+    }
+
+    /// Keeps a text; removes others if the folder would become too large.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn keep_text(&self, key: TextKey, text: &str) -> io::Result<()> {
+        let head = head(key, text);
+        let bytes = (head.len() + text.len()) as u64;
+        if bytes > MAX_TEXT_BYTES {
+            return Err(io::ErrorKind::FileTooLarge.into());
+        }
+        self.write(&key.name(), bytes, |file| {
+            file.write_all(head.as_bytes())?;
+            file.write_all(text.as_bytes())
+        })
+    }
+
+    /// Where the text of a key lies.
+    pub fn path_of_text(&self, key: TextKey) -> PathBuf {
+        self.path.join(key.name())
+    }
+
+    /// Removes a text that is no good.
+    pub fn remove_text(&self, key: TextKey) {
+        self.remove(&key.name());
+    }
+}

@@ -1,0 +1,152 @@
+//! What a scene's own tool is put to.
+
+use ipc_types::messages::MAX_TENDONS;
+
+use super::tool::OwnTool;
+use crate::failure::Failure;
+use crate::plan::load::{GENTLE_N, Pull};
+use crate::plan::measure::trials::{PLACES, Trial, pulls, tunnels};
+
+/// The parts of a table: what a scene does not do to its tool is not measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    /// Weight, loads across the burr, feeds and gentle pulls in free space.
+    Gentle,
+    /// Hard pulls, and those of the tendons that no built-in controller pulls alone.
+    Hard,
+    /// Tunnels in bone.
+    Bone,
+}
+
+impl Part {
+    /// Its name in the hash of a table.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Part::Gentle => "gentle",
+            Part::Hard => "hard",
+            Part::Bone => "bone",
+        }
+    }
+}
+
+/// The most weight that a scene may state, m/s²: as a load across the burr.
+const ACROSS_M_PER_S2: f64 = 100.0;
+/// Tensions of the tendons that only clients pull alone, N.
+const OTHERS_N: [f64; 2] = [10.0, 60.0];
+/// Places of the voxels in which tunnels are drilled: the worst of them counts, so fewer do than where their mean counts.
+const OWN_PLACES: usize = 3;
+
+/// A trial, and under what.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Case {
+    /// The trial.
+    pub trial: Trial,
+    /// Gravity, m/s²; the tool bends toward x and points along z.
+    pub gravity_m_per_s2: [f64; 3],
+    /// Where the voxels lie, in bone.
+    pub place: Option<[f64; 3]>,
+    /// Whether it pushes the tool out of its plane.
+    pub is_across: bool,
+    /// Whether the load stays the same to the end, so that the tool has to come to rest.
+    pub is_held: bool,
+}
+
+impl Case {
+    fn free(trial: Trial) -> Case {
+        Case { trial, gravity_m_per_s2: [0.0; 3], place: None, is_across: false, is_held: false }
+    }
+
+    fn held(trial: Trial) -> Case {
+        Case { is_held: true, ..Case::free(trial) }
+    }
+
+    /// The tool alone, from its start shape on, under this weight.
+    fn weighed(seconds: f64, gravity_m_per_s2: [f64; 3]) -> Case {
+        let is_across = gravity_m_per_s2[1] != 0.0;
+        let trial = Trial { seconds, ..Trial::hold(0.0, 0.0) };
+        Case { gravity_m_per_s2, is_across, ..Case::held(trial) }
+    }
+}
+
+/// The cases of a part.
+///
+/// # Errors
+/// Bad input: the reference refuses the tool.
+pub fn cases(tool: &OwnTool, part: Part) -> Result<Vec<Case>, Failure> {
+    let pull_s = tool.pull_s()?;
+    Ok(match part {
+        Part::Gentle => gentle(tool, pull_s),
+        Part::Hard => hard(tool, pull_s),
+        Part::Bone => bone(tool),
+    })
+}
+
+fn gentle(tool: &OwnTool, pull_s: f64) -> Vec<Case> {
+    let g = tool.weight_m_per_s2();
+    let weights = [[g, 0.0, 0.0], [-g, 0.0, 0.0], [0.0, g, 0.0], [ACROSS_M_PER_S2, 0.0, 0.0]];
+    let mut cases: Vec<Case> = weights.map(|weight| Case::weighed(pull_s, weight)).into();
+    if tool.tendons() == 0 {
+        cases.push(Case::free(Trial::feed(0.0, 20.0, 10.0)));
+        return cases;
+    }
+    cases.extend(built_in(Pull::Gentle, pull_s));
+    if tool.tendons() > 1 {
+        // Skiving pulls the first two alike.
+        cases.push(pulled(&[0, 1], GENTLE_N, pull_s));
+    }
+    cases
+}
+
+fn hard(tool: &OwnTool, pull_s: f64) -> Vec<Case> {
+    let mut cases = if tool.tendons() == 0 { Vec::new() } else { built_in(Pull::Hard, pull_s) };
+    for one in 0..tool.tendons() {
+        let is_alone = one > 0;
+        cases.extend(OTHERS_N.into_iter().filter(|_| is_alone).map(|n| pulled(&[one], n, pull_s)));
+        cases.extend((0..one).map(|other| pulled(&[other, one], OTHERS_N[0], pull_s)));
+    }
+    cases
+}
+
+/// The standard tool's pulls, with this tool's friction: those that differ in friction alone are one.
+fn built_in(pull: Pull, pull_s: f64) -> Vec<Case> {
+    let mut cases: Vec<Case> = Vec::new();
+    for mut trial in pulls(pull) {
+        trial.tool.clear();
+        let is_hold = trial.controller.contains("controller.hold");
+        if is_hold {
+            trial.seconds = pull_s;
+        }
+        let case = Case { is_held: is_hold, ..Case::free(trial) };
+        if !cases.contains(&case) {
+            cases.push(case);
+        }
+    }
+    cases
+}
+
+fn pulled(tendons: &[usize], tension_n: f64, seconds: f64) -> Case {
+    let mut tensions_n = [0.0; MAX_TENDONS];
+    tensions_n
+        .iter_mut()
+        .enumerate()
+        .filter(|(place, _)| tendons.contains(place))
+        .for_each(|(_, n)| *n = tension_n);
+    Case::held(Trial { seconds, ..Trial::pull(tensions_n) })
+}
+
+fn bone(tool: &OwnTool) -> Vec<Case> {
+    let tunnels = if tool.tendons() == 0 {
+        vec![Trial::feed(0.0, 4.0, 20.0), Trial::feed(0.0, 8.0, 20.0)]
+    } else {
+        // The least and the most of their tensions.
+        let [gentlest, _, hardest] = tunnels();
+        vec![gentlest, hardest]
+    };
+    let everywhere = |trial: Trial| {
+        PLACES
+            .into_iter()
+            .take(OWN_PLACES)
+            .map(move |place| Case { place: Some(place), ..Case::free(trial.clone()) })
+    };
+    tunnels.into_iter().flat_map(everywhere).collect()
+}

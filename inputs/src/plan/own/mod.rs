@@ -1,0 +1,172 @@
+//! The table of a scene's own tool, measured on first use and kept in the user's cache.
+//!
+//! Only what the scene does to its tool is measured ([`cases::Part`]), each part kept by itself: its name in the cache is the hash of all
+//! that the tool is made of, of the part and of this build. Costs are estimated ([`candidates::cost`]), so the rows do not depend on the
+//! machine.
+
+mod candidates;
+mod cases;
+mod measuring;
+mod tool;
+
+use std::time::{Duration, Instant};
+
+use ipc_types::scene::{ContactVoxels, Scene};
+
+use super::TABLE;
+use super::load::{Load, Pull, is_standard_tool};
+use super::table::{OWN_LINKS, Row, Settings, read, write};
+use crate::cache::text::TextKey;
+use crate::cache::{Cache, place, remark};
+use crate::failure::Failure;
+use cases::Part;
+pub use tool::OwnTool;
+
+/// How measuring is done: part of the hash of a table, beside the build.
+const MEASURING: &str = "trabecula plan 1";
+/// How often progress is said.
+const SAID_EVERY: Duration = Duration::from_secs(2);
+
+/// Measured errors of a tool.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Table {
+    /// One for each of the settings.
+    pub rows: Vec<Row>,
+    /// The tool that they were measured for; none for the standard one.
+    pub tool: Option<String>,
+}
+
+impl Table {
+    /// The built-in table of the standard tool.
+    ///
+    /// # Errors
+    /// Never in a build that passes its tests.
+    pub fn standard() -> Result<Table, Failure> {
+        let rows = read(TABLE)
+            .ok_or_else(|| Failure::failed("the built-in table of measured errors cannot be parsed"))?;
+        Ok(Table { rows, tool: None })
+    }
+
+    /// The table for a scene's tool, as far as the scene's loads need it: built in, kept, or measured now.
+    ///
+    /// # Errors
+    /// Bad input: nothing can be measured for this tool.
+    pub fn of(scene: &Scene) -> Result<Table, Failure> {
+        if is_standard_tool(scene) {
+            return Table::standard();
+        }
+        let opened = place().map(|path| Cache::open(&path).map_err(|cause| (path, cause)));
+        let (cache, why) = match opened {
+            Some(Ok(cache)) => (Some(cache), None),
+            Some(Err((path, cause))) => (None, Some(format!("{}: {}", path.display(), cause))),
+            None => (None, Some("neither XDG_CACHE_HOME nor HOME is an absolute path".to_owned())),
+        };
+        let table = Table::own(scene, cache.as_ref())?;
+        if let Some(why) = why {
+            remark(&format!("the errors of tool `{}` are not kept: {why}", OwnTool::of(scene).name));
+        }
+        Ok(table)
+    }
+
+    /// The table of an own tool.
+    pub(super) fn own(scene: &Scene, cache: Option<&Cache>) -> Result<Table, Failure> {
+        let (tool, load) = (OwnTool::of(scene), Load::of(scene));
+        let settings = candidates::settings(&tool)?;
+        let standard = Table::standard()?.rows;
+        let mut rows: Vec<Row> = settings.iter().map(|it| unmeasured(it, &standard)).collect();
+        for part in parts(load) {
+            for (row, measured) in rows.iter_mut().zip(kept_or_measured(&tool, part, &settings, cache)?) {
+                match part {
+                    Part::Gentle => {
+                        (row.rest_mm, row.free_path_mm) = (measured.rest_mm, measured.free_path_mm);
+                    }
+                    Part::Hard => {
+                        (row.hard_rest_mm, row.hard_path_mm) = (measured.hard_rest_mm, measured.hard_path_mm);
+                    }
+                    Part::Bone => {
+                        (row.drilled_path_mm, row.grid_path_mm) =
+                            (measured.drilled_path_mm, measured.grid_path_mm);
+                    }
+                }
+            }
+        }
+        Ok(Table { rows, tool: Some(tool.name) })
+    }
+}
+
+/// The settings that are measured for a scene's own tool.
+pub(super) fn settings(scene: &Scene) -> Result<Vec<Settings>, Failure> {
+    candidates::settings(&OwnTool::of(scene))
+}
+
+fn parts(load: Load) -> impl Iterator<Item = Part> {
+    let hard = (load.pull == Pull::Hard).then_some(Part::Hard);
+    let bone = load.bone.then_some(Part::Bone);
+    [Some(Part::Gentle), hard, bone].into_iter().flatten()
+}
+
+/// A row with what does not depend on the tool: its estimated costs, and how a sphere rests on a wall of voxels.
+fn unmeasured(settings: &Settings, standard: &[Row]) -> Row {
+    let [free_us_per_ms, drilling_us_per_ms] = candidates::cost(settings, standard);
+    let is_alike =
+        |row: &&Row| row.settings.links == OWN_LINKS && row.settings.contact == ContactVoxels::Planes;
+    let voxel_wall_mm = standard.iter().find(is_alike).map_or(f64::NAN, |row| row.voxel_wall_mm);
+    Row { voxel_wall_mm, free_us_per_ms, drilling_us_per_ms, ..Row::unmeasured(*settings) }
+}
+
+/// The rows of a part, in the order of the settings.
+fn kept_or_measured(
+    tool: &OwnTool,
+    part: Part,
+    settings: &[Settings],
+    cache: Option<&Cache>,
+) -> Result<Vec<Row>, Failure> {
+    let key = TextKey::of(&[MEASURING, part.name(), &tool.text()?]);
+    if let Some(rows) = cache.and_then(|cache| kept(cache, key, settings)) {
+        return Ok(rows);
+    }
+    let text = write(&measuring::measure(tool, part, settings, progress(tool, part))?);
+    if let Some(cause) = cache.and_then(|cache| cache.keep_text(key, &text).err()) {
+        remark(&format!("the errors of tool `{}` are not kept: {cause}", tool.name));
+    }
+    // What is read again is what the next command reads, to the digit.
+    read(&text)
+        .ok_or_else(|| Failure::failed(format!("tool `{}`: its table cannot be read again", tool.name)))
+}
+
+fn kept(cache: &Cache, key: TextKey, settings: &[Settings]) -> Option<Vec<Row>> {
+    let refused = |why: &str| {
+        remark(&format!("{}: {why}; it is measured again", cache.path_of_text(key).display()));
+        cache.remove_text(key);
+        None
+    };
+    match cache.find_text(key) {
+        Ok(None) => None,
+        Ok(Some(text)) => match read(&text) {
+            Some(rows) if rows.iter().map(|row| row.settings).eq(settings.iter().copied()) => Some(rows),
+            _ => refused("holds no table of these settings"),
+        },
+        Err(damage) => refused(&damage.to_string()),
+    }
+}
+
+/// Says from time to time how far measuring has come.
+fn progress(tool: &OwnTool, part: Part) -> impl FnMut(usize, usize) {
+    let what = match part {
+        Part::Gentle => "in free space",
+        Part::Hard => "under hard pulls",
+        Part::Bone => "in bone",
+    };
+    let (name, mut said) = (tool.name.clone(), None::<Instant>);
+    move |done, all| {
+        if said.is_none_or(|said| said.elapsed() >= SAID_EVERY) && done < all {
+            said = Some(Instant::now());
+            remark(&format!(
+                "measuring the errors of tool `{name}` {what} (first use; kept): {done} of {all}"
+            ));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
