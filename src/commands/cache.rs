@@ -1,4 +1,4 @@
-//! `trabecula cache`: shows and clears the volumes that are kept for the next run.
+//! `trabecula cache`: shows and clears the volumes and tables of tools that are kept for the next run.
 
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -14,9 +14,9 @@ use crate::say::Figures;
 /// What to do with the cache.
 #[derive(Debug, Subcommand)]
 pub enum CacheCommand {
-    /// Show where volumes are kept, and how many bytes they take.
+    /// Show where volumes and the measured tables of tools are kept, and how many bytes they take.
     Info(Figures),
-    /// Remove every kept volume; each is made again when it is needed.
+    /// Remove every kept volume and table; each is made again when it is needed.
     Clear(Figures),
 }
 
@@ -50,6 +50,7 @@ fn opened(path: &Path) -> Result<Option<Cache>, Failure> {
 fn info(path: Option<PathBuf>, cache: Option<&Cache>, figures: Figures) {
     let files = cache.map(Cache::files).unwrap_or_default();
     let bytes: u64 = files.iter().map(|file| file.bytes).sum();
+    let (tables, volumes): (Vec<_>, Vec<_>) = files.iter().partition(|file| file.is_table());
     let text = || {
         let folder = match (&path, cache) {
             (None, _) => "none: neither XDG_CACHE_HOME nor HOME is an absolute path".to_owned(),
@@ -58,8 +59,9 @@ fn info(path: Option<PathBuf>, cache: Option<&Cache>, figures: Figures) {
         };
         let lines = files.iter().map(|file| format!("\n  {}", line(file)));
         format!(
-            "folder       {folder}\nvolumes      {}, {:.1} MB of at most {:.0} MB{}",
-            files.len(),
+            "folder       {folder}\nvolumes      {}\ntables       {}\nbytes        {:.1} MB of at most {:.0} MB{}",
+            volumes.len(),
+            tables.len(),
             bytes as f64 * 1e-6,
             LIMIT_BYTES as f64 * 1e-6,
             lines.collect::<String>()
@@ -67,9 +69,9 @@ fn info(path: Option<PathBuf>, cache: Option<&Cache>, figures: Figures) {
     };
     let listed = || {
         let file =
-            |file: &CachedFile| json!({"name": file.name, "bytes": file.bytes, "idle_s": idle_s(file)});
-        let files: Vec<_> = files.iter().map(file).collect();
-        json!({"folder": path, "bytes": bytes, "limit_bytes": LIMIT_BYTES, "volumes": files})
+            |file: &&CachedFile| json!({"name": file.name, "bytes": file.bytes, "idle_s": idle_s(file)});
+        let [volumes, tables] = [&volumes, &tables].map(|files| files.iter().map(file).collect::<Vec<_>>());
+        json!({"folder": path, "bytes": bytes, "limit_bytes": LIMIT_BYTES, "volumes": volumes, "tables": tables})
     };
     figures.say(text, listed);
 }
@@ -88,9 +90,11 @@ fn idle_s(file: &CachedFile) -> u64 {
 }
 
 fn clear(cache: Option<&Cache>, figures: Figures) {
+    let tables = cache.map(Cache::files).unwrap_or_default().iter().filter(|file| file.is_table()).count();
     let (removed, bytes) = cache.map(Cache::clear).unwrap_or_default();
+    let volumes = removed.saturating_sub(tables);
     figures.say(
-        || format!("removed      {removed} volumes, {:.1} MB", bytes as f64 * 1e-6),
+        || format!("removed      {volumes} volumes, {tables} tables, {:.1} MB", bytes as f64 * 1e-6),
         || json!({"removed": removed, "bytes": bytes}),
     );
 }

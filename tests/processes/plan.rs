@@ -1,10 +1,13 @@
 //! A scene's tolerance: the choice, the run made with it, and the error that it really made.
 
+use std::process::Stdio;
+
 use recorder_proc::log_file::LogFile;
 use run_log::LogReader;
+use test_support::limited::limited_output_of;
 
 use crate::common::logs::{assert_replays, rewrite_as};
-use crate::common::program::{Place, trabecula};
+use crate::common::program::{LIMIT, Place, trabecula};
 use crate::common::scenes;
 
 fn with_tolerance(scene: &str, tolerance: &str) -> String {
@@ -61,6 +64,42 @@ fn a_path_that_was_off_by_more_than_the_tolerance_fails_its_check() {
     let checked = trabecula(&[&"plan", &"--check", &stricter]);
     assert_eq!(checked.code, Some(1), "{}{}", checked.out, checked.err);
     assert!(checked.err.contains("`tolerance.path_mm` allows 0.001"), "{}", checked.err);
+}
+
+/// The errors of another tool are measured on first use and kept; a damaged table is said and measured again, and without a cache it is said
+/// that nothing is kept.
+#[test]
+fn a_tool_of_the_scenes_own_is_measured_once() {
+    let place = Place::new();
+    std::fs::write(place.path("drill.toml"), include_str!("../../configs/tools/rigid_drill.toml")).unwrap();
+    let hold = scenes::hold("lockstep", 0.5) + "[manipulator]\nfile = \"drill.toml\"\n";
+    let scene = place.scene(&with_tolerance(&hold, "path_mm = 0.01"));
+    let xdg = place.path("xdg");
+    let plan = |words: &[&str], cache: Option<&std::path::Path>| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_trabecula"));
+        command.arg("plan").args(words).arg(&scene).env_remove("XDG_CACHE_HOME").env_remove("HOME");
+        command.envs(cache.map(|path| ("XDG_CACHE_HOME", path))).stdin(Stdio::null());
+        command.stdout(Stdio::piped()).stderr(Stdio::piped());
+        let output = limited_output_of(command.spawn().unwrap(), LIMIT, "plan");
+        let [out, err] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+        assert_eq!(output.status.code(), Some(0), "{out}{err}");
+        (out, err)
+    };
+    let (first, err) = plan(&[], Some(&xdg));
+    assert!(err.contains("measuring the errors of tool `rigid_drill` in free space"), "{err}");
+    assert!(first.contains("for the scene's own tool, `rigid_drill`"), "{first}");
+    assert_eq!(plan(&[], Some(&xdg)), (first.clone(), String::new()));
+    let files: Vec<_> =
+        std::fs::read_dir(xdg.join("trabecula")).unwrap().map(|it| it.unwrap().path()).collect();
+    let [file] = &files[..] else { panic!("{files:?}") };
+    std::fs::write(file, "no table").unwrap();
+    let (again, err) = plan(&[], Some(&xdg));
+    assert!(again == first && err.contains("it has another checksum; it is measured again"), "{err}");
+    let (list, err) = plan(&["--list"], Some(&xdg));
+    assert!(list.starts_with("rung,links,") && list.contains("\nplanar,8,hybrid,1,planes,,,,,"), "{list}");
+    assert_eq!(err, "");
+    let (unkept, err) = plan(&[], None);
+    assert!(unkept == first && err.contains("are not kept: neither XDG_CACHE_HOME nor HOME"), "{err}");
 }
 
 #[test]

@@ -18,7 +18,7 @@ use super::entry::Damage;
 /// End of the name of a text in the folder.
 pub(super) const ENDING: &str = ".table";
 /// Most bytes of a text: a table has a few thousand.
-const MAX_TEXT_BYTES: u64 = 1 << 20;
+const MAX_TABLE_BYTES: u64 = 1 << 20;
 const MAGIC: &str = "trabecula text 1";
 
 /// What a text is the answer to, as a hash.
@@ -57,11 +57,11 @@ impl Cache {
     /// What is wrong with the file.
     pub fn find_text(&self, key: TextKey) -> Result<Option<String>, Damage> {
         let Some((mut file, bytes)) = self.open_file(&key.name())? else { return Ok(None) };
-        if bytes > MAX_TEXT_BYTES {
-            return Err(Damage::Length { bytes, expected: MAX_TEXT_BYTES });
+        if bytes > MAX_TABLE_BYTES {
+            return Err(Damage::Length { bytes, expected: MAX_TABLE_BYTES });
         }
         let mut all = String::new();
-        Read::by_ref(&mut file).take(MAX_TEXT_BYTES).read_to_string(&mut all).map_err(Damage::Read)?;
+        Read::by_ref(&mut file).take(MAX_TABLE_BYTES).read_to_string(&mut all).map_err(Damage::Read)?;
         let text = all.split_once('\n').map_or("", |(_, text)| text);
         if all != head(key, text) + text {
             return Err(Damage::Head("it has another checksum"));
@@ -77,7 +77,7 @@ impl Cache {
     pub fn keep_text(&self, key: TextKey, text: &str) -> io::Result<()> {
         let head = head(key, text);
         let bytes = (head.len() + text.len()) as u64;
-        if bytes > MAX_TEXT_BYTES {
+        if bytes > MAX_TABLE_BYTES {
             return Err(io::ErrorKind::FileTooLarge.into());
         }
         self.write(&key.name(), bytes, |file| {

@@ -313,7 +313,8 @@ mod tests {
     fn what_is_not_of_a_tool_is_left_out() {
         let row = Row { beam: None, ..read(TABLE).unwrap()[0] };
         let text = write(&[row]);
-        assert_eq!(read(&text), Some(vec![row]));
+        // Not compared as rows: what was not measured is not a number.
+        assert_eq!(write(&read(&text).unwrap()), text);
         assert_eq!((row.tip_mm(FREE), row.path_mm(FREE)), (row.rest_mm, row.free_path_mm));
         assert_eq!(read(&text.replacen("planes,,", "planes,1.0,", 1)), None);
     }

@@ -15,6 +15,8 @@ const LINKS: [(Rung, &[usize]); 4] =
     [(Rung::ConstantCurvature, &[]), (Rung::Planar, &[4, 8, 16]), (Rung::Spatial, &[8]), (Rung::Full, &[])];
 /// Steps in free space, ms.
 const DT_MS: [f64; 4] = [0.5, 1.0, 2.0, 5.0];
+/// Up to here steps are sound in bone, and of a pre-curved tool with `hybrid`, ms.
+const LARGEST_SOUND_STEP_MS: f64 = 2.0;
 /// The step of the built-in table that the costs of other steps follow from, ms.
 const COSTED_DT_MS: f64 = 1.0;
 
@@ -30,7 +32,7 @@ pub fn settings(tool: &OwnTool) -> Result<Vec<Settings>, Failure> {
             for &integrator in integrators(rung) {
                 let at = |dt_ms| Settings { rung, links, integrator, dt_ms, contact: ContactVoxels::Planes };
                 if is_taken(tool, &at(COSTED_DT_MS))? {
-                    all.extend(DT_MS.map(at));
+                    all.extend(DT_MS.map(at).into_iter().filter(|settings| is_sound(tool, settings)));
                 }
             }
         }
@@ -47,6 +49,12 @@ fn integrators(rung: Rung) -> &'static [Integrator] {
     }
 }
 
+/// Not a step of which `scene check` warns.
+fn is_sound(tool: &OwnTool, settings: &Settings) -> bool {
+    let is_hybrid = settings.integrator == Integrator::Hybrid;
+    !(is_hybrid && tool.is_pre_curved()) || settings.dt_ms <= LARGEST_SOUND_STEP_MS
+}
+
 fn is_taken(tool: &OwnTool, settings: &Settings) -> Result<bool, Failure> {
     if tool.bends_across() && settings.rung < Rung::Spatial {
         return Ok(false);
@@ -57,13 +65,15 @@ fn is_taken(tool: &OwnTool, settings: &Settings) -> Result<bool, Failure> {
 }
 
 /// Whether the drilled path is measured with these settings. It is best with the tool's own flexures, in contact both integrators are
-/// linearly implicit Euler, and smaller steps make it no better than the bone's voxels allow.
+/// linearly implicit Euler, smaller steps make it no better than the bone's voxels allow, and `scene check` warns of larger ones.
 pub fn is_drilled(settings: &Settings, flexures: usize) -> bool {
     settings.links == flexures
-        && settings.dt_ms >= COSTED_DT_MS
         && match settings.rung {
             Rung::ConstantCurvature => settings.dt_ms == COSTED_DT_MS,
-            Rung::Planar | Rung::Spatial | Rung::Full => settings.integrator == Integrator::Hybrid,
+            Rung::Planar | Rung::Spatial | Rung::Full => {
+                settings.integrator == Integrator::Hybrid
+                    && (COSTED_DT_MS..=LARGEST_SOUND_STEP_MS).contains(&settings.dt_ms)
+            }
         }
 }
 
@@ -82,9 +92,12 @@ pub fn cost(settings: &Settings, standard: &[Row]) -> [f64; 2] {
     });
     let links = settings.links as f64 - own.settings.links as f64;
     let step_us = (own.free_us_per_ms + links * a_link).max(0.1 * own.free_us_per_ms);
-    let bone_us = standard
-        .iter()
-        .filter(|row| row.settings.rung == settings.rung && at_contact(row, settings))
+    // What contact and drilling add does not depend on the integrator: its own row, if it was drilled, or any of the rung.
+    let of_rung =
+        || standard.iter().filter(|row| row.settings.rung == settings.rung && at_contact(row, settings));
+    let bone_us = of_rung()
+        .filter(|row| row.settings.integrator == settings.integrator)
+        .chain(of_rung())
         .map(|row| row.drilling_us_per_ms - row.free_us_per_ms)
         .find(|us| us.is_finite())
         .unwrap_or(f64::NAN);

@@ -1,11 +1,14 @@
 //! What a scene's own tool is put to.
 
 use ipc_types::messages::MAX_TENDONS;
+use ipc_types::scene::{Body, BodyMotion, Cuboid};
 
 use super::tool::OwnTool;
 use crate::failure::Failure;
 use crate::plan::load::{GENTLE_N, Pull};
+use crate::plan::measure::against::{Run, path};
 use crate::plan::measure::trials::{PLACES, Trial, pulls, tunnels};
+use crate::plan::reference::settings_of;
 
 /// The parts of a table: what a scene does not do to its tool is not measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -36,6 +39,11 @@ const OTHERS_N: [f64; 2] = [10.0, 60.0];
 /// Places of the voxels in which tunnels are drilled: the worst of them counts, so fewer do than where their mean counts.
 const OWN_PLACES: usize = 3;
 
+/// Half the wall's thickness, and half its width, mm.
+const WALL_MM: [f64; 2] = [5.0, 200.0];
+/// A tool that moves less by itself meets no wall, mm.
+const LEAST_WAY_MM: f64 = 1.0;
+
 /// A trial, and under what.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Case {
@@ -45,15 +53,45 @@ pub struct Case {
     pub gravity_m_per_s2: [f64; 3],
     /// Where the voxels lie, in bone.
     pub place: Option<[f64; 3]>,
-    /// Whether it pushes the tool out of its plane.
+    /// A fixed body that the tool meets on its way, in free space.
+    pub wall: Option<Wall>,
+    /// Whether only settings that bend out of the plane are chosen for a scene of the kind.
     pub is_across: bool,
     /// Whether the load stays the same to the end, so that the tool has to come to rest.
     pub is_held: bool,
 }
 
+/// A wall across the way of the burr.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Wall {
+    /// Where the burr's centre is when it touches the wall, along the side to which the tool bends, mm.
+    pub at_mm: f64,
+    /// Which way it goes there: 1 or -1.
+    pub way: f64,
+}
+
+impl Wall {
+    /// It, in front of a burr of this radius.
+    pub fn body(self, radius_mm: f64) -> Body {
+        let [thick_mm, wide_mm] = WALL_MM;
+        let centre_mm = self.at_mm + self.way * (radius_mm + thick_mm);
+        Body {
+            name: "wall".to_owned(),
+            cuboid: Some(Cuboid { half_extents_mm: [thick_mm, wide_mm, wide_mm] }),
+            ball: None,
+            capsule: None,
+            motion: BodyMotion::Fixed,
+            position_mm: [centre_mm, 0.0, 0.0],
+            rotation_vector_deg: [0.0; 3],
+            density_kg_per_m3: 1900.0,
+            friction: 0.3,
+        }
+    }
+}
+
 impl Case {
     fn free(trial: Trial) -> Case {
-        Case { trial, gravity_m_per_s2: [0.0; 3], place: None, is_across: false, is_held: false }
+        Case { trial, gravity_m_per_s2: [0.0; 3], place: None, wall: None, is_across: false, is_held: false }
     }
 
     fn held(trial: Trial) -> Case {
@@ -75,7 +113,11 @@ impl Case {
 pub fn cases(tool: &OwnTool, part: Part) -> Result<Vec<Case>, Failure> {
     let pull_s = tool.pull_s()?;
     Ok(match part {
-        Part::Gentle => gentle(tool, pull_s),
+        Part::Gentle => {
+            let mut cases = gentle(tool, pull_s);
+            cases.extend(against_a_wall(tool, pull_s)?);
+            cases
+        }
         Part::Hard => hard(tool, pull_s),
         Part::Bone => bone(tool),
     })
@@ -95,6 +137,21 @@ fn gentle(tool: &OwnTool, pull_s: f64) -> Vec<Case> {
         cases.push(pulled(&[0, 1], GENTLE_N, pull_s));
     }
     cases
+}
+
+/// The first tendon's gentle pull, or the swing of a tool that starts straight, against a wall half way: for scenes with bodies.
+fn against_a_wall(tool: &OwnTool, pull_s: f64) -> Result<Option<Case>, Failure> {
+    let tension_n = if tool.tendons() == 0 { 0.0 } else { GENTLE_N };
+    let trial = Trial { seconds: pull_s, ..Trial::hold(tension_n, 0.0) };
+    let scene = settings_of(&tool.scene(&trial, false)?);
+    // A tool that the reference loses is refused where it is measured.
+    let Ok((burr_m, _)) = path(&Run::new(&scene, None)) else { return Ok(None) };
+    let ends_mm = burr_m.last().map_or(0.0, |last| 1e3 * last.x);
+    let starts_mm = burr_m.first().map_or(0.0, |first| 1e3 * first.x);
+    let way_mm = ends_mm - starts_mm;
+    let is_met = way_mm.abs() >= LEAST_WAY_MM;
+    let wall = is_met.then_some(Wall { at_mm: 0.5 * (starts_mm + ends_mm), way: way_mm.signum() });
+    Ok(wall.map(|wall| Case { wall: Some(wall), is_across: true, ..Case::free(trial) }))
 }
 
 fn hard(tool: &OwnTool, pull_s: f64) -> Vec<Case> {

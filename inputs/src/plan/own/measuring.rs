@@ -175,6 +175,7 @@ fn round(seconds: f64) -> f64 {
 fn scene(tool: &OwnTool, case: &Case, settings: &Settings) -> Result<Scene, Failure> {
     let mut scene = tool.scene(&case.trial, case.place.is_some())?;
     scene.gravity_m_per_s2 = case.gravity_m_per_s2;
+    scene.body.extend(case.wall.map(|wall| wall.body(tool.burr_radius_mm())));
     settings.write_into(&mut scene);
     Ok(scene)
 }

@@ -78,9 +78,21 @@ impl OwnTool {
         tendons_leave_the_plane(&self.parts.tendon, self.parts.manipulator.tool.as_ref())
     }
 
+    /// Whether it is bent without load.
+    pub fn is_pre_curved(&self) -> bool {
+        let tool = self.parts.manipulator.tool.as_ref();
+        tool.is_some_and(|tool| tool.flexure.iter().any(|flexure| flexure.rest_deg != 0.0))
+    }
+
     /// The weight under which it is measured, m/s².
     pub fn weight_m_per_s2(&self) -> f64 {
         self.parts.weight_m_per_s2
+    }
+
+    /// Radius of the ball at its front, mm.
+    pub fn burr_radius_mm(&self) -> f64 {
+        let radii = self.parts.manipulator.radii();
+        radii.cutter.balls().first().map_or(0.0, |ball| 1e3 * ball.radius_m)
     }
 
     /// Diameter of the hole that it fits in, mm.
@@ -108,6 +120,9 @@ impl OwnTool {
     /// Gives a scene this tool.
     pub fn put_into(&self, scene: &mut Scene) {
         scene.manipulator = self.parts.manipulator.clone();
+        if let Some(tool) = &mut scene.manipulator.tool {
+            tool.name.clone_from(&self.name);
+        }
         scene.tendon.clone_from(&self.parts.tendon);
         scene.tool.start_shape = Some(self.parts.start_shape);
     }
