@@ -183,4 +183,22 @@ mod tests {
     fn a_planned_path_error_is_kept_in_free_space_and_in_bone() {
         assert_eq!(run(&Plan { tool: None, free: 12, bone: 2, seed: 1 }, &mut Sheet::default()).unwrap(), 0);
     }
+
+    /// Scenes on which a tool of their own was not measured: other tensions, other tendons together, other directions of its weight. Tunnels
+    /// of such tools take a minute to measure: `trabecula chart promise --tool FILE`.
+    #[test]
+    fn a_planned_path_error_is_kept_by_other_tools() {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("configs");
+        for (file, free) in [
+            ("tools/two_segments.toml", 12),
+            ("tools/rigid_drill.toml", 4),
+            ("tools/steerable_drill.toml", 4),
+            // The same tool, let go from a straight guide.
+            ("examples/tool_pre_curved.toml", 8),
+        ] {
+            let source = trabecula::tool::source::ToolSource::load(Some(&folder.join(file))).unwrap();
+            let plan = Plan { tool: Some(OwnTool::of(&source.scene)), free, bone: 0, seed: 1 };
+            assert_eq!(run(&plan, &mut Sheet::default()).unwrap(), 0, "{file}");
+        }
+    }
 }

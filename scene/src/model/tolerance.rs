@@ -3,8 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Largest errors wanted. What computes is the quickest that keeps them by the errors measured in the project's charts;
-/// without a key it is what the scene says elsewhere.
+/// Largest errors wanted. What computes is the quickest that keeps them by the errors measured in the project's charts, or, for
+/// another tool than the standard one, on first use; without a key it is what the scene says elsewhere.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Tolerance {

@@ -15,6 +15,8 @@ use crate::plan::reference::settings_of;
 pub enum Part {
     /// Weight, loads across the burr, feeds and gentle pulls in free space.
     Gentle,
+    /// A wall that it meets.
+    Bodies,
     /// Hard pulls, and those of the tendons that no built-in controller pulls alone.
     Hard,
     /// Tunnels in bone.
@@ -26,6 +28,7 @@ impl Part {
     pub const fn name(self) -> &'static str {
         match self {
             Part::Gentle => "gentle",
+            Part::Bodies => "bodies",
             Part::Hard => "hard",
             Part::Bone => "bone",
         }
@@ -113,11 +116,8 @@ impl Case {
 pub fn cases(tool: &OwnTool, part: Part) -> Result<Vec<Case>, Failure> {
     let pull_s = tool.pull_s()?;
     Ok(match part {
-        Part::Gentle => {
-            let mut cases = gentle(tool, pull_s);
-            cases.extend(against_a_wall(tool, pull_s)?);
-            cases
-        }
+        Part::Gentle => gentle(tool, pull_s),
+        Part::Bodies => vec![against_a_wall(tool, pull_s)?],
         Part::Hard => hard(tool, pull_s),
         Part::Bone => bone(tool),
     })
@@ -139,19 +139,24 @@ fn gentle(tool: &OwnTool, pull_s: f64) -> Vec<Case> {
     cases
 }
 
-/// The first tendon's gentle pull, or the swing of a tool that starts straight, against a wall half way: for scenes with bodies.
-fn against_a_wall(tool: &OwnTool, pull_s: f64) -> Result<Option<Case>, Failure> {
+/// The first tendon's gentle pull, or the swing of a tool that starts straight, against a wall half way; a tool that does not move by itself
+/// is pressed on it.
+fn against_a_wall(tool: &OwnTool, pull_s: f64) -> Result<Case, Failure> {
     let tension_n = if tool.tendons() == 0 { 0.0 } else { GENTLE_N };
     let trial = Trial { seconds: pull_s, ..Trial::hold(tension_n, 0.0) };
-    let scene = settings_of(&tool.scene(&trial, false)?);
+    let case = Case { is_across: true, ..Case::free(trial) };
+    let scene = settings_of(&tool.scene(&case.trial, false)?);
     // A tool that the reference loses is refused where it is measured.
-    let Ok((burr_m, _)) = path(&Run::new(&scene, None)) else { return Ok(None) };
-    let ends_mm = burr_m.last().map_or(0.0, |last| 1e3 * last.x);
-    let starts_mm = burr_m.first().map_or(0.0, |first| 1e3 * first.x);
+    let (burr_m, _) = path(&Run::new(&scene, None)).unwrap_or_default();
+    let [starts_mm, ends_mm] =
+        [burr_m.first(), burr_m.last()].map(|place| place.map_or(0.0, |place| 1e3 * place.x));
     let way_mm = ends_mm - starts_mm;
-    let is_met = way_mm.abs() >= LEAST_WAY_MM;
-    let wall = is_met.then_some(Wall { at_mm: 0.5 * (starts_mm + ends_mm), way: way_mm.signum() });
-    Ok(wall.map(|wall| Case { wall: Some(wall), is_across: true, ..Case::free(trial) }))
+    Ok(if way_mm.abs() >= LEAST_WAY_MM {
+        Case { wall: Some(Wall { at_mm: 0.5 * (starts_mm + ends_mm), way: way_mm.signum() }), ..case }
+    } else {
+        let wall = Some(Wall { at_mm: starts_mm, way: 1.0 });
+        Case { wall, gravity_m_per_s2: [ACROSS_M_PER_S2, 0.0, 0.0], ..case }
+    })
 }
 
 fn hard(tool: &OwnTool, pull_s: f64) -> Vec<Case> {

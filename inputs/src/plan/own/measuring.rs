@@ -24,7 +24,7 @@ const MOST_THREADS: usize = 16;
 /// Samples of the burr in the last tenth of a second, in which a tool that comes to rest moves no more.
 const LAST_SAMPLES: usize = 10;
 /// Most of its way that a tool still moves then.
-const MOST_SHARE: f64 = 0.1;
+const SWINGING_SHARE: f64 = 0.1;
 /// What is no motion, mm.
 const STILL_MM: f64 = 0.05;
 
@@ -187,7 +187,7 @@ fn comes_to_rest(burr_m: &[Vector3<f64>]) -> bool {
         places.iter().map(|place| 1e3 * (place - from).norm()).fold(0.0, f64::max)
     };
     let tail = &burr_m[burr_m.len().saturating_sub(LAST_SAMPLES)..];
-    farthest_mm(last, tail) <= (MOST_SHARE * farthest_mm(first, burr_m)).max(STILL_MM)
+    farthest_mm(last, tail) <= (SWINGING_SHARE * farthest_mm(first, burr_m)).max(STILL_MM)
 }
 
 fn row(settings: &Settings, part: Part, cases: &[Case], all: &[Found]) -> Row {
@@ -204,7 +204,7 @@ fn row(settings: &Settings, part: Part, cases: &[Case], all: &[Found]) -> Row {
     let (path_mm, end_mm) = (worst(|off| off.path_mm), worst(|off| off.end_mm));
     let row = Row::unmeasured(*settings);
     match part {
-        Part::Gentle => Row { rest_mm: end_mm, free_path_mm: path_mm, ..row },
+        Part::Gentle | Part::Bodies => Row { rest_mm: end_mm, free_path_mm: path_mm, ..row },
         Part::Hard => Row { hard_rest_mm: end_mm, hard_path_mm: path_mm, ..row },
         Part::Bone => Row { drilled_path_mm: path_mm, grid_path_mm: grid_mm(&of), ..row },
     }

@@ -15,6 +15,7 @@ use ipc_types::scene::{ContactVoxels, Scene};
 
 use super::TABLE;
 use super::load::{Load, Pull, is_standard_tool};
+use super::measure::trials::larger;
 use super::table::{OWN_LINKS, Row, Settings, read, write};
 use crate::cache::text::TextKey;
 use crate::cache::{Cache, place, remark};
@@ -70,15 +71,19 @@ impl Table {
 
     /// The table of an own tool.
     pub(super) fn own(scene: &Scene, cache: Option<&Cache>) -> Result<Table, Failure> {
-        let (tool, load) = (OwnTool::of(scene), Load::of(scene));
+        let tool = OwnTool::of(scene);
         let settings = candidates::settings(&tool)?;
         let standard = Table::standard()?.rows;
         let mut rows: Vec<Row> = settings.iter().map(|it| unmeasured(it, &standard)).collect();
-        for part in parts(load) {
+        for part in parts(scene) {
             for (row, measured) in rows.iter_mut().zip(kept_or_measured(&tool, part, &settings, cache)?) {
                 match part {
                     Part::Gentle => {
                         (row.rest_mm, row.free_path_mm) = (measured.rest_mm, measured.free_path_mm);
+                    }
+                    Part::Bodies => {
+                        row.rest_mm = larger(row.rest_mm, measured.rest_mm);
+                        row.free_path_mm = larger(row.free_path_mm, measured.free_path_mm);
                     }
                     Part::Hard => {
                         (row.hard_rest_mm, row.hard_path_mm) = (measured.hard_rest_mm, measured.hard_path_mm);
@@ -99,10 +104,12 @@ pub(super) fn settings(scene: &Scene) -> Result<Vec<Settings>, Failure> {
     candidates::settings(&OwnTool::of(scene))
 }
 
-fn parts(load: Load) -> impl Iterator<Item = Part> {
+fn parts(scene: &Scene) -> impl Iterator<Item = Part> {
+    let load = Load::of(scene);
+    let bodies = (!scene.body.is_empty()).then_some(Part::Bodies);
     let hard = (load.pull == Pull::Hard).then_some(Part::Hard);
     let bone = load.bone.then_some(Part::Bone);
-    [Some(Part::Gentle), hard, bone].into_iter().flatten()
+    [Some(Part::Gentle), bodies, hard, bone].into_iter().flatten()
 }
 
 /// A row with what does not depend on the tool: its estimated costs, and how a sphere rests on a wall of voxels.
@@ -126,7 +133,12 @@ fn kept_or_measured(
         return Ok(rows);
     }
     let text = write(&measuring::measure(tool, part, settings, progress(tool, part))?);
-    if let Some(cause) = cache.and_then(|cache| cache.keep_text(key, &text).err()) {
+    // A command that began at the same time may have been faster; its table is the same.
+    let not_kept = |cache: &Cache| {
+        let cause = cache.keep_text(key, &text).err()?;
+        cache.find_text(key).ok().flatten().is_none().then_some(cause)
+    };
+    if let Some(cause) = cache.and_then(not_kept) {
         remark(&format!("the errors of tool `{}` are not kept: {cause}", tool.name));
     }
     // What is read again is what the next command reads, to the digit.
@@ -154,6 +166,7 @@ fn kept(cache: &Cache, key: TextKey, settings: &[Settings]) -> Option<Vec<Row>> 
 fn progress(tool: &OwnTool, part: Part) -> impl FnMut(usize, usize) {
     let what = match part {
         Part::Gentle => "in free space",
+        Part::Bodies => "against a wall",
         Part::Hard => "under hard pulls",
         Part::Bone => "in bone",
     };

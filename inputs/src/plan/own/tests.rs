@@ -56,6 +56,7 @@ fn a_table_is_kept_used_and_measured_again_if_it_is_damaged() {
     // What is kept is what is used.
     let mut others = read(&kept).unwrap();
     others[0].rest_mm = 7.0;
+    place.cache.remove_text(key);
     place.cache.keep_text(key, &write(&others)).unwrap();
     assert_eq!(place.table(&scene).rows[0].rest_mm, 7.0);
     let path = place.cache.path_of_text(key);
@@ -66,6 +67,7 @@ fn a_table_is_kept_used_and_measured_again_if_it_is_damaged() {
         assert_eq!(place.cache.find_text(key).unwrap().unwrap(), kept);
     }
     // Of another version of the candidates.
+    place.cache.remove_text(key);
     place.cache.keep_text(key, &write(&others[1..])).unwrap();
     assert_eq!(place.text(&scene), first);
 }
@@ -145,6 +147,20 @@ fn a_tolerance_of_another_tool_is_planned_by_its_own_table() {
     let hard = place.table(&planned);
     assert!(hard.rows.iter().any(|row| row.hard_path_mm.is_finite()));
     assert_eq!(place.cache.files().len(), 2, "the gentle part was not measured again");
+}
+
+/// Bodies push from any direction: what bends in one plane is not measured against them.
+#[test]
+fn a_scene_with_bodies_counts_a_wall() {
+    let body = "body = [{ name = \"wall\", cuboid = { half_extents_mm = [5.0, 9.0, 9.0] }, motion = \"fixed\", position_mm = [30.0, 0.0, 0.0] }]";
+    let place = Place::new();
+    let [without, with] = ["", body].map(|body| place.table(&scene(body, Some(RIGID))).rows);
+    for (without, with) in without.iter().zip(&with) {
+        let is_planar = with.settings.rung < Rung::Spatial;
+        assert!(is_planar == !with.free_path_mm.is_finite(), "{with:?}");
+        assert!(is_planar || with.free_path_mm >= without.free_path_mm, "{without:?} {with:?}");
+    }
+    assert_eq!(place.cache.files().len(), 2);
 }
 
 #[test]
