@@ -102,7 +102,13 @@ const EXAMPLES: &[Examples] = &[
     ("chart drr", &["trabecula chart drr --quick", "trabecula chart drr -o out/charts --rounds 9"]),
     ("chart physics", &["trabecula chart physics --quick -o out/charts"]),
     ("chart flexure", &["trabecula chart flexure"]),
-    ("chart promise", &["trabecula chart promise --free 10 --bone 10"]),
+    (
+        "chart promise",
+        &[
+            "trabecula chart promise --free 10 --bone 10",
+            "trabecula chart promise --tool configs/tools/two_segments.toml --bone 10",
+        ],
+    ),
     (
         "chart stability",
         &[

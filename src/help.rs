@@ -97,7 +97,15 @@ pub const EXAMPLES: &[Examples] = &[
     ("log cat-files", &["trabecula log cat-files out/run out/other -o both.mcap"]),
     ("log split", &["trabecula log split both.mcap -o runs"]),
     ("calibrate", &["trabecula calibrate", "trabecula calibrate sweep.toml -o out/sweep"]),
-    ("plan", &["trabecula plan scene.toml", "trabecula plan --check out/run", "trabecula plan --list"]),
+    (
+        "plan",
+        &[
+            "trabecula plan scene.toml",
+            "trabecula plan --check out/run",
+            "trabecula plan --list",
+            "trabecula plan --list scene.toml",
+        ],
+    ),
     ("scene check", &["trabecula scene check scene.toml"]),
     ("scene init", &["trabecula scene init -o my_scenes", "trabecula scene init --scene free_space"]),
     (

@@ -12,7 +12,7 @@ use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::plan::measure::against::{References, Run, against_reference, distance_mm, path};
 use trabecula::plan::measure::trials::{HOLE_MM, Trial, block};
-use trabecula::plan::{GENTLE_N, OwnTool, RAMPED_N, Table, resolve_by};
+use trabecula::plan::{GENTLE_N, Load, OwnTool, RAMPED_N, Table, resolve_by};
 
 /// How many scenes, and which.
 #[derive(Debug, Clone)]
@@ -38,15 +38,15 @@ struct Kept {
 /// # Errors
 /// A scene that should be accepted is refused.
 pub fn run(plan: &Plan, sheet: &mut Sheet) -> Result<usize, Failure> {
-    let mut exceeded = 0;
+    let (mut exceeded, mut tables) = (0, Tables::default());
     for (what, count) in [("free", plan.free), ("bone", plan.bone)] {
         let mut worst: f64 = 0.0;
         for number in 0..count {
             let seed = plan.seed + number;
-            let kept = if what == "free" {
-                in_free_space(seed, plan.tool.as_ref())?
-            } else {
-                in_bone(seed, plan.tool.as_ref())?
+            let tool = plan.tool.as_ref();
+            let kept = match what {
+                "free" => in_free_space(seed, tool, &mut tables)?,
+                _ => in_bone(seed, tool, &mut tables)?,
             };
             sheet.line(&format!("{what} {seed:>4}: {}", kept.line));
             sheet.push(what, json!({"seed": seed, "share_of_tolerance": kept.share}));
@@ -113,14 +113,32 @@ fn scene_of(trial: &Trial, ground: Ground, tool: Option<&OwnTool>) -> Result<(Sc
     Ok((own.unwrap_or(scene), text))
 }
 
+/// The tables of the tool, for each load that a scene may put on it: without a cache each would be measured for every scene.
+#[derive(Default)]
+struct Tables(Vec<(Load, Table)>);
+
+impl Tables {
+    fn of(&mut self, scene: &Scene) -> Result<&Table, Failure> {
+        let load = Load::of(scene);
+        let place = match self.0.iter().position(|(known, _)| *known == load) {
+            Some(place) => place,
+            None => {
+                self.0.push((load, Table::of(scene)?));
+                self.0.len() - 1
+            }
+        };
+        Ok(&self.0[place].1)
+    }
+}
+
 /// Plans for a tolerance between the tightest that `plan` accepts and three times that; returns it.
-fn plan_within(scene: &mut Scene, text: &str, random: &mut u64) -> Result<f64, Failure> {
+fn plan_within(scene: &mut Scene, text: &str, tables: &mut Tables, random: &mut u64) -> Result<f64, Failure> {
     let factor = 3.0_f64.powf(uniform(random));
-    let table = Table::of(scene)?;
+    let table = tables.of(scene)?;
     let mut path_mm = 0.001;
     loop {
         scene.tolerance = Some(Tolerance { path_mm: Some(path_mm), ..Tolerance::default() });
-        match resolve_by(scene, text, &table) {
+        match resolve_by(scene, text, table) {
             Ok(_) => return Ok(path_mm),
             Err(refused) if path_mm > 50.0 => return Err(refused),
             Err(_) => path_mm *= 1.02 * factor,
@@ -128,11 +146,11 @@ fn plan_within(scene: &mut Scene, text: &str, random: &mut u64) -> Result<f64, F
     }
 }
 
-fn in_free_space(seed: u64, tool: Option<&OwnTool>) -> Result<Kept, Failure> {
+fn in_free_space(seed: u64, tool: Option<&OwnTool>, tables: &mut Tables) -> Result<Kept, Failure> {
     let mut random = seed;
     let trial = trial(Ground::Air, tool, &mut random);
     let (mut scene, text) = scene_of(&trial, Ground::Air, tool)?;
-    let path_mm = plan_within(&mut scene, &text, &mut random)?;
+    let path_mm = plan_within(&mut scene, &text, tables, &mut random)?;
     if tool.is_some() {
         // Its own weight, any way in the plane in which it bends.
         let angle = between(0.0, std::f64::consts::TAU, &mut random);
@@ -144,14 +162,14 @@ fn in_free_space(seed: u64, tool: Option<&OwnTool>) -> Result<Kept, Failure> {
     Ok(Kept { share: off.path_mm / path_mm, line })
 }
 
-fn in_bone(seed: u64, tool: Option<&OwnTool>) -> Result<Kept, Failure> {
+fn in_bone(seed: u64, tool: Option<&OwnTool>, tables: &mut Tables) -> Result<Kept, Failure> {
     let mut random = seed;
     let trial = trial(Ground::Bone, tool, &mut random);
     let hole_mm = tool.map_or(HOLE_MM, OwnTool::hole_mm);
     let mut place = || [0; 3].map(|_| uniform(&mut random));
     let (here, there) = (block(place(), hole_mm), block(place(), hole_mm));
     let (mut scene, text) = scene_of(&trial, Ground::Bone, tool)?;
-    let path_mm = plan_within(&mut scene, &text, &mut random)?;
+    let path_mm = plan_within(&mut scene, &text, tables, &mut random)?;
     let off = against_reference(&Run::new(&scene, Some(here.ct())), &mut References::default())?;
     let (own, _) = path(&Run::new(&scene, Some(here.ct())))?;
     let (other, _) = path(&Run::new(&scene, Some(there.ct())))?;

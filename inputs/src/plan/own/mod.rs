@@ -62,11 +62,10 @@ impl Table {
             Some(Err((path, cause))) => (None, Some(format!("{}: {}", path.display(), cause))),
             None => (None, Some("neither XDG_CACHE_HOME nor HOME is an absolute path".to_owned())),
         };
-        let table = Table::own(scene, cache.as_ref())?;
         if let Some(why) = why {
             remark(&format!("the errors of tool `{}` are not kept: {why}", OwnTool::of(scene).name));
         }
-        Ok(table)
+        Table::own(scene, cache.as_ref())
     }
 
     /// The table of an own tool.
@@ -174,9 +173,7 @@ fn progress(tool: &OwnTool, part: Part) -> impl FnMut(usize, usize) {
     move |done, all| {
         if said.is_none_or(|said| said.elapsed() >= SAID_EVERY) && done < all {
             said = Some(Instant::now());
-            remark(&format!(
-                "measuring the errors of tool `{name}` {what} (first use; kept): {done} of {all}"
-            ));
+            remark(&format!("measuring the errors of tool `{name}` {what} (first use): {done} of {all}"));
         }
     }
 }

@@ -157,7 +157,7 @@ fn a_scene_with_bodies_counts_a_wall() {
     let [without, with] = ["", body].map(|body| place.table(&scene(body, Some(RIGID))).rows);
     for (without, with) in without.iter().zip(&with) {
         let is_planar = with.settings.rung < Rung::Spatial;
-        assert!(is_planar == !with.free_path_mm.is_finite(), "{with:?}");
+        assert_ne!(is_planar, with.free_path_mm.is_finite(), "{with:?}");
         assert!(is_planar || with.free_path_mm >= without.free_path_mm, "{without:?} {with:?}");
     }
     assert_eq!(place.cache.files().len(), 2);
