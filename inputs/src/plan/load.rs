@@ -73,9 +73,10 @@ pub fn is_standard_tool(scene: &Scene) -> bool {
     if own.manipulator.tendon_friction.is_some_and(|friction| friction <= MOST_TENDON_FRICTION) {
         own.manipulator.tendon_friction = None;
     }
-    let cuts_its_own_way =
-        |tool: &ToolDescription| tool.drive_shaft.is_some() || tool.burr.cutting_coefficient.is_some();
-    if own.manipulator.tool.as_ref().is_some_and(cuts_its_own_way) {
+    let acts_its_own_way = |tool: &ToolDescription| {
+        tool.drive_shaft.is_some() || tool.burr.cutting_coefficient.is_some() || tool.outer_tube.is_some()
+    };
+    if own.manipulator.tool.as_ref().is_some_and(acts_its_own_way) {
         return false;
     }
     let mut standard = own.clone();

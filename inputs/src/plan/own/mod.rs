@@ -71,7 +71,7 @@ impl Table {
     /// The table of an own tool.
     pub(super) fn own(scene: &Scene, cache: Option<&Cache>) -> Result<Table, Failure> {
         let tool = OwnTool::of(scene);
-        let settings = candidates::settings(&tool)?;
+        let settings = settings(scene)?;
         let standard = Table::standard()?.rows;
         let mut rows: Vec<Row> = settings.iter().map(|it| unmeasured(it, &standard)).collect();
         for part in parts(scene) {
@@ -99,8 +99,13 @@ impl Table {
 }
 
 /// The settings that are measured for a scene's own tool.
+///
+/// # Errors
+/// Bad input: nothing can be measured for it.
 pub(super) fn settings(scene: &Scene) -> Result<Vec<Settings>, Failure> {
-    candidates::settings(&OwnTool::of(scene))
+    let tool = OwnTool::of(scene);
+    tool.check()?;
+    candidates::settings(&tool)
 }
 
 fn parts(scene: &Scene) -> impl Iterator<Item = Part> {

@@ -189,6 +189,8 @@ fn a_tool_that_the_reference_does_not_hold_is_refused_with_its_name() {
     };
     let limp = refused(&scene("", Some(limp)));
     assert!(limp.contains("tool `limp`: its errors cannot be measured"), "{limp}");
+    let tube = refused(&scene("", Some(include_str!("../../../../configs/tools/tube_in_tube.toml"))));
+    assert!(tube.contains("`outer_tube` is given") && tube.contains("leave `tip_mm`"), "{tube}");
     let swings = refused(&scene("manipulator = { damping_ratio = 0.001, stiffness_scale = 0.01 }", None));
     assert!(swings.contains("it still swings after 4 s"), "{swings}");
 }

@@ -55,6 +55,20 @@ impl OwnTool {
         OwnTool { name, parts: Parts { start_shape, weight_m_per_s2, manipulator, tendon: scene.tendon } }
     }
 
+    /// Refuses what no trial puts it to.
+    ///
+    /// # Errors
+    /// Bad input: a tool that slides out of an outer tube and turns in it.
+    pub fn check(&self) -> Result<(), Failure> {
+        match self.parts.manipulator.tool.as_ref().and_then(|tool| tool.outer_tube.as_ref()) {
+            None => Ok(()),
+            Some(_) => Err(Failure::bad_input(format!(
+                "tool `{}`: `outer_tube` is given; with a `tolerance` of tip or path, expected none: no trial slides or turns a tool in an outer tube (leave `tip_mm` and `path_mm` out and name `model`, `links`, `integrator` and `dt_ms` instead)",
+                self.name
+            ))),
+        }
+    }
+
     /// All that its errors depend on, as text: tools of the same text have the same errors.
     ///
     /// # Errors
