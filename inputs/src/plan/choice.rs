@@ -1,6 +1,6 @@
 //! Chooses the settings of a scene.
 
-use ipc_types::scene::{ContactVoxels, Integrator, Scene};
+use ipc_types::scene::{ContactVoxels, Controller, Drives, Integrator, Scene, TubeDeployment};
 use simulation::manipulator::Rung;
 use simulation::rung;
 
@@ -197,7 +197,16 @@ fn leaves_the_plane(scene: &Scene) -> bool {
     let gravity = &scene.gravity_m_per_s2;
     let part: f64 = across.iter().zip(gravity).map(|(a, g)| a * g).sum();
     let pulled = tendons_leave_the_plane(&scene.tendon, scene.manipulator.tool.as_ref());
-    pulled || !scene.body.is_empty() || part.abs() > 1e-6 * size(&across) * size(gravity).max(1e-300)
+    // A tool that turns in its outer tube takes its plane with it.
+    let falls_aside = size(&cross(&along, gravity)) > 1e-6 * size(&along) * size(gravity).max(1e-300);
+    let aside = falls_aside && scene.controller.iter().any(turns_its_plane);
+    pulled || aside || !scene.body.is_empty() || part.abs() > 1e-6 * size(&across) * size(gravity).max(1e-300)
+}
+
+/// Whether a controller may turn a tool in its outer tube by anything but half turns.
+fn turns_its_plane(entry: &Controller) -> bool {
+    let stays = |plan: &TubeDeployment| plan.roll_deg % 180.0 == 0.0;
+    entry.drives.contains(&Drives::Tube) && !entry.tube_deployment.as_ref().is_some_and(stays)
 }
 
 fn cross(a: &[f64; 3], b: &[f64; 3]) -> [f64; 3] {

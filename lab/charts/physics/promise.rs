@@ -4,7 +4,7 @@
 //! is run again on voxels at another place: the bound states both errors, so the distance to that path must keep it, too.
 
 use ipc_types::messages;
-use ipc_types::scene::{Scene, Tolerance};
+use ipc_types::scene::{Scene, Tolerance, ToolOuterTube};
 use serde_json::json;
 
 use crate::random::uniform;
@@ -81,6 +81,9 @@ enum Ground {
 /// pulled, too; one without tendons is fed.
 fn trial(ground: Ground, tool: Option<&OwnTool>, random: &mut u64) -> Trial {
     let (bone, tendons) = (ground == Ground::Bone, tool.map_or(1, OwnTool::tendons));
+    if let Some(outer) = tool.and_then(OwnTool::outer_tube) {
+        return deployment(outer, random);
+    }
     let hard = !bone && uniform(random) < 0.3;
     let kinds = if tendons > 1 { 4.0 } else { 3.0 };
     let kind = if bone || tendons == 0 { 2 } else { (kinds * uniform(random)) as usize };
@@ -104,6 +107,16 @@ fn trial(ground: Ground, tool: Option<&OwnTool>, random: &mut u64) -> Trial {
         trial.seconds = between(0.1, 1.5, random);
     }
     trial
+}
+
+/// Out of an outer tube by any length, as it is or turned by half a turn: then it stays in the plane of its weight.
+fn deployment(outer: &ToolOuterTube, random: &mut u64) -> Trial {
+    let length_mm = between(0.1, 1.0, random) * outer.travel_mm.min(25.0);
+    let feed_mm_per_s = between(2.0, 8.0, random);
+    let roll_deg = if uniform(random) < 0.5 { 180.0 } else { 0.0 };
+    let roll_s = roll_deg / outer.roll_speed_deg_per_s;
+    let seconds = roll_s + length_mm / feed_mm_per_s + between(0.3, 0.6, random);
+    Trial::deploy(length_mm, feed_mm_per_s, roll_deg, seconds)
 }
 
 /// The trial's scene, and its text.
@@ -213,6 +226,8 @@ mod tests {
             ("tools/steerable_drill.toml", 4),
             // The same tool, let go from a straight guide.
             ("examples/tool_pre_curved.toml", 8),
+            // And pushed out of a tube.
+            ("tools/tube_in_tube.toml", 4),
         ] {
             let source = trabecula::tool::source::ToolSource::load(Some(&folder.join(file))).unwrap();
             let plan = Plan { tool: Some(OwnTool::of(&source.scene)), free, bone: 0, seed: 1 };

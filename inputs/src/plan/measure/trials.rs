@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use ipc_types::messages::MAX_TENDONS;
-use ipc_types::scene::Scene;
+use ipc_types::scene::{Scene, TubeDeployment};
 
 use super::block::Block;
 use crate::failure::Failure;
@@ -11,6 +11,8 @@ use crate::plan::{GENTLE_N, Pull, RAMPED_N};
 
 /// Voxel of the tunnels, mm.
 const VOXEL_MM: f64 = 0.5;
+/// Speed of the burr.
+const BURR_RPM: f64 = 2250.0;
 /// Duration of a pull of the standard tool, s.
 pub const PULL_S: f64 = 0.8;
 /// Where the voxels of a tunnel lie, in voxels from the first place.
@@ -28,6 +30,8 @@ pub struct Trial {
     pub seconds: f64,
     /// What a controller that is not built in asks for from the first tick on, N.
     pub tensions_n: [f64; MAX_TENDONS],
+    /// How a tool slides out of its outer tube, in place of the controller.
+    pub deployment: Option<TubeDeployment>,
 }
 
 impl Trial {
@@ -38,12 +42,30 @@ impl Trial {
             tool: format!("tendon_friction = {tendon_friction:?}\n"),
             seconds: PULL_S,
             tensions_n: [0.0; MAX_TENDONS],
+            deployment: None,
         }
     }
 
     /// Holds these tensions from the first tick on, as a client may.
     pub fn pull(tensions_n: [f64; MAX_TENDONS]) -> Trial {
         Trial { controller: "external = true\n".to_owned(), tensions_n, ..Trial::hold(0.0, 0.0) }
+    }
+
+    /// Turns a tool in its outer tube and slides it out, in this time.
+    pub fn deploy(deployed_mm: f64, feed_mm_per_s: f64, roll_deg: f64, seconds: f64) -> Trial {
+        let deployment = TubeDeployment {
+            deployed_mm,
+            feed_mm_per_s,
+            roll_deg,
+            burr_speed_rpm: BURR_RPM,
+            retraction_mm: 0.0,
+        };
+        Trial {
+            tool: String::new(),
+            seconds,
+            deployment: Some(deployment),
+            ..Trial::pull([0.0; MAX_TENDONS])
+        }
     }
 
     /// Pulls in steps up and down again.
@@ -58,13 +80,13 @@ impl Trial {
         let ramp_mm = 0.5 * insertion_mm;
         let controller = format!(
             "[controller.curved_drilling]\nfeed_mm_per_s = {feed_mm_per_s:?}\ninsertion_mm = {insertion_mm:?}\n\
-             tension_n = {tension_n:?}\nramp_end_mm = {ramp_mm:?}\nburr_speed_rpm = 2250.0\nfeedback = \"none\"\n"
+             tension_n = {tension_n:?}\nramp_end_mm = {ramp_mm:?}\nburr_speed_rpm = {BURR_RPM:?}\nfeedback = \"none\"\n"
         );
         let seconds = insertion_mm / feed_mm_per_s + 0.5;
         Trial { controller, tool: String::new(), seconds, ..Trial::hold(0.0, 0.0) }
     }
 
-    /// The scene, in free space or in bone.
+    /// The scene of the standard tool, in free space or in bone.
     ///
     /// # Errors
     /// A parameter is out of range.

@@ -1,9 +1,9 @@
 //! What a scene's own tool is put to.
 
 use ipc_types::messages::MAX_TENDONS;
-use ipc_types::scene::{Body, BodyMotion, Cuboid};
+use ipc_types::scene::{Body, BodyMotion, Cuboid, ToolOuterTube};
 
-use super::tool::OwnTool;
+use super::tool::{LEAST_ROLL_DEG_PER_S, OwnTool};
 use crate::failure::Failure;
 use crate::plan::load::{GENTLE_N, Pull};
 use crate::plan::measure::against::{Run, path};
@@ -41,6 +41,15 @@ const ACROSS_M_PER_S2: f64 = 100.0;
 const OTHERS_N: [f64; 2] = [10.0, 60.0];
 /// Places of the voxels in which tunnels are drilled: the worst of them counts, so fewer do than where their mean counts.
 const OWN_PLACES: usize = 3;
+
+/// Longest time in which a tool slides out of its outer tube, s.
+const LONGEST_SLIDE_S: f64 = 4.0;
+/// What the drive of a tube takes longer than its way at full speed, s, and half of a roll's.
+const DRIVE_S: f64 = 0.15;
+/// Speed of a tool without tendons in bone, mm/s.
+const FEEDS_MM_PER_S: [f64; 2] = [4.0, 8.0];
+/// Length of its tunnel, mm.
+const TUNNEL_MM: f64 = 20.0;
 
 /// Half the wall's thickness, and half its width, mm.
 const WALL_MM: [f64; 2] = [5.0, 200.0];
@@ -126,6 +135,16 @@ pub fn cases(tool: &OwnTool, part: Part) -> Result<Vec<Case>, Failure> {
 fn gentle(tool: &OwnTool, pull_s: f64) -> Vec<Case> {
     let g = tool.weight_m_per_s2();
     let weights = [[g, 0.0, 0.0], [-g, 0.0, 0.0], [0.0, g, 0.0], [ACROSS_M_PER_S2, 0.0, 0.0]];
+    if let Some(outer) = tool.outer_tube() {
+        // All of it out, where it yields most; half a turn keeps its plane, a quarter does not.
+        let out = |roll_deg: f64, weight: [f64; 3]| {
+            let is_across = weight[1] != 0.0 || roll_deg == 90.0;
+            let trial = slid(outer, roll_deg, pull_s);
+            Case { gravity_m_per_s2: weight, is_across, ..Case::held(trial) }
+        };
+        let turned = [180.0, 90.0].map(|roll_deg| out(roll_deg, weights[0]));
+        return weights.map(|weight| out(0.0, weight)).into_iter().chain(turned).collect();
+    }
     let mut cases: Vec<Case> = weights.map(|weight| Case::weighed(pull_s, weight)).into();
     if tool.tendons() == 0 {
         cases.push(Case::free(Trial::feed(0.0, 20.0, 10.0)));
@@ -139,11 +158,22 @@ fn gentle(tool: &OwnTool, pull_s: f64) -> Vec<Case> {
     cases
 }
 
+/// Out of the outer tube by its whole travel, and at rest there.
+fn slid(outer: &ToolOuterTube, roll_deg: f64, pull_s: f64) -> Trial {
+    let feed_mm_per_s = outer.speed_mm_per_s.max(outer.travel_mm / LONGEST_SLIDE_S);
+    let roll_s = roll_deg / outer.roll_speed_deg_per_s.max(LEAST_ROLL_DEG_PER_S);
+    let seconds = roll_s + outer.travel_mm / feed_mm_per_s + 2.0 * DRIVE_S + pull_s;
+    Trial::deploy(outer.travel_mm, feed_mm_per_s, roll_deg, seconds)
+}
+
 /// The first tendon's gentle pull, or the swing of a tool that starts straight, against a wall half way; a tool that does not move by itself
 /// is pressed on it.
 fn against_a_wall(tool: &OwnTool, pull_s: f64) -> Result<Case, Failure> {
     let tension_n = if tool.tendons() == 0 { 0.0 } else { GENTLE_N };
-    let trial = Trial { seconds: pull_s, ..Trial::hold(tension_n, 0.0) };
+    let trial = match tool.outer_tube() {
+        Some(outer) => slid(outer, 0.0, pull_s),
+        None => Trial { seconds: pull_s, ..Trial::hold(tension_n, 0.0) },
+    };
     let case = Case { is_across: true, ..Case::free(trial) };
     let scene = settings_of(&tool.scene(&case.trial, false)?);
     // A tool that the reference loses is refused where it is measured.
@@ -197,8 +227,15 @@ fn pulled(tendons: &[usize], tension_n: f64, seconds: f64) -> Case {
 }
 
 fn bone(tool: &OwnTool) -> Vec<Case> {
-    let tunnels = if tool.tendons() == 0 {
-        vec![Trial::feed(0.0, 4.0, 20.0), Trial::feed(0.0, 8.0, 20.0)]
+    let tunnels = if let Some(outer) = tool.outer_tube() {
+        let length_mm = outer.travel_mm.min(TUNNEL_MM);
+        let slid = |feed_mm_per_s: f64| {
+            let seconds = length_mm / feed_mm_per_s + 2.0 * DRIVE_S + 0.5;
+            Trial::deploy(length_mm, feed_mm_per_s, 0.0, seconds)
+        };
+        FEEDS_MM_PER_S.map(slid).into()
+    } else if tool.tendons() == 0 {
+        FEEDS_MM_PER_S.map(|feed_mm_per_s| Trial::feed(0.0, feed_mm_per_s, TUNNEL_MM)).into()
     } else {
         // The least and the most of their tensions.
         let [gentlest, _, hardest] = tunnels();

@@ -104,7 +104,6 @@ impl Table {
 /// Bad input: nothing can be measured for it.
 pub(super) fn settings(scene: &Scene) -> Result<Vec<Settings>, Failure> {
     let tool = OwnTool::of(scene);
-    tool.check()?;
     candidates::settings(&tool)
 }
 

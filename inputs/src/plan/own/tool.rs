@@ -1,6 +1,6 @@
 //! What of a scene makes its tool.
 
-use ipc_types::scene::{Manipulator, Scene, StartShape, Tendon};
+use ipc_types::scene::{Drives, Manipulator, Scene, StartShape, Tendon, ToolOuterTube};
 use serde::Serialize;
 use simulation::manipulator::{AnyManipulator, BaseMotion, ManipulatorModel, Rung};
 use simulation::manipulator_parameters;
@@ -16,6 +16,8 @@ const WEIGHT_M_PER_S2: f64 = 9.81;
 const LONGEST_PULL_S: f64 = 4.0;
 /// By how much the pilot hole of a tunnel is wider than the burr, mm: as much as that of the standard tool.
 const PLAY_MM: f64 = 0.5;
+/// A tool in an outer tube is turned at least so fast.
+pub const LEAST_ROLL_DEG_PER_S: f64 = 90.0;
 /// A swing has decayed after so many of its time constants: to 5 %.
 const TIME_CONSTANTS: f64 = 3.0;
 
@@ -55,18 +57,9 @@ impl OwnTool {
         OwnTool { name, parts: Parts { start_shape, weight_m_per_s2, manipulator, tendon: scene.tendon } }
     }
 
-    /// Refuses what no trial puts it to.
-    ///
-    /// # Errors
-    /// Bad input: a tool that slides out of an outer tube and turns in it.
-    pub fn check(&self) -> Result<(), Failure> {
-        match self.parts.manipulator.tool.as_ref().and_then(|tool| tool.outer_tube.as_ref()) {
-            None => Ok(()),
-            Some(_) => Err(Failure::bad_input(format!(
-                "tool `{}`: `outer_tube` is given; with a `tolerance` of tip or path, expected none: no trial slides or turns a tool in an outer tube (leave `tip_mm` and `path_mm` out and name `model`, `links`, `integrator` and `dt_ms` instead)",
-                self.name
-            ))),
-        }
+    /// The tube that it slides out of, if there is one.
+    pub fn outer_tube(&self) -> Option<&ToolOuterTube> {
+        self.parts.manipulator.tool.as_ref()?.outer_tube.as_ref()
     }
 
     /// All that its errors depend on, as text: tools of the same text have the same errors.
@@ -113,7 +106,7 @@ impl OwnTool {
     pub fn hole_mm(&self) -> f64 {
         let radii = self.parts.manipulator.radii();
         let widest_m =
-            radii.cutter.balls().iter().map(|ball| ball.radius_m).fold(radii.tube_outer_m, f64::max);
+            radii.cutter.balls().iter().map(|ball| ball.radius_m).fold(radii.widest_tube_m(), f64::max);
         2e3 * widest_m + PLAY_MM
     }
 
@@ -124,6 +117,17 @@ impl OwnTool {
     pub fn scene(&self, trial: &Trial, is_in_bone: bool) -> Result<Scene, Failure> {
         let (mut scene, _) = trial.scene("", is_in_bone)?;
         self.put_into(&mut scene);
+        if let Some(deployment) = &trial.deployment {
+            for entry in &mut scene.controller {
+                (entry.external, entry.tube_deployment) = (false, Some(deployment.clone()));
+                entry.drives.push(Drives::Tube);
+            }
+            // A slow drive would take too long to measure; a quicker one is the harder trial.
+            if let Some(outer) = scene.manipulator.tool.as_mut().and_then(|tool| tool.outer_tube.as_mut()) {
+                outer.speed_mm_per_s = outer.speed_mm_per_s.max(deployment.feed_mm_per_s);
+                outer.roll_speed_deg_per_s = outer.roll_speed_deg_per_s.max(LEAST_ROLL_DEG_PER_S);
+            }
+        }
         if is_in_bone {
             scene.tool.start_shape = Some(StartShape::Straight);
             scene.predrill.iter_mut().for_each(|hole| hole.diameter_mm = self.hole_mm());
