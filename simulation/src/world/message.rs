@@ -5,7 +5,7 @@ use messages::{
 };
 use nalgebra::{Isometry3, Vector3};
 
-use super::{Simulation, flange_wrench, numbers};
+use super::{Simulation, numbers};
 use crate::arm::{ArmMode, ProtectiveStop};
 use crate::manipulator::{ManipulatorModel, SphereKind};
 
@@ -40,6 +40,7 @@ impl Simulation<'_> {
     }
 
     fn write_tool(&mut self) {
+        let wrench = self.flange_wrench();
         let (state, tool) = (&mut self.state, &self.manipulator);
         let joints = tool.joint_count();
         state.joint_count = joints as u32;
@@ -61,7 +62,6 @@ impl Simulation<'_> {
         for (slot, link) in state.t_world_link.iter_mut().zip(1..=joints) {
             *slot = pose(&tool.t_world_link(link));
         }
-        let wrench = flange_wrench(tool, self.tube.as_ref());
         state.flange_wrench =
             Wrench { force_n: numbers(&wrench.force_n), torque_nm: numbers(&wrench.torque_nm) };
         let report = tool.last_report();

@@ -44,7 +44,7 @@ use crate::bone::{
 };
 use crate::contact_plane::ContactPlane;
 use crate::manipulator::{
-    AnyManipulator, AnyManipulatorState, BaseMotion, ManipulatorError, ManipulatorModel, StepReport, Wrench,
+    AnyManipulator, AnyManipulatorState, BaseMotion, ManipulatorError, ManipulatorModel, StepReport,
 };
 use crate::rigid::{RigidError, RigidScene, RigidSnapshot, ToolDrive};
 use arm_in_bone::ArmWatch;
@@ -379,26 +379,14 @@ impl<'v> Simulation<'v> {
             linear_velocity_m_per_s: arm.linear_velocity_m_s,
             angular_velocity_rad_per_s: arm.angular_velocity_rad_s,
         };
+        let wrench = self.flange_wrench();
         let Some(compliance) = &mut self.compliance else { return Ok(rigid) };
-        let wrench = flange_wrench(&self.manipulator, self.tube.as_ref());
         let deflected = compliance.step(&self.arm, &wrench.force_n, &wrench.torque_nm)?;
         Ok(BaseMotion {
             t_world_base: deflected.t_world_tool,
             linear_velocity_m_per_s: deflected.linear_velocity_m_s,
             angular_velocity_rad_per_s: deflected.angular_velocity_rad_s,
         })
-    }
-
-    /// Moves the tube on the tool's base, or stops it where the arm made a protective stop; returns the motion of the tube's base.
-    fn slide_tube(&mut self, base: BaseMotion) -> Result<BaseMotion, SimulationError> {
-        let is_stopped = self.arm.state().protective_stop.is_stopped();
-        let Some(tube) = &mut self.tube else { return Ok(base) };
-        if is_stopped {
-            tube.hold()?;
-        }
-        tube.step(self.dt_s);
-        self.manipulator.set_deployed(tube.deployed_m());
-        Ok(tube.carried(&base))
     }
 
     fn wear(&mut self) -> Result<usize, SimulationError> {
@@ -501,12 +489,6 @@ impl<'v> Simulation<'v> {
         self.state.hash = hash;
         restored
     }
-}
-
-/// The wrench of the tool on the flange in the last step, about the tool's base.
-fn flange_wrench(tool: &AnyManipulator, tube: Option<&TubeDrive>) -> Wrench {
-    let wrench = tool.flange_wrench();
-    tube.map_or(wrench, |tube| tube.about_base(&wrench, &tool.base().t_world_base))
 }
 
 /// The components of a vector.

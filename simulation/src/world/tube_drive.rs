@@ -5,8 +5,9 @@ use scene::ToolOuterTube;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::{Simulation, SimulationError};
 use crate::arm::{AxisLimits, AxisState, Goal, Planner, Segment, TrajectoryError};
-use crate::manipulator::{BaseMotion, Wrench};
+use crate::manipulator::{BaseMotion, ManipulatorModel, Wrench};
 
 /// Time in which the drive reaches its speed from rest, and half of which its acceleration takes to build up, s: an assumption, the size of
 /// a small lead screw's.
@@ -166,5 +167,25 @@ impl TubeDrive {
     pub(super) fn about_base(&self, wrench: &Wrench, t_world_tube: &Isometry3<f64>) -> Wrench {
         let lever_m = t_world_tube.rotation * Vector3::new(0.0, 0.0, self.deployed_m());
         Wrench { force_n: wrench.force_n, torque_nm: wrench.torque_nm + lever_m.cross(&wrench.force_n) }
+    }
+}
+
+impl Simulation<'_> {
+    /// Moves the tube on the tool's base, or stops it where the arm made a protective stop; returns the motion of the tube's base.
+    pub(super) fn slide_tube(&mut self, base: BaseMotion) -> Result<BaseMotion, SimulationError> {
+        let is_stopped = self.arm.state().protective_stop.is_stopped();
+        let Some(tube) = &mut self.tube else { return Ok(base) };
+        if is_stopped {
+            tube.hold()?;
+        }
+        tube.step(self.dt_s);
+        self.manipulator.set_deployed(tube.deployed_m());
+        Ok(tube.carried(&base))
+    }
+
+    /// The wrench of the tool on the flange in the last step, about the tool's base.
+    pub(super) fn flange_wrench(&self) -> Wrench {
+        let (tool, wrench) = (&self.manipulator, self.manipulator.flange_wrench());
+        self.tube.as_ref().map_or(wrench, |tube| tube.about_base(&wrench, &tool.base().t_world_base))
     }
 }
