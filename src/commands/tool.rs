@@ -7,7 +7,7 @@ use clap::Subcommand;
 
 use crate::failure::Failure;
 use crate::say::Figures;
-use crate::tool::response::{Cost, Response, Shape, response};
+use crate::tool::response::{Cost, Response, Shape, Workspace, response};
 use crate::tool::source::ToolSource;
 use crate::tool::{Dimension, dimensions, rounded};
 
@@ -53,9 +53,11 @@ fn text(dimensions: &[Dimension], response: &Response) -> String {
     for it in dimensions {
         let _ = write!(text, "\n{:<18} {:>7}  {}", it.name, rounded(it.value), it.text);
     }
-    let first_hz = rounded(response.first_frequency_hz);
-    let _ =
-        write!(text, "\n{:<18} {first_hz:>7}  first bending mode while it is straight", "first_frequency_hz");
+    let modes: Vec<String> =
+        response.bending_frequencies_hz.iter().map(|hz| rounded(*hz).to_string()).collect();
+    let _ = write!(text, "\nbending modes of the straight tool: {} Hz", modes.join(", "));
+    let buckles_n = rounded(response.buckling_load_n);
+    let _ = write!(text, "\nit buckles, straight and clamped at the flange, under {buckles_n} N at the burr");
     let slides = response.shapes.iter().any(|shape| shape.deployed_mm.is_some());
     let loads = if slides { "deployed_mm" } else { "tendon   tension_n" };
     let _ = write!(
@@ -89,6 +91,16 @@ fn text(dimensions: &[Dimension], response: &Response) -> String {
             text.push_str("  does not settle");
         }
     }
+    let Workspace { toward_mm, across_mm, along_mm, bend_deg } = &response.workspace;
+    let ends = |[low, high]: &[f64; 2]| format!("{} to {}", rounded(*low), rounded(*high));
+    let _ = write!(
+        text,
+        "\n\nthe burr's centre comes to, mm: toward {}, across {}, along {}; bend {} deg\n(up to 60 N on one tendon, 20 N on two, or all of an outer tube's travel and any roll)",
+        ends(toward_mm),
+        ends(across_mm),
+        ends(along_mm),
+        ends(bend_deg)
+    );
     let _ = write!(text, "\n\na step in free space on this machine\nmodel               step_us");
     for Cost { rung, step_us, refused } in &response.costs {
         let _ = match (step_us, refused) {

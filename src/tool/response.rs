@@ -15,6 +15,12 @@ use crate::failure::Failure;
 
 /// Tensions that are shown, N.
 const TENSIONS_N: [f64; 3] = [2.0, 5.0, 10.0];
+/// More tensions that tell how far the tool comes: the last is the most that a command may ask for.
+const HARD_N: [f64; 3] = [20.0, 40.0, 60.0];
+/// Tension of two tendons at once.
+const PAIR_N: f64 = 20.0;
+/// Bending modes that are shown.
+const MODES: usize = 3;
 /// Lengths out of an outer tube that are shown, as shares of its travel.
 const DEPLOYED_SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 /// The tool has settled when no flexure turns faster, rad/s; at 1 ms it then moves less than a nanometre a step.
@@ -63,13 +69,52 @@ pub struct Cost {
     pub refused: Option<String>,
 }
 
+/// Ends of where the tool comes to in free space: with each tendon alone, with every two alike, or out of its outer tube and turned in it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Workspace {
+    /// The burr's centre toward `tool.bend_toward`.
+    pub toward_mm: [f64; 2],
+    /// Across it.
+    pub across_mm: [f64; 2],
+    /// Along the straight tool, from the flange.
+    pub along_mm: [f64; 2],
+    /// Bend of the whole tool.
+    pub bend_deg: [f64; 2],
+}
+
+impl Workspace {
+    /// Of the shapes in which the tool came to rest; one in an outer tube may turn by any angle.
+    fn of(shapes: &[Shape]) -> Workspace {
+        let turns = shapes.iter().any(|shape| shape.deployed_mm.is_some());
+        let ends = |of: &dyn Fn(&Shape) -> f64| {
+            let settled = shapes.iter().filter(|shape| shape.settled).map(of);
+            settled.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], x| [low.min(x), high.max(x)])
+        };
+        let aside = |shape: &Shape| shape.toward_mm.hypot(shape.across_mm);
+        let [_, farthest] = ends(&aside);
+        let sides = |of: &dyn Fn(&Shape) -> f64| if turns { [-farthest, farthest] } else { ends(of) };
+        Workspace {
+            toward_mm: sides(&|shape| shape.toward_mm),
+            across_mm: sides(&|shape| shape.across_mm),
+            along_mm: ends(&|shape| shape.along_mm),
+            bend_deg: ends(&|shape| shape.bend_deg),
+        }
+    }
+}
+
 /// What the tool of a scene does.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Response {
     /// Without load, then under each tendon alone.
     pub shapes: Vec<Shape>,
+    /// Where the burr's centre and the tool's bend come to, as far as it was pulled.
+    pub workspace: Workspace,
     /// First bending mode on a rigid mount while the tool is straight, Hz.
     pub first_frequency_hz: f64,
+    /// The first three, Hz.
+    pub bending_frequencies_hz: Vec<f64>,
+    /// Euler's buckling load of the straight tool, clamped at its base, N.
+    pub buckling_load_n: f64,
     /// Of every rung, the cheapest first.
     pub costs: Vec<Cost>,
 }
@@ -95,8 +140,24 @@ pub fn response(scene: &Scene) -> Result<Response, Failure> {
             shapes.push(shape(own, &parameters, Some(tendon), tension_n)?);
         }
     }
+    let mut reached = shapes.clone();
+    for tendon in 0..parameters.tendon_count() {
+        for tension_n in HARD_N {
+            reached.push(shape(own, &parameters, Some(tendon), tension_n)?);
+        }
+        for other in 0..tendon {
+            reached.push(settled(own, &parameters, pulled(&[other, tendon], PAIR_N), None)?);
+        }
+    }
     let costs = Rung::ALL.map(|rung| cost(rung, &parameters)).to_vec();
-    Ok(Response { shapes, first_frequency_hz: tool.first_natural_frequency_hz(), costs })
+    Ok(Response {
+        shapes,
+        workspace: Workspace::of(&reached),
+        first_frequency_hz: tool.first_natural_frequency_hz(),
+        bending_frequencies_hz: parameters.bending_frequencies_hz(MODES),
+        buckling_load_n: parameters.euler_load_n(),
+        costs,
+    })
 }
 
 type Built = Result<AnyManipulator, simulation::manipulator::ManipulatorError>;
@@ -118,11 +179,10 @@ pub fn built(rung: Rung, parameters: &ManipulatorParameters) -> Result<AnyManipu
     Ok(tool)
 }
 
-fn pulled(tendon: Option<usize>, tension_n: f64) -> StepInput<'static> {
+fn pulled(tendons: &[usize], tension_n: f64) -> StepInput<'static> {
     let mut each = [0.0; MAX_TENDONS];
-    if let Some(place) = tendon.and_then(|tendon| each.get_mut(tendon)) {
-        *place = tension_n;
-    }
+    let pulled = each.iter_mut().enumerate().filter(|(tendon, _)| tendons.contains(tendon));
+    pulled.for_each(|(_, place)| *place = tension_n);
     StepInput {
         base: BaseMotion::at_rest(Isometry3::identity()),
         tendon: TendonCommand::EachForce(each),
@@ -137,7 +197,7 @@ fn shape(
     tendon: Option<usize>,
     tension_n: f64,
 ) -> Result<Shape, Failure> {
-    settled(rung, parameters, pulled(tendon, tension_n), None).map(|shape| Shape {
+    settled(rung, parameters, pulled(tendon.as_slice(), tension_n), None).map(|shape| Shape {
         tendon,
         tension_n,
         ..shape
@@ -150,7 +210,7 @@ fn shape_deployed(
     parameters: &ManipulatorParameters,
     deployed_mm: f64,
 ) -> Result<Shape, Failure> {
-    let shape = settled(rung, parameters, pulled(None, 0.0), Some(deployed_mm))?;
+    let shape = settled(rung, parameters, pulled(&[], 0.0), Some(deployed_mm))?;
     Ok(Shape { along_mm: shape.along_mm + deployed_mm, ..shape })
 }
 
@@ -194,7 +254,7 @@ fn cost(rung: Rung, parameters: &ManipulatorParameters) -> Cost {
     let mut times_us = Vec::with_capacity(TIMED_STEPS);
     for step in 0..TIMED_STEPS {
         // A pull that comes and goes, so that the tool moves.
-        let input = pulled(Some(0), if step / 100 % 2 == 0 { 3.0 } else { 0.0 });
+        let input = pulled(&[0], if step / 100 % 2 == 0 { 3.0 } else { 0.0 });
         let start = Instant::now();
         if let Err(why) = tool.step(STEP_S, &input) {
             return refused(why.to_string());

@@ -72,7 +72,7 @@ impl Setup {
     /// # Errors
     /// Invalid parameters.
     pub fn of(p: &ManipulatorParameters) -> Result<Setup, ManipulatorError> {
-        let euler_n = euler_load_n(p);
+        let euler_n = p.euler_load_n();
         let pull = |tension_n: f64| match p.tendon_count() {
             0 => Pull { tension_n: 0.0, across_n: 0.1 * euler_n },
             _ => Pull { tension_n, across_n: 0.0 },
@@ -100,29 +100,6 @@ impl Setup {
             front_m: rest_m.z + burr_m + 1.75e-3,
         })
     }
-}
-
-/// Euler's buckling load of a tool clamped at its base, N: the axial load at the burr whose moments, `P (x_tip - x_i)`, equal those of the
-/// flexures of the straight tool. By power iteration.
-pub fn euler_load_n(p: &ManipulatorParameters) -> f64 {
-    let mut ends: Vec<f64> = p.joint_positions_m.clone();
-    ends.extend(p.joint_positions_m.last().map(|last| last + p.tip_offset_m));
-    let (mut shape, mut load_n) = (vec![1.0; p.joint_positions_m.len()], 0.0);
-    for _ in 0..200 {
-        let mut across = vec![0.0];
-        let mut angle = 0.0;
-        for (i, q) in shape.iter().enumerate() {
-            angle += q;
-            across.push(across[i] + angle * (ends[i + 1] - ends[i]));
-        }
-        let tip = across[shape.len()];
-        let next: Vec<f64> =
-            p.joint_stiffness_nm_per_rad.iter().zip(&across).map(|(k, x)| (tip - x) / k).collect();
-        let (before, after) = (shape.iter().sum::<f64>(), next.iter().sum::<f64>());
-        load_n = before / after;
-        shape = next.iter().map(|q| q * load_n).collect();
-    }
-    load_n
 }
 
 /// What happens to the tool.
@@ -310,7 +287,7 @@ mod tests {
 
     #[test]
     fn eulers_load_is_that_of_the_tool() {
-        let load_n = euler_load_n(&ManipulatorParameters::jhu_27());
+        let load_n = ManipulatorParameters::jhu_27().euler_load_n();
         assert!((load_n - EULER_N).abs() < 1e-3, "{load_n} N");
     }
 
@@ -323,7 +300,7 @@ mod tests {
         p.joint_stiffness_nm_per_rad = vec![1.0 / 1e-4; count as usize];
         p.tip_offset_m = 0.5e-4;
         let law = std::f64::consts::PI.powi(2) / (4.0 * 0.04f64.powi(2));
-        assert!((euler_load_n(&p) / law - 1.0).abs() < 1e-4, "{} {law}", euler_load_n(&p));
+        assert!((p.euler_load_n() / law - 1.0).abs() < 1e-4, "{} {law}", p.euler_load_n());
     }
 
     /// The rules for any tool put the standard tool's walls near where its map has them.

@@ -1,6 +1,48 @@
-//! First bending mode of the straight tool on a rigid mount.
+//! Bending modes of the straight tool on a rigid mount, and the axial load under which it buckles.
 
-use super::geometry::LinkBody;
+use nalgebra::{DMatrix, SymmetricEigen};
+
+use super::geometry::{LinkBody, link_bodies, link_lengths_m};
+use super::parameters::ManipulatorParameters;
+
+impl ManipulatorParameters {
+    /// Frequencies of the lowest bending modes, Hz, ascending, at most one per flexure: of `K x = omega^2 M x`, as the eigenvalues
+    /// `1 / omega^2` of `K^-1/2 M K^-1/2`.
+    pub fn bending_frequencies_hz(&self, count: usize) -> Vec<f64> {
+        let length_m = link_lengths_m(self);
+        let first_joint_m = self.joint_positions_m.first().copied().unwrap_or(0.0);
+        let (n, mass) =
+            (length_m.len(), mass_matrix(first_joint_m, &length_m, &link_bodies(self, &length_m)));
+        let root = |i: usize| libm::sqrt(self.joint_stiffness_nm_per_rad[i]);
+        let scaled = DMatrix::from_fn(n, n, |i, j| mass[i * n + j] / (root(i) * root(j)));
+        let mut squared_s: Vec<f64> = SymmetricEigen::new(scaled).eigenvalues.iter().copied().collect();
+        squared_s.sort_by(|a, b| b.total_cmp(a));
+        let hz = |squared_s: f64| 1.0 / (core::f64::consts::TAU * libm::sqrt(squared_s));
+        squared_s.into_iter().take(count).map(hz).collect()
+    }
+
+    /// Euler's buckling load of the tool clamped at its base, N: the axial load at the burr whose moments, `P (x_tip - x_i)`, equal those of
+    /// the flexures of the straight tool. By power iteration.
+    pub fn euler_load_n(&self) -> f64 {
+        let length_m = link_lengths_m(self);
+        let (mut shape, mut load_n) = (vec![1.0; length_m.len()], 0.0);
+        for _ in 0..200 {
+            let mut across = vec![0.0];
+            let mut angle = 0.0;
+            for (i, q) in shape.iter().enumerate() {
+                angle += q;
+                across.push(across[i] + angle * length_m[i]);
+            }
+            let tip = across[shape.len()];
+            let stiffness = &self.joint_stiffness_nm_per_rad;
+            let next: Vec<f64> = stiffness.iter().zip(&across).map(|(k, x)| (tip - x) / k).collect();
+            let (before, after) = (shape.iter().sum::<f64>(), next.iter().sum::<f64>());
+            load_n = before / after;
+            shape = next.iter().map(|q| q * load_n).collect();
+        }
+        load_n
+    }
+}
 
 /// Angular frequency of the first mode, rad/s, by inverse iteration on `K x = omega^2 M x`. `length_m` and `stiffness` have one entry per
 /// flexure; `body` has the shaft, then one per flexure.
@@ -53,4 +95,40 @@ fn mass_matrix(first_joint_m: f64, length_m: &[f64], body: &[LinkBody]) -> Vec<f
         }
     }
     mass
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A uniform cantilever: `omega = beta^2 sqrt(E I / (m L^4))` with beta L = 1.8751, 4.6941, 7.8548 (Blevins 1979, table 8-1), and
+    /// `P = pi^2 E I / (4 L^2)`.
+    #[test]
+    fn a_uniform_beam_swings_and_buckles_as_in_its_closed_forms() {
+        let (length_m, rigidity_nm2) = (0.1, 0.02);
+        let beam = ManipulatorParameters {
+            tube_radii_m: [1e-4, 0.0],
+            ..ManipulatorParameters::uniform_beam(60, length_m, rigidity_nm2)
+        };
+        let scale = libm::sqrt(rigidity_nm2 / beam.linear_density_kg_per_m) / (length_m * length_m);
+        let found = beam.bending_frequencies_hz(3);
+        for (hz, beta) in found.iter().zip([1.875_104, 4.694_091, 7.854_757]) {
+            let closed_hz = beta * beta * scale / core::f64::consts::TAU;
+            println!("{hz:.3} Hz, closed form {closed_hz:.3}");
+            // 60 links: the square of a link over that of a quarter wave.
+            assert!((hz / closed_hz - 1.0).abs() < 5e-3, "{hz} {closed_hz}");
+        }
+        let closed_n = core::f64::consts::PI.powi(2) * rigidity_nm2 / (4.0 * length_m * length_m);
+        println!("{:.4} N, closed form {closed_n:.4}", beam.euler_load_n());
+        assert!((beam.euler_load_n() / closed_n - 1.0).abs() < 1e-3);
+        let standard = ManipulatorParameters::jhu_27();
+        let first = first_frequency_rad_per_s(
+            standard.joint_positions_m[0],
+            &link_lengths_m(&standard),
+            &link_bodies(&standard, &link_lengths_m(&standard)),
+            &standard.joint_stiffness_nm_per_rad,
+        );
+        let own = standard.bending_frequencies_hz(1)[0] * core::f64::consts::TAU;
+        assert!((own / first - 1.0).abs() < 1e-9, "{own} {first}");
+    }
 }
