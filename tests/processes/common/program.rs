@@ -210,7 +210,9 @@ impl Run {
         let text = |name: &str| fs::read_to_string(self.words.path().join(name)).unwrap();
         let folders = fs::read_dir(&self.output).map(|entries| entries.flatten().map(|e| e.path()).collect());
         let folders: Vec<PathBuf> = folders.unwrap_or_default();
-        let folder = folders.into_iter().next().unwrap_or_default();
+        // Of several runs of a test the last; the order in which a folder lists them is any.
+        let written = |folder: &PathBuf| fs::metadata(folder).and_then(|it| it.modified()).ok();
+        let folder = folders.into_iter().max_by_key(written).unwrap_or_default();
         Ended { code: status.code(), out: text("out"), err: text("err"), folder, pid }
     }
 }
