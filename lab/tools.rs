@@ -52,10 +52,8 @@ fn shipped((name, text): (&str, &str)) -> Result<NamedTool, Failure> {
 /// A scene's tool; one that slides out of an outer tube stands half out: as if that tube ended so much nearer to the tool's base.
 fn half_out(scene: &Scene) -> Result<ManipulatorParameters, Failure> {
     let mut parameters = manipulator_parameters(scene).map_err(Failure::bad_input)?;
-    let travel_mm =
-        scene.manipulator.tool.as_ref().and_then(|tool| Some(tool.outer_tube.as_ref()?.travel_mm));
-    if let (Some(outer), Some(travel_mm)) = (&mut parameters.outer_tube, travel_mm) {
-        outer.end_m -= 0.5e-3 * travel_mm;
+    if let (Some(outer), Some(described)) = (&mut parameters.outer_tube, scene.manipulator.outer_tube()) {
+        outer.end_m -= 0.5e-3 * described.travel_mm;
     }
     Ok(parameters)
 }

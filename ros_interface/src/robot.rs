@@ -59,7 +59,7 @@ impl Robot {
             rates_rad_per_s: limits.velocity_rad_s,
             flexures: used(state.joint_count, state.t_world_link.len()),
             tendons: used(state.tendon_count, state.tendon_tension_n.len()),
-            outer_tube: scene.manipulator.tool.as_ref().and_then(|tool| tool.outer_tube.clone()),
+            outer_tube: scene.manipulator.outer_tube().cloned(),
         }
     }
 

@@ -1,6 +1,6 @@
 //! The tool's dimensions, from which physics, contact spheres, X-ray, viewer and controllers take theirs.
 
-use crate::{Arm, Cutter, Manipulator, ToolDescription, ToolFlexure};
+use crate::{Arm, Cutter, Manipulator, ToolDescription, ToolFlexure, ToolOuterTube};
 
 /// Radii of the tool.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -90,6 +90,11 @@ impl ToolRadii {
 }
 
 impl Manipulator {
+    /// The tube that the scene's tool slides out of, if there is one.
+    pub fn outer_tube(&self) -> Option<&ToolOuterTube> {
+        self.tool.as_ref()?.outer_tube.as_ref()
+    }
+
     /// The radii of the scene's tool.
     pub fn radii(&self) -> ToolRadii {
         let own = self.tool.as_ref().map_or(STANDARD_RADII, ToolDescription::radii);

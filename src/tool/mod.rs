@@ -88,7 +88,7 @@ pub fn dimensions(scene: &Scene) -> Result<Vec<Dimension>, Failure> {
             "distance of the standard pair of tendons from the axis",
         ));
     }
-    if let Some(outer) = scene.manipulator.tool.as_ref().and_then(|tool| tool.outer_tube.as_ref()) {
+    if let Some(outer) = scene.manipulator.outer_tube() {
         all.extend([
             dimension("outer_tube_end_mm", outer.end_mm, "from the flange to the end of the outer tube"),
             dimension(

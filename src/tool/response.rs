@@ -127,7 +127,7 @@ pub fn response(scene: &Scene) -> Result<Response, Failure> {
     let parameters = manipulator_parameters(scene).map_err(Failure::bad_input)?;
     let own = rung(scene.manipulator.model.unwrap_or_default());
     let tool = new(own, &parameters).map_err(Failure::bad_input)?;
-    let outer = scene.manipulator.tool.as_ref().and_then(|tool| tool.outer_tube.as_ref());
+    let outer = scene.manipulator.outer_tube();
     let mut shapes = match outer {
         None => vec![shape(own, &parameters, None, 0.0)?],
         Some(outer) => DEPLOYED_SHARES
@@ -271,6 +271,7 @@ mod tests {
     use std::path::Path;
 
     use ipc_types::scene::ToolDescription;
+    use test_support::scenes::LIMP_TOOL;
 
     use super::*;
     use crate::scenes::BuiltIn;
@@ -278,17 +279,12 @@ mod tests {
     /// Bug: numbers that had overflowed were printed as a shape, without a word. A pull of newtons on flexures of a micronewton metre.
     #[test]
     fn a_tool_that_does_not_settle_is_said_not_to() {
-        let text = "name = \"limp\"\ntube = { outer_diameter_mm = 6.2, inner_diameter_mm = 3.1, linear_density_kg_per_m = 0.0001 }\n\
-                    stop = { angle_deg = 0.01, stiffness_nm_per_rad = 0.001 }\n\
-                    burr = { diameter_mm = 20.0, offset_mm = 500.0, mass_g = 0.0 }\n\
-                    tendon_cable = { stiffness_n_per_m = 1e9, friction = 1.0, gap_mm = 100.0 }\n[[tendon]]\ntoward_mm = 2.5\n\
-                    [[flexure]]\nat_mm = 0.01\ncount = 32\npitch_mm = 0.01\nstiffness_nm_per_deg = 1e-6\nrest_deg = 45.0\n";
         let mut scene = BuiltIn::FreeSpace.scene().unwrap();
         let settled = |scene: &Scene| -> Vec<bool> {
             response(scene).unwrap().shapes.iter().map(|shape| shape.settled).collect()
         };
         assert!(settled(&scene).iter().all(|settled| *settled), "the standard tool");
-        scene.manipulator.tool = Some(ToolDescription::parse(text, Path::new("limp.toml")).unwrap());
+        scene.manipulator.tool = Some(ToolDescription::parse(LIMP_TOOL, Path::new("limp.toml")).unwrap());
         assert_eq!(settled(&scene), [true, false, false, false]);
     }
 }

@@ -3,6 +3,7 @@
 use messages::{Pose, State};
 use scene::{CutterZone, Holder, Notch as SceneNotch, ToolRadii};
 
+use crate::placement::{x_axis, z_axis};
 use crate::tool::LEAST_MITRE_COSINE;
 use crate::vector::{Vec3, add_scaled, cross, dot, norm, scale, sub};
 use crate::{Material, Notch, Tool, ToolPart};
@@ -168,14 +169,4 @@ fn notch_of(notch: &SceneNotch, link: &Link) -> Option<Notch> {
         side,
         depth_m: notch.depth_mm * 1e-3,
     })
-}
-
-/// First column of the rotation matrix of a unit quaternion.
-fn x_axis([x, y, z, w]: &[f64; 4]) -> [f64; 3] {
-    [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w), 2.0 * (x * z - y * w)]
-}
-
-/// Third column of the rotation matrix of a unit quaternion.
-fn z_axis([x, y, z, w]: &[f64; 4]) -> [f64; 3] {
-    [2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y)]
 }

@@ -43,8 +43,8 @@ impl From<&Metadata> for Stamp {
     }
 }
 
-/// Begins a hash: with the kind of volume and the build, whose sources decide what becomes of the rest.
-fn begin(kind: &str) -> Sha256 {
+/// Begins a hash: with the kind of what is kept and the build, whose sources decide what becomes of the rest.
+pub(super) fn begin(kind: &str) -> Sha256 {
     let build = build_info::current();
     let mut hasher = Sha256::new();
     for part in
@@ -56,7 +56,7 @@ fn begin(kind: &str) -> Sha256 {
 }
 
 /// Adds a part, with its length before it.
-fn add(hasher: &mut Sha256, part: &[u8]) {
+pub(super) fn add(hasher: &mut Sha256, part: &[u8]) {
     hasher.update((part.len() as u64).to_le_bytes());
     hasher.update(part);
 }

@@ -293,11 +293,9 @@ fn is_own_file(stat: &Stat) -> bool {
 
 /// Whether a name is that of a volume, of a table, or of a draft of one.
 fn is_our_name(name: &str) -> bool {
-    let is_hash = |ending: &str, digits: usize| {
-        let hash = name.strip_suffix(ending);
-        hash.is_some_and(|hash| hash.len() == digits && hash.bytes().all(|byte| byte.is_ascii_hexdigit()))
-    };
-    is_hash(ENDING, 64) || is_hash(text::ENDING, 32) || name.starts_with(output_file::DRAFT_PREFIX)
+    let hash = [ENDING, text::ENDING].into_iter().find_map(|ending| name.strip_suffix(ending));
+    hash.is_some_and(|hash| hash.len() == 64 && hash.bytes().all(|byte| byte.is_ascii_hexdigit()))
+        || name.starts_with(output_file::DRAFT_PREFIX)
 }
 
 #[cfg(test)]

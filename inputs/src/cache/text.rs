@@ -1,7 +1,7 @@
 //! Texts in the cache: tables of measured errors.
 //!
 //! ```text
-//! trabecula text 1 KEY CHECKSUM      32 hexadecimal digits each, and a line feed
+//! trabecula text 1 KEY CHECKSUM      64 and 32 hexadecimal digits, and a line feed
 //! the text
 //! ```
 //!
@@ -10,10 +10,13 @@
 use std::io::{self, Read, Write};
 use std::path::PathBuf;
 
+use data_encoding::HEXLOWER;
+use sha2::Digest;
 use xxhash_rust::xxh3::xxh3_128;
 
 use super::Cache;
 use super::entry::Damage;
+use super::key::{add, begin};
 
 /// End of the name of a text in the folder.
 pub(super) const ENDING: &str = ".table";
@@ -21,33 +24,27 @@ pub(super) const ENDING: &str = ".table";
 const MAX_TABLE_BYTES: u64 = 1 << 20;
 const MAGIC: &str = "trabecula text 1";
 
-/// What a text is the answer to, as a hash.
+/// What a text is the answer to, as a hash; SHA-256, because tools come from anywhere, as volumes do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct TextKey(u128);
+pub struct TextKey([u8; 32]);
 
 impl TextKey {
     /// The key of all these parts, and of this build, whose sources decide what becomes of them.
     pub fn of(parts: &[&str]) -> TextKey {
-        let build = recorder_proc::build_info::current();
-        let of_build = [build.version.as_str(), &build.target, build.rustc.as_deref().unwrap_or("")];
-        let mut all = Vec::new();
-        for part in of_build.iter().chain(parts) {
-            // With its length before it, so that no other parts make the same bytes.
-            all.extend((part.len() as u64).to_le_bytes());
-            all.extend(part.as_bytes());
-        }
-        TextKey(xxh3_128(&all))
+        let mut hasher = begin("text");
+        parts.iter().for_each(|part| add(&mut hasher, part.as_bytes()));
+        TextKey(hasher.finalize().into())
     }
 
     /// Its file's name.
     pub fn name(self) -> String {
-        format!("{:032x}{ENDING}", self.0)
+        HEXLOWER.encode(&self.0) + ENDING
     }
 }
 
 fn head(key: TextKey, text: &str) -> String {
-    let checked = [&key.0.to_le_bytes(), text.as_bytes()].concat();
-    format!("{MAGIC} {:032x} {:032x}\n", key.0, xxh3_128(&checked))
+    let checked = [&key.0, text.as_bytes()].concat();
+    format!("{MAGIC} {} {:032x}\n", HEXLOWER.encode(&key.0), xxh3_128(&checked))
 }
 
 impl Cache {

@@ -58,7 +58,7 @@ fn check_image_feedback(
 
 /// Only a tool that slides out of another tube has one to drive, and only so far.
 fn check_tube(controller: &Controller, scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
-    let outer = scene.manipulator.tool.as_ref().and_then(|tool| tool.outer_tube.as_ref());
+    let outer = scene.manipulator.outer_tube();
     match (outer, &controller.tube_deployment) {
         (None, Some(_)) => {
             let problem = "needs a tool with `outer_tube`; the scene's has none";

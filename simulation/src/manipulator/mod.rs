@@ -178,10 +178,7 @@ impl Manipulator {
             self.damping[joint] =
                 2.0 * self.parameters.damping_ratio / self.first_frequency_rad_per_s * spring.bend_nm_per_rad;
         }
-        self.parameters.cover_spheres(&mut self.layout.spheres, deployed_m);
-        for (sphere, fixed) in self.spheres.iter_mut().zip(&self.layout.spheres) {
-            sphere.radius_m = fixed.radius_m;
-        }
+        self.parameters.cover_spheres(&mut self.layout.spheres, &mut self.spheres, deployed_m);
     }
 
     /// Makes the tool straight, and at rest: a pre-curved tool that a hole or a guide holds.
@@ -262,6 +259,11 @@ impl Manipulator {
     /// Flexure rates, base to tip, rad/s.
     pub fn joint_velocities_rad_per_s(&self) -> &[f64] {
         &self.state.joint_velocity_rad_per_s[..self.layout.joints]
+    }
+
+    /// Bend of a flexure without load, with what is out of an outer tube now, rad.
+    pub fn rest_rad(&self, joint: usize) -> f64 {
+        self.rest[joint]
     }
 
     /// Sum of the flexure angles, rad.

@@ -65,6 +65,8 @@ pub trait ManipulatorModel {
     fn joint_count(&self) -> usize;
     /// Bending angles, base to tip, rad.
     fn joint_positions_rad(&self) -> &[f64];
+    /// Bend of a flexure without load, with what is out of an outer tube now, rad.
+    fn rest_rad(&self, joint: usize) -> f64;
     /// Bending rates, base to tip, rad/s.
     fn joint_velocities_rad_per_s(&self) -> &[f64];
     /// Proxy spheres in the current configuration: shaft, segments, burr.
@@ -137,6 +139,7 @@ macro_rules! model {
                 base() -> &BaseMotion;
                 joint_count() -> usize;
                 joint_positions_rad() -> &[f64];
+                rest_rad(joint: usize) -> f64;
                 joint_velocities_rad_per_s() -> &[f64];
                 proxy_spheres() -> &[ProxySphere];
                 contact_results() -> &[ContactResult];
@@ -364,6 +367,7 @@ impl ManipulatorModel for AnyManipulator {
         base() -> &BaseMotion;
         joint_count() -> usize;
         joint_positions_rad() -> &[f64];
+        rest_rad(joint: usize) -> f64;
         joint_velocities_rad_per_s() -> &[f64];
         proxy_spheres() -> &[ProxySphere];
         contact_results() -> &[ContactResult];

@@ -12,6 +12,7 @@
 
 use super::geometry::{SphereKind, SphereLayout};
 use super::parameters::ManipulatorParameters;
+use super::state::ProxySphere;
 
 /// A straight tube on the tool's base, out of which the tool slides.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -66,9 +67,14 @@ impl ManipulatorParameters {
     }
 
     /// Gives every sphere of shaft and segments its radius with `deployed_m` of the tool out of its outer tube.
-    pub(super) fn cover_spheres(&self, spheres: &mut [SphereLayout], deployed_m: f64) {
+    pub(super) fn cover_spheres(
+        &self,
+        layout: &mut [SphereLayout],
+        spheres: &mut [ProxySphere],
+        deployed_m: f64,
+    ) {
         let Some(outer) = &self.outer_tube else { return };
-        for sphere in spheres {
+        for (sphere, shown) in layout.iter_mut().zip(spheres) {
             let (own_m, link_m) = match sphere.kind {
                 SphereKind::Shaft => (self.shaft_sphere_radius_m, 0.0),
                 SphereKind::Segment(joint) => {
@@ -77,6 +83,7 @@ impl ManipulatorParameters {
                 SphereKind::Burr => continue,
             };
             sphere.radius_m = outer.radius_m(link_m + sphere.along_m, own_m, deployed_m);
+            shown.radius_m = sphere.radius_m;
         }
     }
 }

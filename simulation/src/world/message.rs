@@ -70,11 +70,7 @@ impl Simulation<'_> {
         state.contact_residual_m_per_s = report.contact_residual_m_per_s;
         let parameters = tool.parameters();
         let bends = tool.joint_positions_rad().iter().enumerate();
-        let rest_rad = |i: usize| match &self.tube {
-            None => parameters.rest_rad(i),
-            Some(tube) => parameters.bending_spring(i, tube.deployed_m()).rest_rad,
-        };
-        let past = bends.map(|(i, q)| (q - rest_rad(i)).abs() - parameters.joint_limit_rad);
+        let past = bends.map(|(i, q)| (q - tool.rest_rad(i)).abs() - parameters.joint_limit_rad);
         state.stop_excess_rad = past.fold(0.0, f64::max);
     }
 

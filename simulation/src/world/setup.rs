@@ -73,7 +73,7 @@ pub(super) fn build<'v>(
         rigid,
         planes: Vec::with_capacity(sphere_count * (PLANES_PER_SPHERE + scene.body.len())),
         tendon: TendonDrive::new(),
-        tube: scene.manipulator.tool.as_ref().and_then(|tool| tool.outer_tube.as_ref()).map(TubeDrive::new),
+        tube: scene.manipulator.outer_tube().map(TubeDrive::new),
         burr_drive,
         burr_speed_rad_per_s: 0.0,
         cutting_energy_j: 0.0,

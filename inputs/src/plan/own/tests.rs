@@ -5,6 +5,7 @@ use std::path::Path;
 
 use ipc_types::scene::{Drives, Integrator, ToolDescription};
 use simulation::manipulator::Rung;
+use test_support::scenes::LIMP_TOOL;
 
 use super::*;
 use crate::plan::resolve_by;
@@ -210,17 +211,12 @@ fn what_was_refused_is_measured_with_the_scenes_own_parameters() {
 /// Pulls of newtons on flexures of a micronewton metre overflow; a pendulum without damping swings on.
 #[test]
 fn a_tool_that_the_reference_does_not_hold_is_refused_with_its_name() {
-    let limp = "name = \"limp\"\ntube = { outer_diameter_mm = 6.2, inner_diameter_mm = 3.1, linear_density_kg_per_m = 0.0001 }\n\
-                stop = { angle_deg = 0.01, stiffness_nm_per_rad = 0.001 }\n\
-                burr = { diameter_mm = 20.0, offset_mm = 500.0, mass_g = 0.0 }\n\
-                tendon_cable = { stiffness_n_per_m = 1e9, friction = 1.0, gap_mm = 100.0 }\n[[tendon]]\ntoward_mm = 2.5\n\
-                [[flexure]]\nat_mm = 0.01\ncount = 32\npitch_mm = 0.01\nstiffness_nm_per_deg = 1e-6\nrest_deg = 45.0\n";
     let refused = |scene: &Scene| {
         let refused = Table::own(scene, None).unwrap_err();
         assert_eq!(refused.code, 2, "{refused}");
         refused.message
     };
-    let limp = refused(&scene("", Some(limp)));
+    let limp = refused(&scene("", Some(LIMP_TOOL)));
     assert!(limp.contains("tool `limp`: its errors cannot be measured"), "{limp}");
     let swings = refused(&scene("manipulator = { damping_ratio = 0.001, stiffness_scale = 0.01 }", None));
     assert!(swings.contains("it still swings after 4 s"), "{swings}");

@@ -59,7 +59,7 @@ impl OwnTool {
 
     /// The tube that it slides out of, if there is one.
     pub fn outer_tube(&self) -> Option<&ToolOuterTube> {
-        self.parts.manipulator.tool.as_ref()?.outer_tube.as_ref()
+        self.parts.manipulator.outer_tube()
     }
 
     /// All that its errors depend on, as text: tools of the same text have the same errors.

@@ -238,6 +238,11 @@ impl ConstantCurvature {
         &self.bend[0]
     }
 
+    /// Bend of a flexure without load, rad.
+    pub fn rest_rad(&self, joint: usize) -> f64 {
+        self.parameters.rest_rad(joint)
+    }
+
     /// Each flexure's share of the bend's rate, rad/s.
     pub fn joint_velocities_rad_per_s(&self) -> &[f64] {
         &self.bend[1]

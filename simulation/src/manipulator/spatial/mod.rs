@@ -148,10 +148,7 @@ impl<const D: usize> SpatialChain<D> {
                 self.damping[bend + 1] = damping_s * spring.lateral_nm_per_rad;
             }
         }
-        self.parameters.cover_spheres(&mut self.layout.spheres, deployed_m);
-        for (sphere, fixed) in self.spheres.iter_mut().zip(&self.layout.spheres) {
-            sphere.radius_m = fixed.radius_m;
-        }
+        self.parameters.cover_spheres(&mut self.layout.spheres, &mut self.spheres, deployed_m);
     }
 
     /// Makes the tool straight, and at rest: a pre-curved tool that a hole or a guide holds.
@@ -226,6 +223,11 @@ impl<const D: usize> SpatialChain<D> {
     /// Bending angles, base to tip, rad.
     pub fn joint_positions_rad(&self) -> &[f64] {
         &self.bend[0]
+    }
+
+    /// Bend of a flexure without load, with what is out of an outer tube now, rad.
+    pub fn rest_rad(&self, joint: usize) -> f64 {
+        self.rest[self.layout.bend(joint)]
     }
 
     /// Bending rates, base to tip, rad/s.
