@@ -4,20 +4,17 @@ use std::path::Path;
 use std::time::Instant;
 
 use ipc_types::process::EndRequest;
-use ipc_types::scene::{Mode, Scene};
-use recorder_proc::log_file::LogFile;
-use run_log::{LogReader, SegmentOptions, verify_segments};
+use ipc_types::scene::Mode;
+use run_log::{SegmentOptions, verify_segments};
 use serde_json::json;
-use simulation::Simulation;
 
 use super::{complete_run, cut, failed};
 use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::launcher::run::RunPlan;
-use trabecula::launcher::volume_source;
 use trabecula::launcher::volume_source::VolumeFiles;
 use trabecula::machine::Machine;
-use trabecula::replay::{OpenedLog, Overrides};
+use trabecula::replay::{OpenedLog, Overrides, step};
 use trabecula::scenes::SceneSource;
 
 /// Records the scene in lockstep to its end, or for `ticks`, and replays the log without frames.
@@ -53,8 +50,13 @@ pub fn run(scene: &SceneSource, ticks: Option<u64>, sheet: &mut Sheet) -> Result
         let text = format!("{per_second_kb:.0} kB per simulated second ({:.1} MB)", bytes as f64 * 1e-6);
         sheet.row(lane, &text, key, json!(bytes));
     }
-    let replay_s = replay(&plan.scene, &folder.path().join("run.mcap"))?;
-    sheet.row("replay without frames", &times(replay_s), "replay_s", json!(replay_s));
+    let (replay_s, threads) = replay(&folder.path().join("run.mcap"))?;
+    sheet.row(
+        &format!("replay without frames, {threads} threads"),
+        &times(replay_s),
+        "replay_s",
+        json!(replay_s),
+    );
     let (verify_s, threads) = verify(&folder.path().join("run.mcap"))?;
     let figures = json!({"threads": threads, "wall_s": verify_s});
     sheet.row(&format!("replay --verify, {threads} threads"), &times(verify_s), "verify", figures);
@@ -82,21 +84,22 @@ pub fn verify(log: &Path) -> Result<(f64, usize), Failure> {
     Ok((began.elapsed().as_secs_f64(), threads))
 }
 
-/// Time from the first tick to the last, in seconds, including reading; the final hash must match the log's.
+/// Time of a replay as `trabecula replay` makes it, in seconds, with one thread per core; the final hash must match the log's.
 ///
 /// # Errors
-/// A log that cannot be read, or a tick with a different hash.
-pub(super) fn replay(scene: &Scene, log: &Path) -> Result<f64, Failure> {
-    let volume = volume_source::load(scene, VolumeFiles::default()).map_err(failed)?;
-    let ct = volume.as_ref().map(volume_source::ct_view);
-    let mut simulation = Simulation::new(scene, ct).map_err(failed)?;
+/// A log that cannot be read, or another hash at its end.
+fn replay(log: &Path) -> Result<(f64, usize), Failure> {
+    let opened = OpenedLog::open(log, &Overrides::default())?;
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let began = Instant::now();
-    for record in LogReader::open(&LogFile::at(log)).map_err(failed)? {
-        let record = record.map_err(failed)?;
-        simulation.step(&record.latched).map_err(failed)?;
-        if simulation.state().hash != record.state.hash {
-            return Err(Failure::failed(format!("the replay differs at tick {}", record.latched.tick)));
-        }
+    let (report, verdict) = step(&opened, SegmentOptions { start: None, to_tick: None, threads })?;
+    let wall_s = began.elapsed().as_secs_f64();
+    let found = report.replay;
+    if verdict.ending.marker.is_none_or(|marker| marker.hash != Some(found.hash)) {
+        return Err(Failure::failed(format!(
+            "the replay ends at tick {} with another hash",
+            found.last_tick
+        )));
     }
-    Ok(began.elapsed().as_secs_f64())
+    Ok((wall_s, threads))
 }

@@ -126,7 +126,7 @@ pub use records::PADDING_BYTES;
 pub use repair::RepairReport;
 pub use rewrite::Packing;
 pub use run_lane::RunLog;
-pub use segments::{SegmentOptions, SegmentReport, keyframe_before, verify_segments};
+pub use segments::{SegmentOptions, SegmentReport, keyframe_before, step_segments, verify_segments};
 pub use source::{LogBytes, LogSource, ReadSeek};
 pub use stream::{LogMessage, MessageStream, ReadOptions};
 pub use timing_lane::TimingLog;

@@ -18,13 +18,15 @@ use crate::lengths::parse_record;
 use crate::limits::{MAX_METADATA_BYTES, MAX_NAME_BYTES};
 use crate::sink::MAX_MESSAGE_BYTES;
 use crate::source::ReadSeek;
-use crate::unpack::unpack;
+use crate::unpack::{read_full, unpack};
 
 /// Longest record or unpacked chunk: the longest message, with room for its neighbours.
 pub(crate) const MAX_RECORD_BYTES: u64 = MAX_MESSAGE_BYTES as u64 + (16 << 20);
 pub(crate) const RECORD_HEADER: usize = 9;
 /// A log still being written ends in fewer zeros than one block of the recorder's file (`recorder_proc::background`).
 pub const PADDING_BYTES: u64 = 4096;
+/// Longest record that is read in one piece; a chunk of our own logs has a third of it.
+const READ_AT_ONCE: usize = 1 << 20;
 /// Bytes of the footer's fields that its checksum covers.
 const FOOTER_COVERED: usize = 8 + 8;
 
@@ -197,11 +199,11 @@ impl Records {
 
     /// Reads a record.
     fn load(&mut self) -> Result<Loaded, LogError> {
-        let mut header = Vec::with_capacity(RECORD_HEADER);
-        self.read_up_to(RECORD_HEADER as u64, |bytes| std::mem::swap(bytes, &mut header))?;
-        let Ok(fixed) = <[u8; RECORD_HEADER]>::try_from(header.as_slice()) else {
-            return Ok(Loaded::Incomplete(header.len() as u64));
-        };
+        let mut fixed = [0; RECORD_HEADER];
+        let found = read_full(&mut self.source, &mut fixed).map_err(|source| self.read_error(source))?;
+        if found < RECORD_HEADER {
+            return Ok(Loaded::Incomplete(found as u64));
+        }
         if fixed == [0; RECORD_HEADER]
             && let Some(zeros) = self.zeros_to_the_end()?
         {
@@ -218,15 +220,11 @@ impl Records {
         if fixed[0] == op::CHUNK && self.unwanted.contains(&self.offset) {
             self.record.clear();
             let skipped = self.source.seek_relative(i64::try_from(length).unwrap_or(i64::MAX));
-            skipped.map_err(|source| LogError::Read {
-                path: self.path.clone(),
-                offset: self.offset,
-                source,
-            })?;
+            skipped.map_err(|source| self.read_error(source))?;
             self.offset += RECORD_HEADER as u64 + length;
             return Ok(Loaded::Skipped);
         }
-        self.read_up_to(length, |_| ())?;
+        self.read_up_to(length)?;
         if (self.record.len() as u64) < length {
             return Ok(Loaded::Incomplete((RECORD_HEADER + self.record.len()) as u64));
         }
@@ -252,17 +250,29 @@ impl Records {
     /// Number of zeros up to the end of the file; none if anything else follows, or if there is more than a block of
     /// zeros.
     fn zeros_to_the_end(&mut self) -> Result<Option<u64>, LogError> {
-        self.read_up_to(PADDING_BYTES, |_| ())?;
+        self.read_up_to(PADDING_BYTES)?;
         let few = (self.record.len() as u64) < PADDING_BYTES;
         Ok((few && self.record.iter().all(|byte| *byte == 0)).then_some(self.record.len() as u64))
     }
 
-    fn read_up_to(&mut self, count: u64, then: impl FnOnce(&mut Vec<u8>)) -> Result<(), LogError> {
-        self.record.clear();
-        let read = self.source.by_ref().take(count).read_to_end(&mut self.record);
-        read.map_err(|source| LogError::Read { path: self.path.clone(), offset: self.offset, source })?;
-        then(&mut self.record);
-        Ok(())
+    /// Reads this many bytes into `record`, or those up to the end of the file.
+    fn read_up_to(&mut self, count: u64) -> Result<(), LogError> {
+        let read = match usize::try_from(count).ok().filter(|count| *count <= READ_AT_ONCE) {
+            Some(count) => {
+                self.record.resize(count, 0);
+                read_full(&mut self.source, &mut self.record).inspect(|found| self.record.truncate(*found))
+            }
+            // Memory for what is there, not for what a length says.
+            None => {
+                self.record.clear();
+                self.source.by_ref().take(count).read_to_end(&mut self.record)
+            }
+        };
+        read.map(|_| ()).map_err(|source| self.read_error(source))
+    }
+
+    fn read_error(&self, source: std::io::Error) -> LogError {
+        LogError::Read { path: self.path.clone(), offset: self.offset, source }
     }
 
     fn interpret(&mut self, opcode: u8) -> Result<Option<FileRecord>, String> {
@@ -327,8 +337,8 @@ impl Records {
     }
 
     fn end_magic(&mut self) -> Result<FileRecord, LogError> {
-        let mut magic = Vec::new();
-        self.read_up_to(MAGIC.len() as u64 + 1, |bytes| std::mem::swap(bytes, &mut magic))?;
+        self.read_up_to(MAGIC.len() as u64 + 1)?;
+        let magic = std::mem::take(&mut self.record);
         self.finished = true;
         if magic == MAGIC {
             Ok(FileRecord::End)

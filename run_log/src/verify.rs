@@ -1,13 +1,13 @@
 //! Replay: steps a simulation through a log's latched commands and compares every tick.
 
 use messages::layout::Message;
-use messages::{Plant, SensorReading, State, Tick};
+use messages::{Keyframe, Plant, SensorReading, State, Tick};
 use zerocopy::IntoBytes;
 
 use crate::difference::{Divergence, compare, compare_removed};
 use crate::end::Ending;
 use crate::error::LogError;
-use crate::reader::{LogReader, TickRecord};
+use crate::reader::{LogReader, SavedState, TickRecord};
 use crate::topics::Topic;
 
 /// How far to replay.
@@ -119,4 +119,20 @@ pub fn compare_readings(
 pub fn compare_state(recorded: &State, replayed: &State) -> Option<Divergence> {
     let (a, b) = (recorded.as_bytes(), replayed.as_bytes());
     compare(Topic::State, Tick(recorded.tick), State::DESCRIPTION, a, b)
+}
+
+/// Where two keyframes differ.
+pub fn compare_keyframe(recorded: &SavedState, replayed: &SavedState) -> Option<Divergence> {
+    let message = |saved: &SavedState| {
+        let head = Keyframe {
+            tick: saved.tick.0,
+            hash: saved.hash,
+            total_bytes: saved.bytes.len() as u32,
+            data_length: saved.bytes.len() as u32,
+            ..Keyframe::zeroed()
+        };
+        [head.as_bytes(), &saved.bytes].concat()
+    };
+    let (a, b) = (message(recorded), message(replayed));
+    compare(Topic::Keyframe, recorded.tick, Keyframe::DESCRIPTION, &a, &b)
 }

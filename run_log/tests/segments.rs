@@ -58,6 +58,63 @@ fn segments_prove_the_whole_run_on_any_number_of_threads() {
     assert_eq!((report.replay.identical_ticks, report.identical_keyframes), (300, 0));
 }
 
+/// What stepping a log in one pass comes to: ticks, last tick, hash.
+fn in_one_pass(bytes: &[u8], mut toy: Toy, to: u64) -> (u64, Tick, [u64; 2]) {
+    let mut ticks = 0;
+    for record in open_bytes(bytes).unwrap().map(Result::unwrap).take_while(|record| record.state.tick <= to)
+    {
+        toy.step(&record.latched).unwrap();
+        ticks += 1;
+    }
+    (ticks, Tick(toy.state.tick), toy.state.hash)
+}
+
+#[test]
+fn steps_between_keyframes_come_to_what_one_pass_comes_to_or_to_nothing() {
+    let stepped =
+        |bytes: &[u8], make: &(dyn Fn() -> Result<Toy, String> + Sync), options: &SegmentOptions| {
+            let found = step_segments(&mut open_bytes(bytes).unwrap(), &make, options)?;
+            assert!(found.identical_keyframes == 0 && found.gaps.is_empty(), "nothing is called compared");
+            Some((found.replay.identical_ticks, found.replay.last_tick, found.replay.hash))
+        };
+    let bytes = log_with(950, |_, _| ());
+    for threads in [1, 2, 4] {
+        let all = options(threads);
+        assert_eq!(stepped(&bytes, &toy, &all), Some(in_one_pass(&bytes, Toy::new(), u64::MAX)));
+        let to = SegmentOptions { to_tick: Some(Tick(250)), ..options(threads) };
+        assert_eq!(stepped(&bytes, &toy, &to), Some(in_one_pass(&bytes, Toy::new(), 250)));
+        let start = keyframe_before(open_bytes(&bytes).unwrap(), Tick(350));
+        let from = SegmentOptions { start, ..options(threads) };
+        let (_, last, hash) = in_one_pass(&bytes, Toy::new(), u64::MAX);
+        assert_eq!(stepped(&bytes, &toy, &from), Some((650, last, hash)));
+        let plain = write_log(&run_messages(300, None));
+        assert_eq!(stepped(&plain, &toy, &all), Some(in_one_pass(&plain, Toy::new(), u64::MAX)));
+
+        // Behind the last keyframe the simulation's own hash counts, whatever the log's is.
+        let late = || Ok(Toy { fault_tick: Some(950), ..Toy::new() });
+        let own = in_one_pass(&bytes, late().unwrap(), u64::MAX);
+        assert_ne!(own.2, hash);
+        assert_eq!(stepped(&bytes, &late, &all), Some(own));
+
+        // At a keyframe, the segment does not end where the next one begins. (A toy's own state forgets a fault in the next tick.)
+        let early = || Ok(Toy { fault_tick: Some(600), ..Toy::new() });
+        assert_eq!(stepped(&bytes, &early, &all), None);
+        let fails = || Ok(Toy { fail_tick: Some(777), ..Toy::new() });
+        assert_eq!(stepped(&bytes, &fails, &all), None);
+        assert_eq!(stepped(&bytes, &|| Err("no toy".to_string()), &all), None);
+        for altered in [0, 2000] {
+            let log = log_with(900, |tick, bytes| bytes[altered] ^= u8::from(tick == 400));
+            assert_eq!(stepped(&log, &toy, &all), None, "byte {altered} of a keyframe");
+        }
+        let mut damaged = bytes.clone();
+        damaged[bytes.len() * 3 / 4] ^= 1;
+        assert_eq!(stepped(&damaged, &toy, &all), None);
+        let lacks = |tick| move |step: &Step| !matches!(step, Step::State(state) if state.tick == tick);
+        let gap: Vec<Step> = run_messages(300, None).into_iter().filter(lacks(120)).collect();
+        assert_eq!(stepped(&write_log(&gap), &toy, &all), None);
+    }
+}
+
 #[test]
 fn the_first_difference_is_the_earliest_of_all_segments() {
     let bytes = log_with(900, |_, _| ());

@@ -6,8 +6,7 @@ use std::time::Instant;
 use clap::Args;
 use recorder_proc::exit_code::exit_code;
 use run_log::{
-    LogError, ReplayReport, SavedState, SegmentOptions, SegmentReport, Verdict, keyframe_before,
-    segments::Passed, verify_segments,
+    ReplayReport, SegmentOptions, SegmentReport, Verdict, keyframe_before, segments::Passed, verify_segments,
 };
 use serde_json::json;
 
@@ -16,7 +15,7 @@ use ipc_types::process::EXIT_GAP;
 
 use crate::failure::Failure;
 use crate::launcher::volume_source::VolumeFiles;
-use crate::replay::{ComparedFrames, LivePlan, OpenedLog, Overrides, record, run_live, verify_frames};
+use crate::replay::{ComparedFrames, LivePlan, OpenedLog, Overrides, record, run_live, step, verify_frames};
 use crate::say::Figures;
 
 /// Arguments of `replay`.
@@ -33,7 +32,7 @@ pub struct ReplayArguments {
     /// Stop here: a tick, or seconds.
     #[arg(long, value_parser = Moment::parse)]
     pub to: Option<Moment>,
-    /// Threads for `--verify` and `--frames`; default: one per core.
+    /// Threads that step, compare and render; default: one per core.
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
     pub threads: Option<u16>,
     /// Render the X-ray frames again and compare them.
@@ -188,7 +187,7 @@ fn replay(
         let found = verify_segments(&mut reader, &|| log.simulation(), &options);
         (found, reader.stream().verdict())
     } else {
-        step_only(log, start, to)?
+        step(log, SegmentOptions { start, to_tick: to, threads: arguments.threads() })?
     };
     let SegmentReport { replay: report, first_tick: first, identical_keyframes: keyframes, gaps } = found;
     // A replay that stopped early on request has not read how the log ends.
@@ -221,71 +220,6 @@ fn replay(
     }
     told.tell(&report)?;
     Ok((told.exit_code(), told.json(&report)))
-}
-
-/// Steps without comparing, and prints the resulting state.
-fn step_only(
-    log: &OpenedLog,
-    start: Option<SavedState>,
-    to: Option<Tick>,
-) -> Result<(SegmentReport, Verdict), Failure> {
-    let mut reader = log.reader()?;
-    let mut simulation = log.simulation().map_err(Failure::failed)?;
-    let mut gaps = Vec::new();
-    if let Some(beginning) = reader.beginning() {
-        gaps.push(Passed { after: None, resumed: Some(beginning.tick) });
-    }
-    if let Some(start) = start.as_ref().or(reader.beginning()) {
-        simulation.restore_keyframe(&start.bytes).map_err(|cause| Failure::failed(cause.to_string()))?;
-    }
-    let (first, mut ticks) = (Tick(simulation.state().tick), 0);
-    while to.is_none_or(|to| Tick(simulation.state().tick) < to) {
-        let record = match reader.next() {
-            None => break,
-            Some(Err(LogError::Gap { .. })) => {
-                let (after, read) = (Tick(simulation.state().tick), reader.last_complete_tick());
-                let behind = reader.go_on().map_err(|cause| Failure::failed(cause.to_string()))?;
-                let resumed = behind.as_ref().map(|behind| Tick(behind.state.tick));
-                // A gap before the start is skipped silently.
-                if read >= first {
-                    gaps.push(Passed { after: Some(after), resumed });
-                }
-                let Some(behind) = behind else { break };
-                if Tick(behind.state.tick) >= first {
-                    simulation
-                        .restore_keyframe(&behind.keyframe.bytes)
-                        .map_err(|cause| Failure::failed(cause.to_string()))?;
-                }
-                continue;
-            }
-            Some(record) => record.map_err(|cause| Failure::failed(cause.to_string()))?,
-        };
-        if Tick(record.latched.tick) >= first {
-            simulation.step(&record.latched).map_err(|cause| Failure::failed(cause.to_string()))?;
-            ticks += 1;
-        }
-    }
-    let (tick, hash) = (Tick(simulation.state().tick), simulation.state().hash);
-    // The simulation is unusable after its failure: last.
-    let failure = reader.failure();
-    if let Some(failure) = &failure {
-        failure
-            .reproduce(&mut simulation)
-            .map_err(|other| Failure::failed(format!("the simulation: {other}")))?;
-    }
-    let replay = ReplayReport {
-        identical_ticks: ticks,
-        last_tick: tick,
-        simulated_ns: ticks.saturating_mul(reader.header().dt_ns),
-        hash,
-        divergence: None,
-        simulation_error: None,
-        failure: failure.map(|failure| failure.text),
-        log_error: None,
-        ending: reader.ending().clone(),
-    };
-    let report = SegmentReport { replay, first_tick: first, identical_keyframes: 0, gaps };
-    Ok((report, reader.stream().verdict()))
 }
 
 /// Maximum number of gaps listed individually.

@@ -5,9 +5,11 @@ mod gone;
 mod live;
 mod recording;
 mod replies;
+mod step;
 
 pub use frames::{ComparedFrames, FrameReplay, compare, verify_frames};
 pub use gone::Gone;
 pub use inputs::log::{OpenedLog, Overrides};
 pub use live::{LivePlan, run as run_live};
 pub use recording::{Recorded, record};
+pub use step::step;

@@ -107,6 +107,43 @@ fn a_bit_flipped_in_the_file_itself_is_found_by_its_checksum() {
     assert!(done.err.contains("cannot be read beyond tick"), "{}", done.err);
 }
 
+/// On several threads a replay that compares nothing says what it says on one, whatever is wrong with the log.
+#[test]
+fn a_replay_without_comparison_says_the_same_on_any_number_of_threads() {
+    let place = Place::new();
+    let original = recorded(&place);
+    let bytes = fs::read(&original).unwrap();
+    let [cut, flipped, altered] = ["cut.mcap", "flip.mcap", "altered.mcap"].map(|name| place.path(name));
+    fs::write(&cut, &bytes[..bytes.len() * 2 / 3]).unwrap();
+    let mut flip = bytes.clone();
+    flip[bytes.len() / 2] ^= 4;
+    fs::write(&flipped, &flip).unwrap();
+    let faster = |latched: &mut ipc_types::messages::Latched| {
+        latched.commands[0].command.burr_speed_rad_per_s += if latched.tick == 150 { 1.0 } else { 0.0 };
+    };
+    // The states behind tick 150 and the keyframes do not follow from its commands any more.
+    rewrite(&original, &altered, faster, |_| {});
+    let mut hashes = Vec::new();
+    for (log, code) in [(&original, 0), (&cut, 3), (&flipped, 1), (&altered, 0)] {
+        for more in [&[][..], &[&"--from" as &dyn AsRef<std::ffi::OsStr>, &"250", &"--to", &"380"]] {
+            let said = ["1", "2", "5"].map(|threads| {
+                let words = [&[&"replay" as &dyn AsRef<std::ffi::OsStr>, log, &"--threads", &threads], more];
+                let done = trabecula(&words.concat());
+                // The wall's time.
+                let out = done.out.split(" simulated in ").next().unwrap_or_default().to_owned();
+                let rest = done.out.split_once('\n').unwrap_or_default().1.to_owned();
+                (done.code, out, rest, done.err)
+            });
+            assert!(said.iter().all(|one| *one == said[0]), "{said:?}");
+            if more.is_empty() {
+                assert_eq!(said[0].0, Some(code), "{said:?}");
+                hashes.push(said[0].1.clone());
+            }
+        }
+    }
+    assert_ne!(hashes[0], hashes[3], "another command, another hash");
+}
+
 #[test]
 fn promise_7_truncation_a_cut_log_replays_to_its_last_complete_tick_and_says_so() {
     let place = Place::new();

@@ -5,30 +5,28 @@
 //! recorded keyframe proves that stretch. All segments together prove the run, just as one pass from the start would.
 //! A segment that fails names its first differing tick and field; the earliest of these is the log's first difference.
 //! Segments after a known difference are skipped.
+//!
+//! [`step_segments`] only steps the ticks, with the same proof in larger pieces: a segment that ends in the bytes of the next keyframe has
+//! come to the state in which the next segment began, as one pass from the start would have.
 
-use std::panic::AssertUnwindSafe;
+mod work;
+
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::sync::{Mutex, PoisonError};
+use std::sync::mpsc::{SyncSender, sync_channel};
 
-use messages::layout::Message;
-use messages::services::MAX_KEYFRAME_BYTES;
-use messages::{Keyframe, Plant, State, Tick};
-use zerocopy::IntoBytes;
+use messages::{Latched, Plant, Tick};
 
-use crate::difference::{Divergence, compare};
 use crate::end::Ending;
 use crate::error::LogError;
-use crate::reader::{LogReader, RecordedFailure, SavedState, TickRecord};
-use crate::topics::Topic;
-use crate::verify::{ReplayReport, compare_state, compare_tick};
+use crate::reader::{LogReader, SavedState, TickRecord};
+use crate::verify::ReplayReport;
+use work::{Block, Outcome, Problem, Segment, Start, work};
 
 /// Ticks handed to a worker at once.
 const BLOCK_TICKS: usize = 64;
 /// Blocks of a segment that may wait: the default interval of 2 s plus a margin.
 const SEGMENT_BLOCKS: usize = 40;
-
-const PANICKED: &str = "the simulation panicked (its message is above)";
 
 /// What to verify, and how.
 #[derive(Debug, Clone)]
@@ -100,24 +98,48 @@ pub fn keyframe_before(mut reader: LogReader, tick: Tick) -> Option<SavedState> 
     }
 }
 
-/// Where a segment begins.
-struct Start {
-    state: Box<State>,
-    keyframe: Option<SavedState>,
+/// What is compared with the log.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Compared {
+    Ticks,
+    /// Only the state in which a segment begins, and the keyframe in which it ends.
+    Keyframes,
 }
 
-/// A segment whose ticks are still being read.
-struct Segment {
-    start: Start,
-    blocks: Receiver<Block>,
+/// Ticks that have been read and not handed to a worker.
+struct Waiting {
+    compared: Compared,
+    ticks: Vec<TickRecord>,
+    commands: Vec<Latched>,
 }
 
-enum Block {
-    Ticks(Vec<TickRecord>),
-    /// The last block: the keyframe of the last tick.
-    Keyframe(SavedState),
-    /// The last block of the log: the tick that the simulation could not compute.
-    Failure(RecordedFailure),
+impl Waiting {
+    fn new(compared: Compared) -> Waiting {
+        Waiting { compared, ticks: Vec::new(), commands: Vec::new() }
+    }
+
+    /// Keeps a tick; returns a block once there are enough.
+    fn keep(&mut self, record: TickRecord) -> Option<Block> {
+        // Grown block by block: a handed-over one has left its memory to the worker.
+        match self.compared {
+            Compared::Ticks => {
+                self.ticks.reserve_exact(BLOCK_TICKS - self.ticks.len());
+                self.ticks.push(record);
+            }
+            Compared::Keyframes => {
+                self.commands.reserve_exact(BLOCK_TICKS - self.commands.len());
+                self.commands.push(record.latched);
+            }
+        }
+        (self.ticks.len().max(self.commands.len()) == BLOCK_TICKS).then(|| self.take())
+    }
+
+    fn take(&mut self) -> Block {
+        match self.compared {
+            Compared::Ticks => Block::Ticks(std::mem::take(&mut self.ticks)),
+            Compared::Keyframes => Block::Commands(std::mem::take(&mut self.commands)),
+        }
+    }
 }
 
 /// What reading the log came to.
@@ -129,23 +151,6 @@ struct Read {
     gaps: Vec<Passed>,
 }
 
-/// The result of replaying a segment.
-struct Outcome {
-    start_tick: Tick,
-    identical_ticks: u64,
-    keyframes: u64,
-    last_tick: Tick,
-    hash: [u64; 2],
-    /// The simulation failed as it had in the run.
-    failure: Option<String>,
-    problem: Option<Problem>,
-}
-
-enum Problem {
-    Differs(Divergence),
-    Cannot(Tick, String),
-}
-
 /// Replays a log from its start or a keyframe on several threads. Compares the hash, every byte of the state and the
 /// removed voxels at every tick, and every byte of each keyframe. `make` builds the simulation of the log's scene;
 /// each thread gets its own.
@@ -153,6 +158,28 @@ pub fn verify_segments<S: Plant>(
     reader: &mut LogReader,
     make: &(impl Fn() -> Result<S, String> + Sync),
     options: &SegmentOptions,
+) -> SegmentReport {
+    replay_segments(reader, make, options, Compared::Ticks)
+}
+
+/// Steps a log on several threads without comparing its ticks, and returns what stepping it in one pass comes to. None if that cannot be
+/// said: the log has a gap or damage, the simulation fails otherwise than in the run, or a segment does not end in the keyframe that the
+/// next one began with. The caller then steps it in one pass.
+pub fn step_segments<S: Plant>(
+    reader: &mut LogReader,
+    make: &(impl Fn() -> Result<S, String> + Sync),
+    options: &SegmentOptions,
+) -> Option<SegmentReport> {
+    let mut report = replay_segments(reader, make, options, Compared::Keyframes);
+    report.identical_keyframes = 0;
+    (report.replay.is_identical() && report.gaps.is_empty()).then_some(report)
+}
+
+fn replay_segments<S: Plant>(
+    reader: &mut LogReader,
+    make: &(impl Fn() -> Result<S, String> + Sync),
+    options: &SegmentOptions,
+    compared: Compared,
 ) -> SegmentReport {
     let bound = AtomicU64::new(options.to_tick.map_or(u64::MAX, |to| to.0));
     let first_tick = options.start.as_ref().or(reader.beginning()).map_or(Tick::START, |start| start.tick);
@@ -162,7 +189,7 @@ pub fn verify_segments<S: Plant>(
     let (read, outcomes) = std::thread::scope(|scope| {
         let work = || work(make, &segments, &bound);
         let workers: Vec<_> = (0..options.threads.max(1)).map(|_| scope.spawn(work)).collect();
-        let read = feed(reader, options, queue, &bound, &mut gaps);
+        let read = feed(reader, options, queue, &bound, (Waiting::new(compared), &mut gaps));
         let outcomes = workers.into_iter().flat_map(|worker| {
             worker.join().unwrap_or_else(|_| vec![Outcome::without_worker(first_tick)]) //
         });
@@ -178,7 +205,7 @@ fn feed(
     options: &SegmentOptions,
     queue: SyncSender<Segment>,
     bound: &AtomicU64,
-    gaps: &mut Vec<Passed>,
+    (mut waiting, gaps): (Waiting, &mut Vec<Passed>),
 ) -> Option<LogError> {
     let mut last = Box::new(*reader.initial());
     let begin = |start: Start| {
@@ -197,7 +224,6 @@ fn feed(
         gaps.push(Passed { after: None, resumed: Some(beginning.tick) });
         resumed = Some(beginning.tick);
     }
-    let mut waiting = Vec::with_capacity(BLOCK_TICKS);
     loop {
         // A worker that has found a difference stops receiving its segment.
         let hand_over = |blocks: &Option<SyncSender<Block>>, block| {
@@ -213,7 +239,7 @@ fn feed(
         if let Some(saved) = keyframe
             && (blocks.is_some() || begins_here)
         {
-            hand_over(&blocks, Block::Ticks(std::mem::take(&mut waiting)));
+            hand_over(&blocks, waiting.take());
             hand_over(&blocks, Block::Keyframe(saved.clone()));
             let goes_on = matches!(record, Some(Ok(_))) || reader.failure().is_some();
             blocks = goes_on.then(|| begin(Start { state: last.clone(), keyframe: Some(saved) })).flatten();
@@ -221,15 +247,14 @@ fn feed(
         match record {
             Some(Ok(record)) => {
                 *last = record.state;
-                if blocks.is_some() {
-                    waiting.push(record);
-                }
-                if waiting.len() == BLOCK_TICKS {
-                    hand_over(&blocks, Block::Ticks(std::mem::take(&mut waiting)));
+                if blocks.is_some()
+                    && let Some(block) = waiting.keep(record)
+                {
+                    hand_over(&blocks, block);
                 }
             }
             Some(Err(LogError::Gap { .. })) => {
-                hand_over(&blocks, Block::Ticks(std::mem::take(&mut waiting)));
+                hand_over(&blocks, waiting.take());
                 blocks = None;
                 let after = Some(Tick(last.tick));
                 match reader.go_on() {
@@ -244,7 +269,7 @@ fn feed(
                 }
             }
             ended => {
-                hand_over(&blocks, Block::Ticks(waiting));
+                hand_over(&blocks, waiting.take());
                 if let Some(failure) = reader.failure() {
                     hand_over(&blocks, Block::Failure(failure));
                 }
@@ -252,153 +277,6 @@ fn feed(
             }
         }
     }
-}
-
-/// Replays segments until the queue ends.
-fn work<S: Plant>(
-    make: &impl Fn() -> Result<S, String>,
-    segments: &Mutex<Receiver<Segment>>,
-    bound: &AtomicU64,
-) -> Vec<Outcome> {
-    // A panicking worker would leave its segments waiting forever.
-    let make =
-        || std::panic::catch_unwind(AssertUnwindSafe(make)).unwrap_or_else(|_| Err(PANICKED.to_owned()));
-    let mut simulation = make();
-    let mut outcomes = Vec::new();
-    loop {
-        let segment = segments.lock().unwrap_or_else(PoisonError::into_inner).recv();
-        let Ok(segment) = segment else { return outcomes };
-        if segment.start.state.tick >= bound.load(Ordering::Relaxed) {
-            continue;
-        }
-        // A segment from the initial state needs a fresh simulation; this one has already run.
-        if segment.start.keyframe.is_none() && !outcomes.is_empty() {
-            simulation = make();
-        }
-        let mut outcome = Outcome::new(&segment.start);
-        match &mut simulation {
-            Ok(it) => {
-                // Restoring a tampered keyframe may panic inside the simulation.
-                let replayed = AssertUnwindSafe(|| outcome.replay(it, segment));
-                if std::panic::catch_unwind(replayed).is_err() {
-                    outcome.problem =
-                        Some(Problem::Cannot(outcome.last_tick.saturating_add(1), PANICKED.to_owned()));
-                    simulation = Err(PANICKED.to_owned());
-                }
-            }
-            Err(cause) => outcome.problem = Some(Problem::Cannot(outcome.start_tick, cause.clone())),
-        }
-        if let Some(problem) = &outcome.problem {
-            bound.fetch_min(problem.tick().0, Ordering::Relaxed);
-        }
-        outcomes.push(outcome);
-    }
-}
-
-impl Outcome {
-    fn new(start: &Start) -> Outcome {
-        Outcome {
-            start_tick: Tick(start.state.tick),
-            identical_ticks: 0,
-            keyframes: 0,
-            last_tick: Tick(start.state.tick),
-            hash: start.state.hash,
-            failure: None,
-            problem: None,
-        }
-    }
-
-    /// The outcome of a worker that died: nothing it replayed is proven.
-    fn without_worker(start_tick: Tick) -> Outcome {
-        Outcome {
-            start_tick,
-            identical_ticks: 0,
-            keyframes: 0,
-            last_tick: start_tick,
-            hash: [0; 2],
-            failure: None,
-            problem: Some(Problem::Cannot(start_tick, PANICKED.to_owned())),
-        }
-    }
-
-    fn replay<S: Plant>(&mut self, simulation: &mut S, segment: Segment) {
-        let Segment { start, blocks } = segment;
-        let resumed = start.keyframe.map_or(Ok(()), |saved| simulation.restore_keyframe(&saved.bytes));
-        self.problem = match resumed {
-            Ok(()) => compare_state(&start.state, simulation.state()).map(Problem::Differs),
-            Err(cause) => Some(Problem::Cannot(self.start_tick, cause.to_string())),
-        };
-        while self.problem.is_none() {
-            let Ok(block) = blocks.recv() else { return };
-            self.problem = match block {
-                Block::Ticks(ticks) => ticks.iter().find_map(|tick| self.tick(simulation, tick)),
-                Block::Keyframe(saved) => self.keyframe(simulation, &saved),
-                Block::Failure(failure) => self.failure(simulation, failure),
-            };
-        }
-    }
-
-    fn tick<S: Plant>(&mut self, simulation: &mut S, recorded: &TickRecord) -> Option<Problem> {
-        if let Err(cause) = simulation.step(&recorded.latched) {
-            return Some(Problem::Cannot(Tick(recorded.state.tick), cause.to_string()));
-        }
-        if let Some(divergence) = compare_tick(recorded, simulation) {
-            return Some(Problem::Differs(divergence));
-        }
-        self.identical_ticks += 1;
-        self.last_tick = Tick(recorded.state.tick);
-        self.hash = recorded.state.hash;
-        None
-    }
-
-    fn failure<S: Plant>(&mut self, simulation: &mut S, recorded: RecordedFailure) -> Option<Problem> {
-        match recorded.reproduce(simulation) {
-            Ok(()) => {
-                self.failure = Some(recorded.text);
-                None
-            }
-            Err(other) => Some(Problem::Cannot(Tick(recorded.latched.tick), other)),
-        }
-    }
-
-    fn keyframe<S: Plant>(&mut self, simulation: &mut S, recorded: &SavedState) -> Option<Problem> {
-        let mut buffer = vec![0; MAX_KEYFRAME_BYTES];
-        match simulation.write_keyframe(&mut buffer) {
-            Err(cause) => Some(Problem::Cannot(recorded.tick, cause.to_string())),
-            Ok(length) => {
-                let bytes = buffer[..length].to_vec();
-                let replayed =
-                    SavedState { tick: Tick(simulation.state().tick), hash: simulation.state().hash, bytes };
-                self.keyframes += u64::from(replayed == *recorded);
-                compare_keyframe(recorded, &replayed).map(Problem::Differs)
-            }
-        }
-    }
-}
-
-impl Problem {
-    fn tick(&self) -> Tick {
-        match self {
-            Problem::Differs(divergence) => divergence.tick,
-            Problem::Cannot(tick, _) => *tick,
-        }
-    }
-}
-
-/// Where two keyframes differ.
-pub fn compare_keyframe(recorded: &SavedState, replayed: &SavedState) -> Option<Divergence> {
-    let message = |saved: &SavedState| {
-        let head = Keyframe {
-            tick: saved.tick.0,
-            hash: saved.hash,
-            total_bytes: saved.bytes.len() as u32,
-            data_length: saved.bytes.len() as u32,
-            ..Keyframe::zeroed()
-        };
-        [head.as_bytes(), &saved.bytes].concat()
-    };
-    let (a, b) = (message(recorded), message(replayed));
-    compare(Topic::Keyframe, recorded.tick, Keyframe::DESCRIPTION, &a, &b)
 }
 
 /// Merges the segments in order, up to the first problem.

@@ -1,0 +1,88 @@
+//! A replay that only steps the ticks.
+
+use ipc_types::messages::Tick;
+use run_log::segments::Passed;
+use run_log::{LogError, ReplayReport, SavedState, SegmentOptions, SegmentReport, Verdict, step_segments};
+
+use super::OpenedLog;
+use crate::failure::Failure;
+
+/// Steps a log without comparing its ticks: from keyframe to keyframe on several threads if that proves to come to what one pass comes to,
+/// else in one pass. A scene or build that is not the log's has other states than its keyframes, so it is stepped in one pass at once.
+///
+/// # Errors
+/// The log cannot be read, or the physics refuses the scene or a tick.
+pub fn step(log: &OpenedLog, options: SegmentOptions) -> Result<(SegmentReport, Verdict), Failure> {
+    if options.threads > 1 && log.label().is_empty() {
+        let mut reader = log.reader()?;
+        if let Some(report) = step_segments(&mut reader, &|| log.simulation(), &options) {
+            return Ok((report, reader.stream().verdict()));
+        }
+    }
+    in_one_pass(log, options.start.as_ref(), options.to_tick)
+}
+
+/// From the start, or a keyframe, tick after tick.
+fn in_one_pass(
+    log: &OpenedLog,
+    start: Option<&SavedState>,
+    to: Option<Tick>,
+) -> Result<(SegmentReport, Verdict), Failure> {
+    let mut reader = log.reader()?;
+    let mut simulation = log.simulation().map_err(Failure::failed)?;
+    let mut gaps = Vec::new();
+    if let Some(beginning) = reader.beginning() {
+        gaps.push(Passed { after: None, resumed: Some(beginning.tick) });
+    }
+    if let Some(start) = start.or(reader.beginning()) {
+        simulation.restore_keyframe(&start.bytes).map_err(|cause| Failure::failed(cause.to_string()))?;
+    }
+    let (first, mut ticks) = (Tick(simulation.state().tick), 0);
+    while to.is_none_or(|to| Tick(simulation.state().tick) < to) {
+        let record = match reader.next() {
+            None => break,
+            Some(Err(LogError::Gap { .. })) => {
+                let (after, read) = (Tick(simulation.state().tick), reader.last_complete_tick());
+                let behind = reader.go_on().map_err(|cause| Failure::failed(cause.to_string()))?;
+                let resumed = behind.as_ref().map(|behind| Tick(behind.state.tick));
+                // A gap before the start is skipped silently.
+                if read >= first {
+                    gaps.push(Passed { after: Some(after), resumed });
+                }
+                let Some(behind) = behind else { break };
+                if Tick(behind.state.tick) >= first {
+                    simulation
+                        .restore_keyframe(&behind.keyframe.bytes)
+                        .map_err(|cause| Failure::failed(cause.to_string()))?;
+                }
+                continue;
+            }
+            Some(record) => record.map_err(|cause| Failure::failed(cause.to_string()))?,
+        };
+        if Tick(record.latched.tick) >= first {
+            simulation.step(&record.latched).map_err(|cause| Failure::failed(cause.to_string()))?;
+            ticks += 1;
+        }
+    }
+    let (tick, hash) = (Tick(simulation.state().tick), simulation.state().hash);
+    // The simulation is unusable after its failure: last.
+    let failure = reader.failure();
+    if let Some(failure) = &failure {
+        failure
+            .reproduce(&mut simulation)
+            .map_err(|other| Failure::failed(format!("the simulation: {other}")))?;
+    }
+    let replay = ReplayReport {
+        identical_ticks: ticks,
+        last_tick: tick,
+        simulated_ns: ticks.saturating_mul(reader.header().dt_ns),
+        hash,
+        divergence: None,
+        simulation_error: None,
+        failure: failure.map(|failure| failure.text),
+        log_error: None,
+        ending: reader.ending().clone(),
+    };
+    let report = SegmentReport { replay, first_tick: first, identical_keyframes: 0, gaps };
+    Ok((report, reader.stream().verdict()))
+}
