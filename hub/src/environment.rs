@@ -93,9 +93,6 @@ pub trait Environment: Outputs {
         controller: ControllerIndex,
     ) -> Result<Option<Incoming<Command>>, Self::Error>;
 
-    /// Whether a controller's queue holds a command.
-    fn has_command(&self, controller: ControllerIndex) -> bool;
-
     /// Takes the oldest run-control request in the queue.
     ///
     /// # Errors
@@ -159,9 +156,14 @@ pub trait Environment: Outputs {
     /// Called in real time when a tick's work is done and the thread is about to wait for the next deadline.
     fn work_ends(&mut self) {}
 
-    /// Called when a tick begins. Fills in what the kernel reports about the thread since the last tick; `start` is `None` in lockstep.
-    fn tick_begins(&mut self, start: Option<(u64, Start)>, timing: &mut TickTiming) {
-        let _ = (start, timing);
+    /// Called in real time when a tick begins. Fills in what the kernel reports about the thread since the last tick began.
+    fn tick_begins(&mut self, start_ns: u64, start: Start, timing: &mut TickTiming) {
+        let _ = (start_ns, start, timing);
+    }
+
+    /// Called in lockstep when a tick's state has been published. Fills in what the kernel reports about the thread since the last one was.
+    fn tick_made(&mut self, timing: &mut TickTiming) {
+        let _ = timing;
     }
 
     /// Called before a status is sent: ten times a second and at each change.

@@ -36,6 +36,11 @@ impl Patience {
         now_ns + LOOK_NS.min(self.limit_ns / 4).min(self.left_ns)
     }
 
+    /// When it was started or last asked whether it is over.
+    pub fn looked_ns(&self) -> u64 {
+        self.looked_ns
+    }
+
     /// The full limit, ns.
     pub fn limit_ns(&self) -> u64 {
         self.limit_ns

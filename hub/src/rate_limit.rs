@@ -66,10 +66,15 @@ impl WarningLimit {
         allowed
     }
 
-    /// The number of suppressed warnings, when it is time to report it.
-    pub fn take_suppressed(&mut self, now_ns: u64) -> Option<u64> {
+    /// The number of suppressed warnings, when it is time to report it. Reads the clock only if there are any: this is asked several times
+    /// in every tick.
+    pub fn take_suppressed(&mut self, now_ns: impl FnOnce() -> u64) -> Option<u64> {
         let suppressed = self.suppressed;
-        if suppressed == 0 || now_ns.saturating_sub(self.began_ns) < WARNING_PERIOD_NS {
+        if suppressed == 0 {
+            return None;
+        }
+        let now_ns = now_ns();
+        if now_ns.saturating_sub(self.began_ns) < WARNING_PERIOD_NS {
             return None;
         }
         *self = WarningLimit { began_ns: now_ns, ..WarningLimit::default() };
@@ -89,8 +94,8 @@ mod tests {
         assert_eq!((0..1000).filter(|_| limit.allows(start_ns)).count(), WARNINGS);
         let later_ns = start_ns + WARNING_PERIOD_NS;
         assert!(!limit.allows(later_ns), "not before those that wait have been said");
-        assert_eq!(limit.take_suppressed(later_ns), Some(1001 - WARNINGS as u64));
-        assert_eq!(limit.take_suppressed(later_ns), None);
+        assert_eq!(limit.take_suppressed(|| later_ns), Some(1001 - WARNINGS as u64));
+        assert_eq!(limit.take_suppressed(|| later_ns), None);
         assert!(limit.allows(later_ns));
     }
 

@@ -16,7 +16,8 @@ message! {
         step_ns: u64,
         /// Time spent hashing and publishing.
         publish_ns: u64,
-        /// Time that this thread was runnable but waited for a core, from the start of the last tick to the start of this one.
+        /// Time that this thread was runnable but waited for a core, from the start of the last tick to the start of this one;
+        /// in lockstep from the publication of the last state to that of this tick's.
         run_queue_wait_ns: u64,
         /// Wall time of the last tick's work: from its start until the thread went to sleep for this one (real time).
         work_ns: u64,
@@ -41,7 +42,8 @@ message! {
         /// Time from publishing the state to receiving the command that answers it, per controller; 0 if none came. In
         /// real time, commands are received when the next tick begins, so most of it is waiting for that.
         round_trip_ns: [u64; MAX_CONTROLLERS],
-        /// Page faults of this thread from the start of the last tick to the start of this one.
+        /// Page faults of this thread from the start of the last tick to the start of this one; in lockstep from the
+        /// publication of the last state to that of this tick's.
         page_faults: u32,
         /// How many of them waited for a disk.
         major_page_faults: u32,

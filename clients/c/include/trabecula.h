@@ -847,7 +847,7 @@ typedef struct trb_tick_timing {
     /* Time spent hashing and publishing. */
     uint64_t publish_ns;
     /* Time that this thread was runnable but waited for a core, from the start of the last tick to the
-     * start of this one. */
+     * start of this one; in lockstep from the publication of the last state to that of this tick's. */
     uint64_t run_queue_wait_ns;
     /* Wall time of the last tick's work: from its start until the thread went to sleep for this one (real
      * time). */
@@ -876,7 +876,8 @@ typedef struct trb_tick_timing {
      * came. In real time, commands are received when the next tick begins, so most of it is waiting for
      * that. */
     uint64_t round_trip_ns[4];
-    /* Page faults of this thread from the start of the last tick to the start of this one. */
+    /* Page faults of this thread from the start of the last tick to the start of this one; in lockstep
+     * from the publication of the last state to that of this tick's. */
     uint32_t page_faults;
     /* How many of them waited for a disk. */
     uint32_t major_page_faults;

@@ -257,7 +257,7 @@ impl Service {
             }
         }
         refused.iter().try_for_each(|text| self.warn_within_limit(text))?;
-        match self.warnings.take_suppressed(now_ns()) {
+        match self.warnings.take_suppressed(now_ns) {
             None => Ok(()),
             Some(more) => self.warn(&format!("{more} more frame requests refused")),
         }

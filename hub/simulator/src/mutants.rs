@@ -89,8 +89,8 @@ pub const MUTANTS: &[Mutant] = &[
     mutant(
         "a stop during the wait for an answer is not heard",
         "machine/waiting.rs",
-        "if self.ends(env) || self.rests() {\n                return Ok((Stage::TickDue, None));",
-        "if self.rests() {\n                return Ok((Stage::TickDue, None));",
+        "if self.ends(env) || self.rests() {\n                    return Ok((Stage::TickDue, None));",
+        "if self.rests() {\n                    return Ok((Stage::TickDue, None));",
     ),
     mutant(
         "time in which the process was stopped counts as waiting",

@@ -54,7 +54,7 @@ impl<P: Plant> Hub<P> {
                     self.warn(env, index, EventCode::CommandRefused, &format!("{reason}; refused"))?;
                 }
             }
-            if let Some(more) = self.controllers[index.slot()].warnings.take_suppressed(env.now_ns()) {
+            if let Some(more) = self.controllers[index.slot()].warnings.take_suppressed(|| env.now_ns()) {
                 self.warn(env, index, EventCode::CommandRefused, &format!("{more} more commands refused"))?;
             }
             let controller = &mut self.controllers[index.slot()];

@@ -24,7 +24,8 @@ impl<P: Plant> Hub<P> {
         if missing.is_none() && !self.shown {
             // Not before the consumers are connected, or they would miss the first messages.
             self.lane.begin(&self.plant, env).map_err(lane_failed(Tick::START))?;
-            self.after_state_published(env);
+            let now_ns = env.now_ns();
+            self.after_state_published(env, now_ns);
             self.shown = true;
             let limit =
                 |controller: &super::Controller| Patience::new(controller.connect_limit_ns, env.now_ns());
@@ -54,7 +55,7 @@ impl<P: Plant> Hub<P> {
                     }
                     Some(index) => {
                         let limit_ns = self.controllers[index.slot()].connect_limit_ns;
-                        self.tell_if_long(env, &mut notice, index, "the first command", limit_ns)?;
+                        self.tell_if_long(env, &mut notice, index, ("the first command", limit_ns), now_ns)?;
                     }
                 }
             }

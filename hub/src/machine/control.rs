@@ -34,7 +34,7 @@ impl<P: Plant> Hub<P> {
                 status: status.code(),
             })?;
         }
-        if let Some(more) = self.control_warnings.take_suppressed(env.now_ns()) {
+        if let Some(more) = self.control_warnings.take_suppressed(|| env.now_ns()) {
             self.warn_of_control(env, &format!("{more} more requests"))?;
         }
         if asked { self.send_status(env, self.phase(), When::Now) } else { Ok(()) }
@@ -108,9 +108,12 @@ impl<P: Plant> Hub<P> {
         phase: Phase,
         when: When,
     ) -> Outcome<(), P, E> {
-        let now_ns = env.now_ns();
+        let now_ns = match when {
+            When::IfDueAt(now_ns) => now_ns,
+            When::Now | When::IfDue => env.now_ns(),
+        };
         let recent = |sent_ns: u64| now_ns.saturating_sub(sent_ns) < STATUS_PERIOD_NS;
-        if when == When::IfDue && self.status_sent_ns.is_some_and(recent) {
+        if when != When::Now && self.status_sent_ns.is_some_and(recent) {
             return Ok(());
         }
         self.status_sent_ns = Some(now_ns);
@@ -146,4 +149,6 @@ pub(super) enum When {
     Now,
     /// Only if the last one is old enough.
     IfDue,
+    /// The same, at this reading of the clock.
+    IfDueAt(u64),
 }

@@ -345,7 +345,11 @@ impl<P: Plant> Hub<P> {
                 }
             }
             Mode::Lockstep => {
-                behind(Whom::Everybody, self.tick.saturating_sub(self.settings.lead_ticks), now_ns)
+                let tick = self.tick.saturating_sub(self.settings.lead_ticks);
+                match self.consumers.behind(tick, Whom::Everybody) {
+                    None => self.after_consumers(now_ns, now_ns),
+                    Some(_) => behind(Whom::Everybody, tick, now_ns),
+                }
             }
         };
         Ok((stage, None))

@@ -21,16 +21,21 @@ impl<P: Plant> Hub<P> {
         let marks = self.lane.tick(&mut self.plant, &latched, env, |env| env.now_ns());
         let marks = marks.map_err(lane_failed(made))?;
         self.tick += 1;
-        self.after_state_published(env);
+        self.after_state_published(env, marks.published_ns);
         self.publish_keyframe(env)?;
         self.plant.make_room();
+        let done_ns = env.now_ns();
+        if self.settings.mode == Mode::Lockstep {
+            // Here, and not when a tick begins, it delays nobody: the controllers have their state.
+            env.tick_made(&mut self.timing);
+        }
         let mut timing = TickTiming {
             tick: latched.tick,
             start_ns,
             wake_lateness_ns: start.lateness_ns,
             latch_ns: marks.latched_ns - start_ns,
             step_ns: marks.stepped_ns - marks.latched_ns,
-            publish_ns: env.now_ns() - marks.stepped_ns,
+            publish_ns: done_ns - marks.stepped_ns,
             missed: u32::from(start.missed),
             late_controllers: self.late_controllers(),
             ..self.timing
@@ -49,13 +54,13 @@ impl<P: Plant> Hub<P> {
         self.report_shortfall(env, made)?;
         self.report_arm_entry(env)?;
         self.steps_left = self.steps_left.saturating_sub(1);
-        self.send_status(env, Phase::Running, When::IfDue)?;
+        self.send_status(env, Phase::Running, When::IfDueAt(done_ns))?;
         Ok((Stage::TickDue, None))
     }
 
-    /// After publishing a state: starts the round-trip clocks and wakes sleeping controllers.
-    pub(super) fn after_state_published<E: Environment>(&mut self, env: &mut E) {
-        self.published_ns = env.now_ns();
+    /// After publishing a state: starts the round-trip clocks at `published_ns` and wakes sleeping controllers.
+    pub(super) fn after_state_published<E: Environment>(&mut self, env: &mut E, published_ns: u64) {
+        self.published_ns = published_ns;
         env.wake_controllers();
     }
 

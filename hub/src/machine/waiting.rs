@@ -27,7 +27,7 @@ impl<P: Plant> Hub<P> {
         let start_ns = env.now_ns();
         let start = self.schedule.begin(start_ns);
         self.timing.collect_ns = start_ns - woken_ns;
-        env.tick_begins(Some((start_ns, start)), &mut self.timing);
+        env.tick_begins(start_ns, start, &mut self.timing);
         self.make_tick(env, start)
     }
 
@@ -60,7 +60,7 @@ impl<P: Plant> Hub<P> {
     }
 
     /// The next stage once no consumer is behind.
-    fn after_consumers(&mut self, now_ns: u64, began_ns: u64) -> Stage {
+    pub(super) fn after_consumers(&mut self, now_ns: u64, began_ns: u64) -> Stage {
         match self.settings.mode {
             Mode::Realtime => {
                 self.timing.recorder_wait_ns = now_ns.saturating_sub(began_ns);
@@ -82,35 +82,35 @@ impl<P: Plant> Hub<P> {
         silent: Option<ControllerIndex>,
         mut notice: Option<Patience>,
     ) -> Outcome<Step, P, E> {
-        if let Some(silent) = silent {
-            let came = env.has_command(silent);
-            self.obey(env)?;
-            if self.ends(env) || self.rests() {
-                return Ok((Stage::TickDue, None));
-            }
-            self.send_status(env, self.phase(), When::IfDue)?;
-            if !came {
-                // A reconnected controller needs the state it has to answer.
-                env.deliver_state_history()?;
-            }
-        }
+        // The wait begins with the reading of the clock that its patience began with, and with run control just obeyed.
+        let mut begun_ns = silent.is_none().then(|| patience.looked_ns());
         loop {
             self.collect_commands(env)?;
             let Some(silent) = self.unsettled() else {
                 if self.ends(env) {
                     return Ok((Stage::TickDue, None));
                 }
-                env.tick_begins(None, &mut self.timing);
                 return self.make_tick(env, crate::Start { lateness_ns: 0, missed: false });
             };
+            let began_ns = begun_ns.take();
+            if began_ns.is_none() {
+                self.obey(env)?;
+                if self.ends(env) || self.rests() {
+                    return Ok((Stage::TickDue, None));
+                }
+                // A reconnected controller needs the state it has to answer.
+                env.deliver_state_history()?;
+            }
+            let now_ns = began_ns.unwrap_or_else(|| env.now_ns());
             // Checked every time round, so that a stream of messages that answer nothing cannot put the limit off.
-            if patience.is_over(env.now_ns()) {
+            if patience.is_over(now_ns) {
                 self.give_up(env, silent)?;
                 continue;
             }
+            self.send_status(env, self.phase(), When::IfDueAt(now_ns))?;
             let limit_ns = patience.limit_ns();
-            self.tell_if_long(env, &mut notice, silent, "its answer", limit_ns)?;
-            let until_ns = patience.next_look_ns(env.now_ns());
+            self.tell_if_long(env, &mut notice, silent, ("its answer", limit_ns), now_ns)?;
+            let until_ns = patience.next_look_ns(now_ns);
             let stage = Stage::AwaitAnswers { patience, silent: Some(silent), notice };
             return Ok((stage, wait(Awaited::Command(silent), until_ns)));
         }
@@ -122,10 +122,9 @@ impl<P: Plant> Hub<P> {
         env: &mut E,
         notice: &mut Option<Patience>,
         controller: ControllerIndex,
-        what: &str,
-        limit_ns: u64,
+        (what, limit_ns): (&str, u64),
+        now_ns: u64,
     ) -> Outcome<(), P, E> {
-        let now_ns = env.now_ns();
         if !notice.as_mut().is_some_and(|notice| notice.is_over(now_ns)) {
             return Ok(());
         }

@@ -115,7 +115,7 @@ impl Disturbances {
         self.begin_cpu_ns = thread_cpu_ns();
     }
 
-    /// Adds what has been counted since the last tick began.
+    /// Adds what has been counted since the last call.
     pub fn count(&mut self, timing: &mut TickTiming) {
         let (now, last) = (Counts::now(), self.counts);
         let since = |now: u64, last: u64| now.saturating_sub(last) as u32;

@@ -43,6 +43,8 @@ pub(super) struct SharedMemory<'s> {
     sleeper: Sleeper,
     disturbances: Disturbances,
     end: EndRequest,
+    /// A moment on our clock and then on the standard library's, which is the same one: it turns times of one into those of the other.
+    began: (u64, Instant),
 }
 
 impl<'s> SharedMemory<'s> {
@@ -84,6 +86,7 @@ impl<'s> SharedMemory<'s> {
             sleeper: Sleeper::new(scene.run.wait),
             disturbances: Disturbances::new(),
             end,
+            began: (now_ns(), Instant::now()),
         })
     }
 
@@ -99,11 +102,13 @@ impl<'s> SharedMemory<'s> {
 
     /// Waits for whatever the hub needs next.
     pub(super) fn wait(&mut self, wait: Wait) {
-        let left = Duration::from_nanos(wait.until_ns.saturating_sub(now_ns()));
-        let until = Instant::now() + left;
+        let (began_ns, began) = self.began;
+        let until = began + Duration::from_nanos(wait.until_ns.saturating_sub(began_ns));
         match wait.on {
             Awaited::Deadline => self.sleeper.wait_until(wait.until_ns),
-            Awaited::Nothing => std::thread::sleep(left),
+            Awaited::Nothing => {
+                std::thread::sleep(Duration::from_nanos(wait.until_ns.saturating_sub(now_ns())));
+            }
             Awaited::Control => {
                 self.waiter.wait_until(until, || self.control.has_message());
             }
@@ -167,10 +172,6 @@ impl Environment for SharedMemory<'_> {
             }
             Err(other) => Err(other),
         }
-    }
-
-    fn has_command(&self, controller: ControllerIndex) -> bool {
-        self.commands[controller.slot()].has_message()
     }
 
     fn receive_control(&mut self) -> Result<Option<Incoming<RunControl>>, PortError> {
@@ -237,14 +238,13 @@ impl Environment for SharedMemory<'_> {
         self.disturbances.work_ends();
     }
 
-    fn tick_begins(&mut self, start: Option<(u64, Start)>, timing: &mut TickTiming) {
-        match start {
-            Some((start_ns, start)) => {
-                let sample = if start.missed { Sample::Late } else { Sample::InTime };
-                self.disturbances.tick_begins(start_ns, start.lateness_ns, sample, timing);
-            }
-            None => self.disturbances.count(timing),
-        }
+    fn tick_begins(&mut self, start_ns: u64, start: Start, timing: &mut TickTiming) {
+        let sample = if start.missed { Sample::Late } else { Sample::InTime };
+        self.disturbances.tick_begins(start_ns, start.lateness_ns, sample, timing);
+    }
+
+    fn tick_made(&mut self, timing: &mut TickTiming) {
+        self.disturbances.count(timing);
     }
 
     fn status_is_due(&mut self) {

@@ -138,7 +138,7 @@ impl Recorder {
             }
         }
         self.take_inputs()?;
-        if let Some(more) = self.gap_warnings.take_suppressed(now_ns()) {
+        if let Some(more) = self.gap_warnings.take_suppressed(now_ns) {
             let text = format!("{more} more gaps in the log");
             self.ports.events_sent.send(
                 Tick(self.newest_tick),
@@ -250,7 +250,7 @@ impl Recorder {
             )?;
         }
         // The next report will include these.
-        self.foreign_warnings.take_suppressed(now_ns());
+        self.foreign_warnings.take_suppressed(now_ns);
         Ok(())
     }
 

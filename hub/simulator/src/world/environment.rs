@@ -87,10 +87,6 @@ impl Environment for World {
         Ok(Some(incoming))
     }
 
-    fn has_command(&self, controller: ControllerIndex) -> bool {
-        !self.controllers[controller.slot()].commands.is_empty()
-    }
-
     fn receive_control(&mut self) -> Result<Option<Incoming<RunControl>>, String> {
         self.moment();
         self.oracle.passed_over();
@@ -176,9 +172,7 @@ impl Environment for World {
         Ok(())
     }
 
-    fn tick_begins(&mut self, start: Option<(u64, Start)>, _timing: &mut TickTiming) {
-        if let Some((start_ns, start)) = start {
-            self.oracle.tick_begins(start_ns, start);
-        }
+    fn tick_begins(&mut self, start_ns: u64, start: Start, _timing: &mut TickTiming) {
+        self.oracle.tick_begins(start_ns, start);
     }
 }
