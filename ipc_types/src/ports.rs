@@ -18,6 +18,8 @@ use crate::services;
 
 /// Messages of the wrong length that one call takes off a queue, so that a flood of them cannot stall the reader.
 const REFUSED_AT_ONCE: usize = 64;
+/// From here on a message is copied by two threads: far beyond every message of a tick.
+const TWO_THREADS_BYTES: usize = 32 << 20;
 /// The same limit for other programs' messages on a part's service. More than any queue holds, because the part's own messages behind them must
 /// not be late.
 const MAX_FOREIGN_MESSAGES: usize = 1 << 14;
@@ -110,12 +112,11 @@ impl<M: Message> Publisher<M> {
         let mut rest: &mut [MaybeUninit<u8>] = sample.payload_mut();
         for part in parts {
             let (head, tail) = rest.split_at_mut(part.len());
-            for (target, byte) in head.iter_mut().zip(*part) {
-                target.write(*byte);
-            }
+            copy(part, head);
             rest = tail;
         }
-        // SAFETY: the sample is exactly as long as all parts together, and the loop has written each part.
+        // SAFETY: the sample is exactly as long as all parts together, and `copy` has written each part; a thread of it that died would have
+        // let the scope, and so this function, panic.
         let sample = unsafe { sample.assume_init() };
         sample
             .send()
@@ -128,6 +129,26 @@ impl<M: Message> Publisher<M> {
         self.raw
             .update_connections()
             .map_err(|cause| PortError::Send { service: self.name.clone(), cause: format!("{cause:?}") })
+    }
+}
+
+/// Copies bytes to a place of the same length, all of it. A volume on two threads: the kernel makes its pages at their first use.
+fn copy(bytes: &[u8], target: &mut [MaybeUninit<u8>]) {
+    if bytes.len() >= TWO_THREADS_BYTES {
+        let (first, second) = bytes.split_at(bytes.len() / 2);
+        let (first_target, second_target) = target.split_at_mut(first.len());
+        std::thread::scope(|scope| {
+            scope.spawn(|| copy_here(first, first_target));
+            copy_here(second, second_target);
+        });
+    } else {
+        copy_here(bytes, target);
+    }
+}
+
+fn copy_here(bytes: &[u8], target: &mut [MaybeUninit<u8>]) {
+    for (target, byte) in target.iter_mut().zip(bytes) {
+        target.write(*byte);
     }
 }
 
@@ -263,5 +284,22 @@ impl<M: Message> Received<M> {
     /// All bytes, as in shared memory.
     pub fn bytes(&self) -> &[u8] {
         self.sample.payload()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_volume_is_copied_whole_by_two_threads() {
+        for length in [0, 7, TWO_THREADS_BYTES - 1, TWO_THREADS_BYTES, TWO_THREADS_BYTES + 3] {
+            let bytes: Vec<u8> = (0..length).map(|i| (i % 251) as u8).collect();
+            let mut target = vec![MaybeUninit::new(255); length];
+            copy(&bytes, &mut target);
+            // SAFETY: every byte has been initialised when the vector was made.
+            let copied: Vec<u8> = target.iter().map(|byte| unsafe { byte.assume_init() }).collect();
+            assert!(copied == bytes, "{length} bytes");
+        }
     }
 }

@@ -70,6 +70,10 @@ impl Scalar {
     /// Appends the little-endian numbers in `bytes`; 64-bit integers are rounded to f64.
     fn append(self, bytes: &[u8], scale: Scale, sink: &mut HuSink) {
         match self {
+            // A CT as most files hold it: nothing to scale, round or clamp.
+            Scalar::I16 if scale == Scale::IDENTITY => {
+                sink.hu.extend(bytes.as_chunks().0.iter().map(|b| i16::from_le_bytes(*b)));
+            }
             Scalar::I8 => sink.extend(bytes, scale, |b: [u8; 1]| f64::from(i8::from_le_bytes(b))),
             Scalar::U8 => sink.extend(bytes, scale, |[byte]| f64::from(byte)),
             Scalar::I16 => sink.extend(bytes, scale, |b| f64::from(i16::from_le_bytes(b))),

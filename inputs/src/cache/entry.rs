@@ -15,10 +15,12 @@
 
 use std::fs::File;
 use std::io::{self, Read, Write};
+use std::os::unix::fs::FileExt;
+use std::sync::mpsc::channel;
 
 use ipc_types::layout::Message;
 use ipc_types::messages::Volume as VolumeMessage;
-use volume_io::{Volume, volume_hash};
+use volume_io::{Volume, VolumeHasher, volume_hash};
 use xxhash_rust::xxh3::xxh3_128;
 use zerocopy::{FromBytes, IntoBytes};
 
@@ -29,6 +31,8 @@ use crate::volume_source;
 const MAGIC: &[u8; 16] = b"trabecula cache1";
 /// Most bytes of notes: a reader makes a few lines.
 const MAX_NOTES_BYTES: u64 = 1 << 20;
+/// Voxels that are read before the next ones are hashed beside them.
+const PIECE_VOXELS: usize = 1 << 20;
 const HEAD_BYTES: usize = 16 + 32 + 16 + 8;
 
 /// What is wrong with a file of the cache.
@@ -132,18 +136,61 @@ pub fn read(mut file: &File, bytes: u64, key: &Key) -> Result<Made, Damage> {
     if bytes != expected {
         return Err(Damage::Length { bytes, expected });
     }
+    // Row by row; the message holds axis by axis.
+    let direction = [0, 1, 2].map(|row| [0, 1, 2].map(|axis| message.direction[3 * axis + row]));
+    let (spacing_m, origin_m) = (message.spacing_m, message.origin_m);
     let mut hu = vec![0_i16; message.hu_length as usize];
-    file.read_exact(hu.as_mut_bytes()).map_err(Damage::Read)?;
-    let volume = Volume {
-        dims,
-        spacing_m: message.spacing_m,
-        origin_m: message.origin_m,
-        // Row by row; the message holds axis by axis.
-        direction: [0, 1, 2].map(|row| [0, 1, 2].map(|axis| message.direction[3 * axis + row])),
-        hu,
-    };
-    if volume_hash(&volume) != message.sha256 {
+    let hasher = VolumeHasher::new(dims, spacing_m, origin_m, direction);
+    if read_and_hash(file, &mut hu, hasher).map_err(Damage::Read)? != Some(message.sha256) {
         return Err(Damage::Voxels);
     }
+    let volume = Volume { dims, spacing_m, origin_m, direction, hu };
     Ok(Made { volume, sha256: message.sha256, notes })
+}
+
+/// Reads voxels, and hashes in a second thread those that are there. No hash if that thread died.
+fn read_and_hash(mut file: &File, hu: &mut [i16], mut hasher: VolumeHasher) -> io::Result<Option<[u8; 32]>> {
+    std::thread::scope(|scope| {
+        let (pieces, arrived) = channel::<&[i16]>();
+        let hashing = scope.spawn(move || {
+            arrived.iter().for_each(|piece| hasher.update(piece));
+            hasher.finish()
+        });
+        for piece in hu.chunks_mut(PIECE_VOXELS) {
+            file.read_exact(piece.as_mut_bytes())?;
+            // Fails only if the thread has died, which its end tells.
+            let _ = pieces.send(piece);
+        }
+        drop(pieces);
+        Ok(hashing.join().ok())
+    })
+}
+
+/// Writes the file of a volume, and hashes the volume in a second thread meanwhile. Returns what is kept, whether it could be written or not.
+pub fn write_and_hash(
+    key: &Key,
+    volume: Volume,
+    notes: Vec<String>,
+    write: impl FnOnce(u64, &mut dyn FnMut(&File) -> io::Result<()>) -> io::Result<()>,
+) -> Made {
+    let mut made = Made { volume, sha256: [0; 32], notes };
+    let mut hash = None;
+    let outcome = Kept::of(key, &made).map(|kept| (kept.head.len() as u64, kept.bytes()));
+    if let Ok((head_bytes, bytes)) = outcome {
+        // A file that cannot be written costs time only.
+        let _ = write(bytes, &mut |file| {
+            let voxels = &made.volume;
+            let written = std::thread::scope(|scope| {
+                let hashing = scope.spawn(|| volume_hash(voxels));
+                let written = file.write_all_at(voxels.hu.as_bytes(), head_bytes);
+                hash = hashing.join().ok();
+                written
+            });
+            written?;
+            made.sha256 = hash.ok_or(io::ErrorKind::Other)?;
+            file.write_all_at(&Kept::of(key, &made)?.head, 0)
+        });
+    }
+    made.sha256 = hash.unwrap_or_else(|| volume_hash(&made.volume));
+    made
 }

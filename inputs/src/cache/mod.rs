@@ -114,12 +114,13 @@ fn through_folder(
         }
     }
     let began = Instant::now();
-    let made = fresh(make)?;
-    if began.elapsed() >= WORTH_KEEPING && key.is_current() {
-        // A cache that cannot be written costs time only.
-        let _ = cache.keep(key, &made);
+    let (volume, notes) = make()?;
+    if began.elapsed() < WORTH_KEEPING || !key.is_current() {
+        return Ok(Made { sha256: volume_hash(&volume), volume, notes });
     }
-    Ok(made)
+    Ok(entry::write_and_hash(key, volume, notes, |bytes, write| {
+        cache.write(&key.name(), bytes, |file| write(&file.handle().map_err(io::Error::other)?))
+    }))
 }
 
 /// The cache folder, open.
