@@ -127,9 +127,10 @@ impl TileRows {
         self.lines = ((last_line - first_line) as usize + 2).min(MAX_LINES);
         let mut levels: [&[u8]; MAX_LINES] = [&[]; MAX_LINES];
         let of_slice = copy.rows(plan.axes.slow, slice.index);
-        for line in 0..self.lines {
-            (self.offsets[line], levels[line]) = copy.row(&of_slice, first_line + line as i64);
-            lanes.prefetch(levels[line], LEVELS_AHEAD);
+        let lines = self.offsets.iter_mut().zip(&mut levels).take(self.lines);
+        for (line, (offset, levels)) in (first_line..).zip(lines) {
+            (*offset, *levels) = copy.row(&of_slice, line);
+            lanes.prefetch(levels, LEVELS_AHEAD);
         }
         self.find_runs(lanes, copy, slice, levels.get(..self.lines).unwrap_or(&[]), known);
         if self.runs.is_empty() {
