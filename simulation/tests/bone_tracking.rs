@@ -117,7 +117,8 @@ fn a_sphere_that_drifts_to_a_wall_meets_it_in_the_same_step_as_a_new_search() {
             centre += step;
             burr.centre_m += 1.0e-6 * along;
             field.grind(&hu, &burr, 1.0e-3).unwrap();
-            (tracked.clear(), fresh.clear());
+            tracked.clear();
+            fresh.clear();
             field.contact_planes_tracked(0, &centre, radius_m, margin_m, &mut tracked);
             field.voxels().contact_planes(0, &centre, radius_m, margin_m, &mut fresh);
             assert_eq!(bits(&tracked), bits(&fresh), "direction {turn}");

@@ -225,9 +225,9 @@ impl Sums {
     /// `blocks` by z and y; the first voxel's y and z within the first of them.
     #[inline(always)]
     fn add(&mut self, blocks: &[[Option<Block>; 2]; 2], [y, z]: [usize; 2]) {
-        let mut slices = [[Lanes::ZERO; SPLINE_VOXELS]; 3];
+        let mut slices = [[Lanes::ZERO; 3]; SPLINE_VOXELS];
         let mut any = false;
-        for slice in 0..SPLINE_VOXELS {
+        for (slice, sums) in slices.iter_mut().enumerate() {
             let z = z + slice;
             let [first, second] = &blocks[z / BLOCK_EDGE % 2];
             if is_cut(first, second, y, z) {
@@ -238,13 +238,14 @@ impl Sums {
                     let side = if y + row < BLOCK_EDGE { first } else { second };
                     *lanes = Lanes::of_bone(&side[(y + row) % BLOCK_EDGE]);
                 }
-                let [one, u, u2] = combine(rows);
-                [slices[0][slice], slices[1][slice], slices[2][slice]] = [one, u, u2];
+                *sums = combine(rows);
             }
         }
         if any {
-            for (by_z, slices) in self.by_y.iter_mut().zip(slices) {
-                *by_z = combine(slices);
+            let [s0, s1, s2, s3, s4, s5, s6] = &slices;
+            for (power, by_z) in self.by_y.iter_mut().enumerate() {
+                *by_z =
+                    combine([s0[power], s1[power], s2[power], s3[power], s4[power], s5[power], s6[power]]);
             }
         }
     }
