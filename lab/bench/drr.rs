@@ -174,18 +174,21 @@ fn frames(
     );
     let copies = memory.copies.map(|bytes| format!("{:.1}", bytes as f64 * 1e-6)).join(" + ");
     sheet.line(&format!("{:<46} {copies}", format!("{name}: copies across x, y, z, MB")));
-    let occupied = slices.occupied_shares().map(|share| share.unwrap_or(0.0));
+    let shares = slices.cell_shares().map(Option::unwrap_or_default);
+    let text =
+        shares.map(|share| format!("{:.0}/{:.0}", 100.0 * share.occupied, 100.0 * share.mixed)).join(" ");
+    sheet.line(&format!("{:<46} {text}", format!("{name}: cells not air / of several values, %")));
     for ((pose, ..), times) in POSES.iter().zip(times.chunks(4)) {
         let [one, two, one_large, two_large] = times else { continue };
         // Across x from the side, otherwise across y.
         let slow = usize::from(*pose != "lateral");
-        let bytes = memory.copies[slow] as f64 * occupied[slow];
+        let bytes = memory.copies[slow] as f64 * shares[slow].occupied;
         let share = |times: &Times, rate: f64| 100.0 * bytes / rate / (times.least() * 1e-3);
         let text = format!("{} {}; {} {}", one.text(), two.text(), one_large.text(), two_large.text());
         sheet.line(&format!("{:<46} {text}", format!("{name} {pose}: 512, 1 and 2 threads; 1024")));
         let shares = [share(one, bandwidth[0]), share(two, bandwidth[1])];
         let text = format!("{:.0} %, {:.0} % (512)", shares[0], shares[1]);
-        sheet.line(&format!("{:<46} {text}", "  of the streaming rate over what is not skipped"));
+        sheet.line(&format!("{:<46} {text}", "  of the streaming rate over what is not air"));
         sheet.push(
             "frames",
             json!({

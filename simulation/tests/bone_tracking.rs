@@ -16,6 +16,8 @@ use simulation::{CtView, Simulation};
 
 const DIMS: [usize; 3] = [26, 24, 22];
 const MARGIN_M: f64 = 0.2e-3;
+/// Most steps of a sphere that drifts to a wall.
+const DRIFT_STEPS: usize = 400;
 /// Ticks of [`hash_chain`]: enough that the burr removes voxels.
 const TICKS: usize = 800;
 /// Ticks that begin with a reset: the burr has cut a little by then, and has not moved far enough to be searched for again.
@@ -91,6 +93,44 @@ fn drilled() -> impl Strategy<Value = (Vec<Event>, [f64; 3], f64, u64, [f64; 3])
     )
 }
 
+/// A sphere in a hole that is a quarter of a millimetre wider drifts to the wall by 2 um a step, while a burr at its end cuts: it meets each
+/// plane in the step in which a new search finds it.
+#[test]
+fn a_sphere_that_drifts_to_a_wall_meets_it_in_the_same_step_as_a_new_search() {
+    let (radius_m, margin_m) = (3.0e-3, 3.0e-5);
+    let mut met = 0;
+    for turn in 0..40 {
+        let (geometry, hu) = scattered([0.5e-3; 3], 0);
+        let mut field = BoneField::new(geometry, &hu, BoneParameters::default()).unwrap();
+        let at = |x: f64| geometry.point_to_world(&Vector3::new(x, 6.1e-3, 5.4e-3));
+        let (entry, end) = (at(-1.0e-3), at(7.0e-3));
+        field.predrill_capsule(&entry, &end, radius_m + 0.25e-3);
+        let (sin, cos) = (0.4 + f64::from(turn)).sin_cos();
+        let along = (end - entry).normalize();
+        let across = along.cross(&Vector3::new(cos, sin, 0.3)).normalize();
+        let step = 2.0e-6 * (across + along * (0.2 * f64::from(turn % 3))).normalize();
+        let mut burr =
+            BurrState { centre_m: end, radius_m: 3.25e-3, speed_rad_s: 800.0, normal_force_n: 2.0 };
+        let mut centre = at(5.0e-3);
+        let (mut tracked, mut fresh) = (ContactBuffer::with_capacity(32), ContactBuffer::with_capacity(32));
+        for _ in 0..DRIFT_STEPS {
+            centre += step;
+            burr.centre_m += 1.0e-6 * along;
+            field.grind(&hu, &burr, 1.0e-3).unwrap();
+            tracked.clear();
+            fresh.clear();
+            field.contact_planes_tracked(0, &centre, radius_m, margin_m, &mut tracked);
+            field.voxels().contact_planes(0, &centre, radius_m, margin_m, &mut fresh);
+            assert_eq!(bits(&tracked), bits(&fresh), "direction {turn}");
+            if !fresh.planes().is_empty() {
+                met += 1;
+                break;
+            }
+        }
+    }
+    assert!(met > 30, "{met} of 40 directions reach a wall");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(150))]
 
@@ -99,6 +139,7 @@ proptest! {
     #[test]
     fn tracked_planes_are_the_fresh_ones_bit_for_bit(
         (events, spacing, radius_m, scatter, place) in drilled(),
+        room_m in prop_oneof![Just(0.1e-3), 0.1e-3..0.5e-3f64],
         contact in prop_oneof![3 => Just(ContactKind::Planes), 1 => Just(ContactKind::VoxelBalls)],
     ) {
         let (geometry, hu) = scattered(spacing, scatter);
@@ -109,7 +150,7 @@ proptest! {
         };
         let entry = local([-0.1, place[1], place[2]]);
         let mut centre = local(place);
-        field.predrill_capsule(&entry, &centre, radius_m + 0.1e-3);
+        field.predrill_capsule(&entry, &centre, radius_m + room_m);
         let along = (entry - centre).normalize();
         let mut saved = field.voxels().snapshot();
         let (mut tracked, mut fresh) = (ContactBuffer::with_capacity(32), ContactBuffer::with_capacity(32));

@@ -47,7 +47,6 @@ use scene::MAX_CUTTER_BALLS;
 use super::BoneError;
 use super::cutting::{BurrContact, Work, check_time_step};
 use super::patch::Patch;
-use super::query::VoxelEnd;
 use super::reach::{Press, PressedBall, ReachedVoxels};
 use super::removal::Removal;
 use super::strength::Place;
@@ -274,7 +273,7 @@ impl DrillCache {
                     let edge_n = if has_edge { tick.edge_force_n(hu, &press, contacts) } else { 0.0 };
                     tick.report.edge_force_n = edge_n;
                     tick.report.recession_m_per_n =
-                        tick.recession_m_per_j(&press) * (energy_j / burr.normal_force_n);
+                        tick.recession_m_per_j(arch) * (energy_j / burr.normal_force_n);
                     tick.spend(arch, energy_j * (1.0 - edge_n / burr.normal_force_n).max(0.0));
                 }
                 rule => tick.remove_by_rule(rule, hu, burr.speed_rad_s.abs()),
@@ -310,22 +309,9 @@ impl DrillTick<'_> {
     }
 
     /// Depth by which the bone recedes at the burr's deepest place for each joule, m/J: the voxels share the energy by depth.
-    fn recession_m_per_j(&self, press: &Press) -> f64 {
-        let spacing_m = self.edit.geometry().spacing_m;
-        // No voxel is wider in any direction; rounding has room.
-        let widest_m = Vector3::from(spacing_m).norm() * (1.0 + 1e-9);
-        let ReachedVoxels { depth, full_j, spent, .. } = &*self.reached;
-        let (mut sum, mut most_m_per_j) = (0.0, 0.0f64);
-        for voxel in 0..depth.len() {
-            let depth = depth[voxel];
-            sum += depth;
-            if depth * widest_m > most_m_per_j * full_j[voxel] {
-                let from = self.reached.offset(voxel, &self.reached.ball_in(voxel, press).centre);
-                let width_m = VoxelEnd::seen(from.into(), spacing_m, spent[voxel]).width;
-                most_m_per_j = most_m_per_j.max(depth * width_m / full_j[voxel]);
-            }
-        }
-        if sum > 0.0 { most_m_per_j / sum } else { 0.0 }
+    fn recession_m_per_j(&self, arch: Arch) -> f64 {
+        let sum: f64 = self.scratch.weight[..self.scratch.count].iter().fold(0.0, |sum, depth| sum + depth);
+        if sum > 0.0 { self.reached.most_recession_m_per_j(arch) / sum } else { 0.0 }
     }
 
     /// Sum of edge pressure times projected area over the touched voxels, N: see the module. Without contacts the burr's own direction is
@@ -389,9 +375,11 @@ impl DrillTick<'_> {
         self.report.energy_used_j = level.taken_j;
         self.report.cut_count = self.scratch.count;
         self.reached.spend(arch, level.level_j);
-        for voxel in 0..self.reached.index.len() {
-            if self.reached.depth[voxel] > 0.0 {
-                self.set_spent(voxel, self.reached.spent[voxel]);
+        let ReachedVoxels { around, index, place, depth, spent, .. } = &mut *self.reached;
+        self.edit.note_cuts(around);
+        for (((index, place), depth), spent) in index.iter().zip(place).zip(depth).zip(spent) {
+            if *depth > 0.0 {
+                *spent = self.edit.set(*index, *place, *spent);
             }
         }
     }

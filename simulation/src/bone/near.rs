@@ -228,13 +228,14 @@ impl Candidates {
         }
     }
 
-    /// Distances to the voxels' surfaces; those at `sphere.reach` or beyond do not count. Returns true if the centre lies on a surface or
+    /// Distances to the voxels' surfaces; those at `reach_m` or beyond do not count. Returns true if the centre lies on a surface or
     /// behind it. Without `CUT` all voxels are whole, and the compiler drops the code for cut ones.
     #[inline(always)]
     fn see_surfaces<const CUT: bool>(
         &mut self,
         near: &NearVoxels,
         sphere: &Sphere,
+        reach_m: f64,
         spacing: [f64; 3],
     ) -> bool {
         let count = near.count;
@@ -244,7 +245,7 @@ impl Candidates {
         let (to_x, to_y, to_z) = (&mut to_x[..count], &mut to_y[..count], &mut to_z[..count]);
         let (length2, distance2) = (&mut self.length2[..count], &mut self.distance2[..count]);
         let spent = &near.spent[..count];
-        let reach2 = sphere.reach * sphere.reach;
+        let reach2 = reach_m * reach_m;
         let mut touching = 0_u64;
         for voxel in 0..count {
             let from = [sphere.centre.x - x[voxel], sphere.centre.y - y[voxel], sphere.centre.z - z[voxel]];
@@ -291,16 +292,17 @@ impl Candidates {
         self.distance2[voxel] = seed.distance2;
     }
 
-    /// Keeps the voxels that count, in their order. Most do not: the surface of a cut voxel is farther than its box.
+    /// Keeps the voxels that are nearer than `reach_m`, in their order. Most are not: the surface of a cut voxel is farther than its box.
     #[inline(always)]
-    fn compact(&mut self) {
+    fn compact(&mut self, reach_m: f64) {
+        let reach2 = reach_m * reach_m;
         let count = self.count;
         let [x, y, z] = &mut self.offset;
         let (x, y, z) = (&mut x[..count], &mut y[..count], &mut z[..count]);
         let (length2, distance2) = (&mut self.length2[..count], &mut self.distance2[..count]);
         let mut kept = 0;
         for voxel in 0..count {
-            if distance2[voxel] < f64::INFINITY && kept < count {
+            if distance2[voxel] < reach2 && kept < count {
                 (x[kept], y[kept], z[kept]) = (x[voxel], y[voxel], z[voxel]);
                 (length2[kept], distance2[kept]) = (length2[voxel], distance2[voxel]);
                 kept += 1;
@@ -403,9 +405,9 @@ impl Candidates {
         surface
     }
 
-    /// The nearest candidate; the first one in case of a tie.
+    /// Square of the distance to the nearest surface, m²; infinite if none counts.
     #[inline(always)]
-    fn nearest(&self) -> Option<usize> {
+    fn least_distance2(&self) -> f64 {
         let padded = &self.distance2[..self.count.next_multiple_of(LANES)];
         let mut low = [f64::INFINITY; LANES];
         for lanes in padded.chunks_exact(LANES) {
@@ -413,11 +415,17 @@ impl Candidates {
                 *low = if *distance2 < *low { *distance2 } else { *low };
             }
         }
-        let distance2 = low.iter().fold(f64::INFINITY, |low, x| if *x < low { *x } else { low });
+        low.iter().fold(f64::INFINITY, |low, x| if *x < low { *x } else { low })
+    }
+
+    /// The nearest candidate; the first one in case of a tie.
+    #[inline(always)]
+    fn nearest(&self) -> Option<usize> {
+        let distance2 = self.least_distance2();
         if distance2 == f64::INFINITY {
             return None;
         }
-        padded.iter().position(|x| *x == distance2)
+        self.distance2[..self.count].iter().position(|x| *x == distance2)
     }
 
     #[inline(always)]
@@ -428,26 +436,40 @@ impl Candidates {
 }
 
 impl Voxels {
-    /// Distances of the near voxels' surfaces from a sphere; those out of its reach do not count. The spent fractions are loaded.
+    /// Distances of the near voxels' surfaces from a sphere; those out of its reach do not count. The spent fractions are loaded, and the
+    /// voxels are all whose boxes are within `searched_m`. Returns the distance to the nearest surface if it is out of the sphere's reach, at
+    /// most `searched_m`: the sphere has no plane then.
     #[inline(always)]
-    pub(super) fn see(&self, near: &NearVoxels, sphere: &Sphere, candidates: &mut Candidates) {
+    pub(super) fn see(
+        &self,
+        near: &NearVoxels,
+        sphere: &Sphere,
+        searched_m: f64,
+        candidates: &mut Candidates,
+    ) -> Option<f64> {
         let spacing = self.geometry().spacing_m;
         candidates.make_room(near.most());
         if self.parameters().contact == ContactKind::VoxelBalls {
             let radius_m = 0.5 * self.geometry().smallest_spacing_m();
             candidates.see_balls(near, sphere, radius_m, |place| self.pool().spent_at(place));
-            candidates.compact();
-            return;
+            candidates.compact(f64::INFINITY);
+            return None;
         }
         let touching = if near.any_place {
-            candidates.see_surfaces::<true>(near, sphere, spacing)
+            candidates.see_surfaces::<true>(near, sphere, searched_m, spacing)
         } else {
-            candidates.see_surfaces::<false>(near, sphere, spacing)
+            candidates.see_surfaces::<false>(near, sphere, searched_m, spacing)
         };
         if touching {
             self.see_touching(near, sphere, candidates);
+        } else {
+            let least2 = candidates.least_distance2();
+            if least2 >= sphere.reach * sphere.reach {
+                return Some(least2.sqrt().min(searched_m));
+            }
         }
-        candidates.compact();
+        candidates.compact(sphere.reach);
+        None
     }
 
     /// Handles voxels with the centre exactly on their boundary: the direction is outward through that face.

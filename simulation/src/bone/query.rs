@@ -223,8 +223,9 @@ impl Voxels {
             near.push_nearest(sphere, &self.geometry().spacing_m, position, place);
         });
         near.load_spent(self);
-        self.see(near, sphere, candidates);
-        self.cluster(sphere, out, None);
+        if self.see(near, sphere, sphere.reach, candidates).is_none() {
+            self.cluster(sphere, out, None);
+        }
     }
 
     #[inline(always)]

@@ -24,6 +24,9 @@ use super::voxels::Voxels;
 /// search every 33 ticks.
 const SLACK_VOXELS: f64 = 0.1;
 
+/// Number of values compared at a time.
+const LANES: usize = 8;
+
 /// Cutting radius of a burr, m: its own and the cutting law's reach.
 fn cut_radius_m(radius_m: f64, cutting: &CuttingLaw) -> f64 {
     radius_m + cutting.reach_m
@@ -106,6 +109,8 @@ pub(super) struct ReachedVoxels {
     searched: Vec<PressedBall>,
     /// Centres along each grid axis, metres.
     position: [Vec<f64>; 3],
+    /// Around all of them.
+    pub around: VoxelBox,
     pub index: Vec<VoxelIndex>,
     /// The same along each grid axis.
     pub at: Vec<[i64; 3]>,
@@ -114,13 +119,14 @@ pub(super) struct ReachedVoxels {
     pub spent: Vec<f64>,
     /// Energy to cut the whole voxel, J.
     pub full_j: Vec<f64>,
-    /// The burr's depth in each voxel in this tick, as a fraction of its width, and the voxel's capacity, J.
+    /// The burr's depth in each voxel in this tick, as a fraction of its width, the voxel's capacity, J, and its width toward the burr, m.
     pub depth: Vec<f64>,
     pub room_j: Vec<f64>,
+    width_m: Vec<f64>,
     /// Which ball is the deepest in each voxel; empty for a burr that is one ball.
     deepest: Vec<u8>,
-    /// Depths and capacities of one ball of several.
-    of_ball: [Vec<f64>; 2],
+    /// Depths, capacities and widths of one ball of several.
+    of_ball: [Vec<f64>; 3],
     /// Capacity of all lists.
     capacity: usize,
 }
@@ -135,6 +141,7 @@ impl ReachedVoxels {
         Self {
             searched: Vec::with_capacity(MAX_CUTTER_BALLS),
             position: [numbers(), numbers(), numbers()],
+            around: VoxelBox::NOTHING,
             index: Vec::with_capacity(capacity),
             at: Vec::with_capacity(capacity),
             place: Vec::with_capacity(capacity),
@@ -142,8 +149,9 @@ impl ReachedVoxels {
             full_j: numbers(),
             depth: numbers(),
             room_j: numbers(),
+            width_m: numbers(),
             deepest: Vec::with_capacity(for_several),
-            of_ball: [others(), others()],
+            of_ball: [others(), others(), others()],
             capacity,
         }
     }
@@ -160,6 +168,7 @@ impl ReachedVoxels {
 
     fn clear(&mut self) {
         self.position.iter_mut().for_each(Vec::clear);
+        self.around = VoxelBox::NOTHING;
         self.index.clear();
         self.at.clear();
         self.place.clear();
@@ -178,15 +187,14 @@ impl ReachedVoxels {
     /// Computes all depths and capacities, in each voxel those of the ball that is deepest in it.
     fn measure(&mut self, arch: Arch, press: &Press, spacing: [f64; 3]) {
         let count = self.index.len();
-        let [of_depth, of_room_j] = &mut self.of_ball;
+        let [of_depth, of_room_j, of_width_m] = &mut self.of_ball;
         self.deepest.clear();
         for (number, ball) in press.balls.iter().enumerate() {
-            let [depth, room_j] = match number {
-                0 => [&mut self.depth, &mut self.room_j],
-                _ => [&mut *of_depth, &mut *of_room_j],
+            let mut out = match number {
+                0 => [&mut self.depth, &mut self.room_j, &mut self.width_m],
+                _ => [&mut *of_depth, &mut *of_room_j, &mut *of_width_m],
             };
-            depth.resize(count, 0.0);
-            room_j.resize(count, 0.0);
+            out.iter_mut().for_each(|list| list.resize(count, 0.0));
             arch.dispatch(Measure {
                 ball,
                 recession_m: press.recession_m,
@@ -194,7 +202,7 @@ impl ReachedVoxels {
                 position: self.position.each_ref().map(Vec::as_slice),
                 spent: &self.spent,
                 full_j: &self.full_j,
-                out: [depth, room_j],
+                out: out.map(Vec::as_mut_slice),
             });
             if number == 0 {
                 continue;
@@ -204,6 +212,7 @@ impl ReachedVoxels {
                 if of_depth[voxel] > self.depth[voxel] {
                     self.depth[voxel] = of_depth[voxel];
                     self.room_j[voxel] = of_room_j[voxel];
+                    self.width_m[voxel] = of_width_m[voxel];
                     self.deepest[voxel] = number as u8;
                 }
             }
@@ -217,10 +226,16 @@ impl ReachedVoxels {
     }
 
     /// Subtracts the energy of a level from all voxels with positive depth.
-    pub fn spend(&mut self, arch: Arch, level_j: f64) -> &Self {
+    pub fn spend(&mut self, arch: Arch, level_j: f64) {
         let [depth, room_j, full_j] = [&self.depth, &self.room_j, &self.full_j];
         arch.dispatch(Spend { level_j, depth, room_j, full_j, spent: &mut self.spent });
-        self
+    }
+
+    /// The most that a surface recedes for each joule and unit of depth, m/J.
+    pub fn most_recession_m_per_j(&self, arch: Arch) -> f64 {
+        let count = self.depth.len();
+        let [width_m, full_j] = [&self.width_m[..count], &self.full_j[..count]];
+        arch.dispatch(MostRecession { depth: &self.depth, width_m, full_j })
     }
 
     /// From a voxel's centre to a point in the grid's metric frame, m.
@@ -238,7 +253,7 @@ struct Measure<'a> {
     position: [&'a [f64]; 3],
     spent: &'a [f64],
     full_j: &'a [f64],
-    out: [&'a mut [f64]; 2],
+    out: [&'a mut [f64]; 3],
 }
 
 impl pulp::WithSimd for Measure<'_> {
@@ -251,7 +266,7 @@ impl pulp::WithSimd for Measure<'_> {
         let recession_m = self.recession_m;
         let [x, y, z] = self.position.map(|along| &along[..count]);
         let (spent, full_j) = (&self.spent[..count], &self.full_j[..count]);
-        let [depth, room_j] = self.out.map(|list| &mut list[..count]);
+        let [depth, room_j, width_m] = self.out.map(|list| &mut list[..count]);
         for voxel in 0..count {
             let from = [centre.x - x[voxel], centre.y - y[voxel], centre.z - z[voxel]];
             let end = VoxelEnd::seen(from, self.spacing, spent[voxel]);
@@ -269,6 +284,7 @@ impl pulp::WithSimd for Measure<'_> {
             let room = if room < advance { room } else { advance };
             depth[voxel] = deep;
             room_j[voxel] = room * full_j[voxel];
+            width_m[voxel] = end.width;
         }
     }
 }
@@ -295,6 +311,33 @@ impl pulp::WithSimd for Spend<'_> {
             let sum = *spent + given / full_j;
             *spent = if sum < 1.0 { sum } else { 1.0 };
         }
+    }
+}
+
+/// The loop of [`ReachedVoxels::most_recession_m_per_j`].
+struct MostRecession<'a> {
+    depth: &'a [f64],
+    width_m: &'a [f64],
+    full_j: &'a [f64],
+}
+
+impl pulp::WithSimd for MostRecession<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> f64 {
+        let [(depth, rest), (width_m, rest_m), (full_j, rest_j)] =
+            [self.depth, self.width_m, self.full_j].map(<[f64]>::as_chunks::<LANES>);
+        let mut most = [0.0; LANES];
+        for ((depth, width_m), full_j) in depth.iter().zip(width_m).zip(full_j) {
+            for lane in 0..LANES {
+                let recession = depth[lane] * width_m[lane] / full_j[lane];
+                most[lane] = if recession > most[lane] { recession } else { most[lane] };
+            }
+        }
+        let ends = rest.iter().zip(rest_m).zip(rest_j);
+        let of_ends = ends.map(|((depth, width_m), full_j)| depth * width_m / full_j);
+        most.into_iter().chain(of_ends).fold(0.0, f64::max)
     }
 }
 
@@ -354,6 +397,7 @@ impl ReachedVoxels {
         for (along, position) in self.position.iter_mut().zip(voxels.geometry().voxel_position(voxel)) {
             along.push(position);
         }
+        self.around = self.around.with(voxel);
         self.index.push(index);
         self.at.push(voxel);
         let place = voxels.pool().place(inside);

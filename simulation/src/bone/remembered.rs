@@ -17,40 +17,52 @@ struct RememberedCell {
     cell: SplineCell,
     /// Number of changed regions it was checked against; `None` if the entry is empty.
     seen: Option<u64>,
-    /// Time of the last request.
-    used: u64,
 }
 
 /// The cells that a sphere's contacts requested most recently.
 #[derive(Debug, Clone)]
 pub(super) struct RememberedCells {
     cells: [RememberedCell; KEPT_CELLS],
+    /// [`key`] of each cell's start, and the time of its last request: apart from the cells, so that a search reads little.
+    keys: [u64; KEPT_CELLS],
+    used: [u64; KEPT_CELLS],
     /// Number of requests so far.
     uses: u64,
 }
 
+/// A number for a start; starts far apart may share it.
+#[inline(always)]
+fn key([x, y, z]: [i64; 3]) -> u64 {
+    const BITS: u32 = 21;
+    const MASK: i64 = (1 << BITS) - 1;
+    ((x & MASK) | (y & MASK) << BITS | (z & MASK) << (2 * BITS)) as u64
+}
+
 impl RememberedCells {
     pub fn new() -> Self {
-        let nothing = RememberedCell { start: [0; 3], cell: SplineCell::AIR, seen: None, used: 0 };
-        Self { cells: [nothing; KEPT_CELLS], uses: 0 }
+        let nothing = RememberedCell { start: [0; 3], cell: SplineCell::AIR, seen: None };
+        Self { cells: [nothing; KEPT_CELLS], keys: [u64::MAX; KEPT_CELLS], used: [0; KEPT_CELLS], uses: 0 }
     }
 
-    /// The cell that starts at a voxel, or else the least recently used one.
+    /// The entry of the cell that starts at a voxel, or else the least recently used one. Loops without a way out, which use vector
+    /// instructions.
     #[inline(always)]
     fn at(&mut self, start: [i64; 3]) -> &mut RememberedCell {
         self.uses += 1;
-        let mut place = 0;
-        for (other, cell) in self.cells.iter().enumerate() {
-            if cell.start == start {
-                place = other;
-                break;
-            }
-            if cell.used < self.cells[place].used {
-                place = other;
-            }
+        let key = key(start);
+        let mut found = KEPT_CELLS;
+        for place in 0..KEPT_CELLS {
+            found = if self.keys[place] == key { place } else { found };
         }
-        self.cells[place].used = self.uses;
-        &mut self.cells[place]
+        if found == KEPT_CELLS {
+            found = 0;
+            for place in 1..KEPT_CELLS {
+                found = if self.used[place] < self.used[found] { place } else { found };
+            }
+            self.keys[found] = key;
+        }
+        self.used[found] = self.uses;
+        &mut self.cells[found]
     }
 
     /// Same as [`Voxels::spline_cell`], bit for bit.

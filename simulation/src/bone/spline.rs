@@ -144,58 +144,124 @@ impl Voxels {
         let [first, second] = &halves;
         for (z_power, by_y) in cell.coefficients.iter_mut().enumerate() {
             for (y_power, by_x) in by_y.iter_mut().enumerate() {
-                let both = [first.by_y[y_power][z_power], second.by_y[y_power][z_power]];
+                let both = [first.by_y[y_power][z_power].0, second.by_y[y_power][z_power].0];
                 take_rows(by_x, &both.as_flattened()[within[0]..]);
             }
         }
     }
 }
 
+/// A number for each of eight voxels along x. Loops over all lanes at once, because the compiler makes vector instructions of these, and not
+/// of a loop over lanes that contains the whole sum.
+#[derive(Debug, Clone, Copy)]
+struct Lanes([f64; BLOCK_EDGE]);
+
+impl Lanes {
+    const ZERO: Self = Self([0.0; BLOCK_EDGE]);
+
+    /// The spent fractions of the voxels of a row that are still bone: one that is wholly spent is not among the whole voxels from which
+    /// they are subtracted.
+    #[inline(always)]
+    fn of_bone(row: &[f64; BLOCK_EDGE]) -> Self {
+        let mut lanes = Self::ZERO;
+        for (lane, spent) in lanes.0.iter_mut().zip(row) {
+            *lane = if *spent < 1.0 { *spent } else { 0.0 };
+        }
+        lanes
+    }
+}
+
+impl From<i8> for Lanes {
+    #[inline(always)]
+    fn from(number: i8) -> Self {
+        Self([f64::from(number); BLOCK_EDGE])
+    }
+}
+
+impl Add for Lanes {
+    type Output = Self;
+
+    #[inline(always)]
+    fn add(mut self, other: Self) -> Self {
+        for (lane, other) in self.0.iter_mut().zip(&other.0) {
+            *lane += other;
+        }
+        self
+    }
+}
+
+impl Sub for Lanes {
+    type Output = Self;
+
+    #[inline(always)]
+    fn sub(mut self, other: Self) -> Self {
+        for (lane, other) in self.0.iter_mut().zip(&other.0) {
+            *lane -= other;
+        }
+        self
+    }
+}
+
+impl Mul for Lanes {
+    type Output = Self;
+
+    #[inline(always)]
+    fn mul(mut self, other: Self) -> Self {
+        for (lane, other) in self.0.iter_mut().zip(&other.0) {
+            *lane *= other;
+        }
+        self
+    }
+}
+
 /// Sums of the spent fractions over y and z for eight voxels along x, by the powers of u_y and u_z.
-///
-/// Loops and not closures over arrays, which the compiler does not always make part of code for vector instructions.
 struct Sums {
-    by_y: [[[f64; BLOCK_EDGE]; 3]; 3],
+    by_y: [[Lanes; 3]; 3],
 }
 
 impl Sums {
-    const NOTHING: Self = Self { by_y: [[[0.0; BLOCK_EDGE]; 3]; 3] };
+    const NOTHING: Self = Self { by_y: [[Lanes::ZERO; 3]; 3] };
 
     /// `blocks` by z and y; the first voxel's y and z within the first of them.
     #[inline(always)]
     fn add(&mut self, blocks: &[[Option<Block>; 2]; 2], [y, z]: [usize; 2]) {
-        let mut by_y = [[[0.0; BLOCK_EDGE]; SPLINE_VOXELS]; 3];
+        let mut slices = [[Lanes::ZERO; 3]; SPLINE_VOXELS];
         let mut any = false;
-        for slice in 0..SPLINE_VOXELS {
+        for (slice, sums) in slices.iter_mut().enumerate() {
             let z = z + slice;
             let [first, second] = &blocks[z / BLOCK_EDGE % 2];
             if is_cut(first, second, y, z) {
                 any = true;
-                let mut rows = [&[0.0; BLOCK_EDGE]; SPLINE_VOXELS];
-                for (row, spent) in rows.iter_mut().enumerate() {
-                    if let Some(block) = if y + row < BLOCK_EDGE { first } else { second } {
-                        *spent = block.row(y + row, z);
-                    }
+                let [first, second] = [slice_of(first, z), slice_of(second, z)];
+                let mut rows = [Lanes::ZERO; SPLINE_VOXELS];
+                for (row, lanes) in rows.iter_mut().enumerate() {
+                    let side = if y + row < BLOCK_EDGE { first } else { second };
+                    *lanes = Lanes::of_bone(&side[(y + row) % BLOCK_EDGE]);
                 }
-                let [one, u, u2] = &mut by_y;
-                for lane in 0..BLOCK_EDGE {
-                    let row = |row: usize| bone_spent(rows[row][lane]);
-                    let column = [row(0), row(1), row(2), row(3), row(4), row(5), row(6)];
-                    [one[slice][lane], u[slice][lane], u2[slice][lane]] = combine(column);
-                }
+                *sums = combine(rows);
             }
         }
         if any {
-            for (slices, [one, u, u2]) in by_y.iter().zip(&mut self.by_y) {
-                for lane in 0..BLOCK_EDGE {
-                    let slice = |slice: usize| slices[slice][lane];
-                    let column = [slice(0), slice(1), slice(2), slice(3), slice(4), slice(5), slice(6)];
-                    [one[lane], u[lane], u2[lane]] = combine(column);
-                }
+            let [s0, s1, s2, s3, s4, s5, s6] = &slices;
+            for (power, by_z) in self.by_y.iter_mut().enumerate() {
+                *by_z =
+                    combine([s0[power], s1[power], s2[power], s3[power], s4[power], s5[power], s6[power]]);
             }
         }
     }
 }
+
+/// Slice z of a block.
+#[inline(always)]
+fn slice_of<'p>(block: &Option<Block<'p>>, z: usize) -> &'p [[f64; BLOCK_EDGE]; BLOCK_EDGE] {
+    match block {
+        Some(block) => block.slice(z),
+        None => &UNCUT,
+    }
+}
+
+/// A slice of a block in which nothing is spent.
+static UNCUT: [[f64; BLOCK_EDGE]; BLOCK_EDGE] = [[0.0; BLOCK_EDGE]; BLOCK_EDGE];
 
 /// Subtracts sums along x.
 #[inline(always)]
@@ -218,12 +284,6 @@ fn is_cut(first: &Option<Block>, second: &Option<Block>, y: usize, z: usize) -> 
     let both = u128::from(rows(first)) | u128::from(rows(second)) << u64::BITS;
     const UNUSED: usize = BLOCK_EDGE * (BLOCK_EDGE - SPLINE_VOXELS);
     ((both >> (BLOCK_EDGE * y)) as u64) << UNUSED != 0
-}
-
-/// The spent fraction of a voxel that is still bone: one that is wholly spent is not among the whole voxels from which this is subtracted.
-#[inline(always)]
-fn bone_spent(spent: f64) -> f64 {
-    if spent < 1.0 { spent } else { 0.0 }
 }
 
 #[cfg(test)]

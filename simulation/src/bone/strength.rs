@@ -53,12 +53,12 @@ pub(super) struct Block<'p> {
 }
 
 impl<'p> Block<'p> {
-    /// The fractions of the row at (y, z), counted within the block or from the start of it and its neighbours.
+    /// The fractions of slice z, by y and x; z counted within the block or from the start of it and its neighbours.
     #[inline(always)]
-    pub fn row(&self, y: usize, z: usize) -> &'p [f64; BLOCK_EDGE] {
-        let row = ((z % BLOCK_EDGE) << BLOCK_SHIFT) + y % BLOCK_EDGE;
-        // A row of the block, which always exists.
-        self.spent[row * BLOCK_EDGE..].first_chunk().unwrap_or(&[0.0; BLOCK_EDGE])
+    pub fn slice(&self, z: usize) -> &'p [[f64; BLOCK_EDGE]; BLOCK_EDGE] {
+        let (rows, _) = self.spent.as_chunks::<BLOCK_EDGE>();
+        let (slices, _) = rows.as_chunks::<BLOCK_EDGE>();
+        &slices[z % BLOCK_EDGE]
     }
 
     /// Which voxels of slice z may have a spent fraction above 0: a byte a row, the first row lowest.

@@ -5,7 +5,11 @@
 //! all that matter, in the order of a new search, while three conditions hold: the centre stays in its voxel, the query's reach lies
 //! within the stored one, and no voxel in it is removed or cut for the first time. Distances are always recomputed. The planes equal those of
 //! [`Voxels::contact_planes`] bit for bit, so the cache is not part of the state.
+//!
+//! Most spheres of a tool in a hole touch nothing. Of such a sphere the cache also stores how far the nearest surface was, and asks again
+//! only once the sphere has moved so far that it may touch ([`Clear`]).
 
+use nalgebra::Vector3;
 use pulp::Arch;
 
 use super::gather::{Sphere, outside, widening};
@@ -27,6 +31,39 @@ const _: () = assert!(
 /// Extra reach of the cached search, in voxels of the smallest spacing. A tool fed at 1.5 mm/s through voxels of 0.5 mm needs a new
 /// search every 33 ticks.
 const SLACK_VOXELS: f64 = 0.1;
+/// The same for a sphere that touched nothing: it is seldom looked at, so a longer list costs little.
+const CLEAR_SLACK_VOXELS: f64 = 0.4;
+
+/// A sphere that touched nothing.
+///
+/// A voxel's surface is at `max(distance to its box, |d| - (f - 1/2) w(d))`, d from its centre to the sphere's. The first grows by at most
+/// the sphere's motion. So does |d|, and w, which depends on the direction of d alone, changes across it, by at most the voxel's diagonal over
+/// |d|. With |d| at least half the diagonal the distance thus changes by at most sqrt(2) times the motion. Drilling moves every surface
+/// away, and a voxel that was hidden is no nearer than what hid it.
+#[derive(Debug, Clone, Copy)]
+struct Clear {
+    /// Where it was, in the grid's frame.
+    centre: Vector3<f64>,
+    /// Least distance from there to any surface, m.
+    distance_m: f64,
+}
+
+impl Clear {
+    /// Most change of a distance over the motion: sqrt(2), with room.
+    const MOST_CHANGE: f64 = 1.5;
+    /// Far more than the rounding of distances, m.
+    const ROUNDING_M: f64 = 1e-9;
+
+    /// True if the sphere still touches nothing. A reach of a diagonal keeps |d| above half of one.
+    #[inline]
+    fn holds(&self, sphere: &Sphere, spacing: [f64; 3]) -> bool {
+        let [hx, hy, hz] = spacing;
+        let room_m = (self.distance_m - sphere.reach - Self::ROUNDING_M) / Self::MOST_CHANGE;
+        room_m > 0.0
+            && sphere.reach * sphere.reach >= hx * hx + hy * hy + hz * hz
+            && (sphere.centre - self.centre).norm_squared() <= room_m * room_m
+    }
+}
 
 /// Cache entry of one sphere.
 #[derive(Debug, Clone)]
@@ -40,6 +77,8 @@ struct Track {
     spent_seen: Option<u64>,
     /// The smoothed surface at the nearest voxels.
     cells: RememberedCells,
+    /// Set if the sphere touched nothing when it was last looked at.
+    clear: Option<Clear>,
 }
 
 impl Track {
@@ -49,6 +88,13 @@ impl Track {
         searched.voxel == sphere.voxel
             && room >= 0.0
             && (sphere.centre - searched.centre).norm_squared() <= room * room
+    }
+
+    /// Distance from the sphere within which all voxels are stored, for a sphere that [`Self::holds`], m.
+    fn searched_m(&self, sphere: &Sphere) -> f64 {
+        let rest_m =
+            self.sphere.map_or(0.0, |searched| searched.reach - (sphere.centre - searched.centre).norm());
+        rest_m.max(sphere.reach)
     }
 
     /// Call for a voxel that is gone or cut for the first time. That exposes only voxels that are no nearer to a sphere than this one, so a
@@ -90,7 +136,15 @@ impl Track {
             self.load_spent(voxels);
             return Some(self);
         }
-        let slack_m = SLACK_VOXELS * voxels.geometry().smallest_spacing_m();
+        let slacks =
+            if self.clear.is_some() { &[CLEAR_SLACK_VOXELS, SLACK_VOXELS][..] } else { &[SLACK_VOXELS] };
+        let fits = slacks.iter().any(|slack| self.search(voxels, sphere, *slack));
+        fits.then_some(self)
+    }
+
+    /// Stores the voxels near a sphere; false if there is no room for them.
+    fn search(&mut self, voxels: &Voxels, sphere: &Sphere, slack_voxels: f64) -> bool {
+        let slack_m = slack_voxels * voxels.geometry().smallest_spacing_m();
         let widened = Sphere { reach: sphere.reach + slack_m, ..*sphere };
         let near = &mut self.near;
         near.clear();
@@ -104,7 +158,7 @@ impl Track {
         self.sphere = fits.then_some(widened);
         self.spent_seen = None;
         self.load_spent(voxels);
-        fits.then_some(self)
+        fits
     }
 
     /// Loads the spent fractions unless they are loaded and unchanged.
@@ -135,16 +189,19 @@ impl ContactCache {
             near: NearVoxels::new(most),
             spent_seen: None,
             cells: RememberedCells::new(),
+            clear: None,
         };
         Self { tracks: (0..TRACKED_SPHERES).map(|_| empty()).collect(), seen: voxels.journal().edits() }
     }
 
     /// Adds the sphere's planes: those of [`Voxels::contact_planes`], bit for bit.
     pub fn planes(&mut self, voxels: &Voxels, arch: Arch, sphere: &Sphere, out: &mut ContactBuffer) {
-        if voxels.lead_out(sphere, out) {
+        self.forget_what_changed(voxels);
+        let spacing = voxels.geometry().spacing_m;
+        let clear = self.tracks.get(sphere.index).and_then(|track| track.clear);
+        if clear.is_some_and(|clear| clear.holds(sphere, spacing)) || voxels.lead_out(sphere, out) {
             return;
         }
-        self.forget_what_changed(voxels);
         match self.tracks.get_mut(sphere.index).and_then(|track| track.bring(voxels, sphere)) {
             Some(track) => arch.dispatch(PlanesOfTrack { voxels, sphere, track, out }),
             None => voxels.planes_of_search(sphere, out),
@@ -159,7 +216,9 @@ impl ContactCache {
             if edits == self.seen + 1 {
                 self.forget_last_tick(voxels);
             } else {
-                self.tracks.iter_mut().for_each(|track| track.sphere = None);
+                for track in &mut self.tracks {
+                    (track.sphere, track.clear) = (None, None);
+                }
             }
             self.seen = edits;
         }
@@ -214,7 +273,10 @@ impl pulp::WithSimd for PlanesOfTrack<'_> {
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) {
         let Self { voxels, sphere, track, out } = self;
-        voxels.see(&track.near, sphere, &mut out.candidates);
-        voxels.cluster(sphere, out, Some(&mut track.cells));
+        let clear_m = voxels.see(&track.near, sphere, track.searched_m(sphere), &mut out.candidates);
+        track.clear = clear_m.map(|distance_m| Clear { centre: sphere.centre, distance_m });
+        if clear_m.is_none() {
+            voxels.cluster(sphere, out, Some(&mut track.cells));
+        }
     }
 }

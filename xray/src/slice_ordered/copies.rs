@@ -3,13 +3,15 @@
 //! There is one copy for each axis across which slices are read, with rows along x (along y for slices across x). Neighbouring rows of a
 //! copy belong to successive slices, so a sum that goes from slice to slice reads each plane of rows from end to end: the CPU fetches such
 //! rows ahead by itself, and rows of successive planes only as fast as the sum asks for them. A copy is created when the first frame needs
-//! it. A row is a whole number of cells, and one bit per cell tells whether it holds anything.
+//! it. A row is a whole number of cells. Beside each cell stands its level: the value of all its voxels, if they are equal. Where the
+//! levels around a sample agree, the sample is known without its voxels.
 
 use rayon::prelude::*;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 use super::Machine;
 use super::array::Array;
+use super::options::CellShares;
 use super::plan::Axes;
 
 /// Voxels per cell.
@@ -20,6 +22,10 @@ const SQUARE: usize = 32;
 /// consecutive planes are read at the same time and must not map to the same cache sets.
 const PAGE_CELLS: usize = 64;
 const PLANE_SHIFT: usize = 5;
+/// Levels compared at a time: each row's are a multiple of this.
+pub(crate) const LEVELS: usize = 16;
+/// The level of a cell whose voxels differ, or did before one was removed; or whose value is not among the most frequent.
+pub(crate) const MIXED: u8 = u8::MAX;
 /// Left shift applied to byte values, so that rounding between two rows is small compared with the byte's resolution.
 const BYTE_SHIFT: u32 = 4;
 
@@ -108,9 +114,19 @@ pub(crate) struct Copy3<T: Voxel> {
     /// Cells per row, and cells between planes.
     row_cells: usize,
     plane_cells: usize,
-    /// One bit per cell of each row: set if anything in the cell attenuates, or did before it was removed.
-    occupancy: Vec<u64>,
-    words_per_row: usize,
+    /// For each cell of each row, which of the values all its voxels have, or [`MIXED`]; first those of the row of zeros.
+    levels: Vec<u8>,
+    /// The values that levels stand for, as used in sums; first zero.
+    values: Vec<i16>,
+    levels_per_row: usize,
+}
+
+/// Where the rows of a slice are: their number, the first cell and the first level of the first one, and the steps from row to row.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct SliceRows {
+    count: u64,
+    first: (usize, usize),
+    step: (usize, usize),
 }
 
 /// Cells per row and per plane of a copy.
@@ -156,25 +172,32 @@ impl<T: Voxel> Copy3<T> {
                 }
             },
         );
-        let words_per_row = row_cells.div_ceil(64);
-        let mut copy =
-            Self { data, dims, axes, row_cells, plane_cells, occupancy: Vec::new(), words_per_row };
-        copy.occupancy = copy.occupied_rows();
+        let levels_per_row = row_cells.next_multiple_of(LEVELS);
+        let (levels, values) = (Vec::new(), Vec::new());
+        let mut copy = Self { data, dims, axes, row_cells, plane_cells, levels, values, levels_per_row };
+        let of_cells = copy.values_of_cells();
+        copy.values = most_frequent(&of_cells);
+        let mut level_of = vec![MIXED; 1 << 16];
+        for (level, value) in (0..MIXED).zip(&copy.values) {
+            level_of[usize::from(*value as u16)] = level;
+        }
+        copy.levels = of_cells.par_iter().map(|value| level_of[usize::from(*value as u16)]).collect();
         Some(copy)
     }
 
-    fn occupied_rows(&self) -> Vec<u64> {
-        let rows = self.dims[self.axes.slow];
-        let mut bits = vec![0_u64; rows * self.dims[self.axes.v] * self.words_per_row];
+    /// For each level, the value of all of the cell's voxels as used in sums; negative if they differ.
+    fn values_of_cells(&self) -> Vec<i16> {
+        let (rows, width) = (self.dims[self.axes.slow], self.levels_per_row);
+        let mut levels = vec![0_i16; (1 + rows * self.dims[self.axes.v]) * width];
         let planes = self.data[self.row_cells..].par_chunks(self.plane_cells);
-        let zero = T::Cell::default();
-        bits.par_chunks_mut(rows * self.words_per_row).zip(planes).for_each(|(bits, plane)| {
-            let lines = plane.chunks(self.row_cells);
-            for (words, row) in bits.chunks_mut(self.words_per_row).zip(lines) {
-                row.iter().enumerate().filter(|(_, cell)| **cell != zero).for_each(|(c, _)| mark(words, c));
+        levels[width..].par_chunks_mut(rows * width).zip(planes).for_each(|(levels, plane)| {
+            for (levels, row) in levels.chunks_mut(width).zip(plane.chunks(self.row_cells)) {
+                for (level, cell) in levels.iter_mut().zip(row) {
+                    *level = value_of::<T>(cell);
+                }
             }
         });
-        bits
+        levels
     }
 
     /// The largest value.
@@ -183,11 +206,11 @@ impl<T: Voxel> Copy3<T> {
         self.data.par_chunks(1 << 11).map(largest).max().unwrap_or(0)
     }
 
-    /// First cell of a row, and its first word of occupancy.
+    /// First cell of a row, and its first level.
     #[inline(always)]
     fn row_at(&self, row: usize, plane: usize) -> (usize, usize) {
-        let bits = (row + self.dims[self.axes.slow] * plane) * self.words_per_row;
-        (self.row_cells * (1 + row) + self.plane_cells * plane, bits)
+        let levels = (1 + row + self.dims[self.axes.slow] * plane) * self.levels_per_row;
+        (self.row_cells * (1 + row) + self.plane_cells * plane, levels)
     }
 
     /// Index in `data` of the cell that contains a voxel.
@@ -205,11 +228,11 @@ impl<T: Voxel> Copy3<T> {
         if let Some(stored) = voxels_mut::<T>(cell).get_mut(voxel[u] % CELL) {
             *stored = T::store(value);
         }
-        if value != 0 {
-            let (_, row) = self.row_at(voxel[slow], voxel[v]);
-            if let Some(words) = self.occupancy.get_mut(row..row + self.words_per_row) {
-                mark(words, voxel[u] / CELL);
-            }
+        let (_, row) = self.row_at(voxel[slow], voxel[v]);
+        if let Some(level) = self.levels.get_mut(row + voxel[u] / CELL)
+            && self.values.get(usize::from(*level)) != Some(&(value * T::UNIT))
+        {
+            *level = MIXED;
         }
     }
 
@@ -239,41 +262,71 @@ impl<T: Voxel> Copy3<T> {
         self.row_cells
     }
 
-    /// First cell of row `v` of slice `k` across `slow` (of zeros outside the volume), and the row's occupancy.
+    /// The rows of slice `k` across `slow`.
     #[inline(always)]
-    pub fn row(&self, slow: usize, k: usize, v: i64) -> (usize, &[u64]) {
+    pub fn rows(&self, slow: usize, k: usize) -> SliceRows {
         let own = slow == self.axes.slow;
-        if v < 0 || v >= self.dims[if own { self.axes.v } else { self.axes.slow }] as i64 {
-            return (0, &[]);
-        }
-        let (row, plane) = if own { (k, v as usize) } else { (v as usize, k) };
-        let (first, bits) = self.row_at(row, plane);
-        (first, self.occupancy.get(bits..bits + self.words_per_row).unwrap_or(&[]))
+        let at = |v: usize| if own { self.row_at(k, v) } else { self.row_at(v, k) };
+        let (first, next) = (at(0), at(1));
+        let count = self.dims[if own { self.axes.v } else { self.axes.slow }];
+        SliceRows { count: count as u64, first, step: (next.0 - first.0, next.1 - first.1) }
     }
 
-    /// Words of occupancy per row.
-    pub fn words_per_row(&self) -> usize {
-        self.words_per_row
+    /// First cell of row `v` of a slice (of zeros outside the volume), and the row's levels.
+    #[inline(always)]
+    pub fn row(&self, rows: &SliceRows, v: i64) -> (usize, &[u8]) {
+        // Negative numbers are large ones.
+        let inside = (v as u64) < rows.count;
+        let at = |first: usize, step: usize| if inside { first + v as usize * step } else { 0 };
+        let levels = at(rows.first.1, rows.step.1);
+        let levels = self.levels.get(levels..levels + self.levels_per_row).unwrap_or(&[]);
+        (at(rows.first.0, rows.step.0), levels)
+    }
+
+    /// The value that a level stands for, as used in sums.
+    #[inline(always)]
+    pub fn value_of(&self, level: u8) -> i16 {
+        self.values.get(usize::from(level)).copied().unwrap_or(0)
+    }
+
+    /// Number of levels per row: of its cells, and zeros up to a multiple of [`LEVELS`].
+    pub fn levels_per_row(&self) -> usize {
+        self.levels_per_row
     }
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        size_of_val(&*self.data) + self.occupancy.len() * 8
+        size_of_val(&*self.data) + size_of_val(&*self.levels)
     }
 
-    /// Fraction of cells in which something attenuates.
-    pub fn occupied_share(&self) -> f64 {
-        let cells = self.occupancy.len() / self.words_per_row * self.row_cells;
-        let set: u64 = self.occupancy.iter().map(|w| u64::from(w.count_ones())).sum();
-        set as f64 / cells.max(1) as f64
+    /// Fractions of cells in which something attenuates, and of those whose voxels differ.
+    pub fn shares(&self) -> CellShares {
+        let count = |which: fn(&u8) -> bool| self.levels.iter().filter(|level| which(level)).count() as f64;
+        let cells = (self.dims[self.axes.slow] * self.dims[self.axes.v] * self.row_cells).max(1) as f64;
+        CellShares {
+            occupied: count(|level| *level != 0) / cells,
+            mixed: count(|level| *level == MIXED) / cells,
+        }
     }
 }
 
-#[inline(always)]
-fn mark(words: &mut [u64], bit: usize) {
-    if let Some(word) = words.get_mut(bit / 64) {
-        *word |= 1 << (bit % 64);
+/// The value of all of a cell's voxels as used in sums; negative if they differ.
+fn value_of<T: Voxel>(cell: &T::Cell) -> i16 {
+    let wide = T::widen(cell);
+    // Without an early exit, the compiler compares many voxels at a time.
+    let differs = wide.iter().fold(0, |differs, voxel| differs | (voxel ^ wide[0]));
+    if differs == 0 { wide[0] } else { -1 }
+}
+
+/// Zero, then the values that most cells have, as many as there are levels.
+fn most_frequent(values: &[i16]) -> Vec<i16> {
+    let mut counts = vec![0_u32; 1 << 15];
+    for value in values.iter().filter(|value| **value > 0) {
+        counts[*value as usize] += 1;
     }
+    let mut used: Vec<i16> = (1..=i16::MAX).filter(|value| counts[*value as usize] > 0).collect();
+    used.sort_by_key(|value| core::cmp::Reverse(counts[*value as usize]));
+    core::iter::once(0).chain(used).take(usize::from(MIXED)).collect()
 }
 
 /// `out[x width + y] = flat[x + nx y]`, square by square.

@@ -2,22 +2,23 @@
 //!
 //! In each slice, the voxel rows are first blended into the slice's eight image rows as 16-bit integers, 32 voxels at a time. Groups of
 //! 16 samples are then interpolated along these rows and added to 32-bit sums, which are flushed into 64-bit ones before they can
-//! overflow. Cells in which nothing attenuates are skipped. Between the groups of one slice, the data for the next slice are prefetched
-//! ([`Ahead`]). Only [`Lanes`] differs between instruction sets; all of them compute the same integers.
+//! overflow. Groups whose samples are known without voxels are skipped ([`TileRows`]). Between the groups of one slice, the data for a
+//! later slice are prefetched ([`Ahead`]). Only [`Lanes`] differs between instruction sets; all of them compute the same integers.
 
-use super::copies::{CELL, Cell16, Copy3, Voxel, voxels};
+use super::copies::{CELL, Cell16, Copy3, LEVELS, MIXED, Voxel, voxels};
 use super::plan::{
-    FRACTION_MASK, GROUP, GROUP_REACH, LANE_BITS, MAX_LINES, Plan, ROW_BITS, Slice, TILE_ROWS, WEIGHT_BITS,
+    FRACTION_MASK, GROUP, GROUP_REACH, LANE_BITS, Plan, ROW_BITS, Slice, TILE_ROWS, WEIGHT_BITS,
 };
+use super::runs::{LevelSums, TileRows};
 
-/// 32-bit sums of one group: eight rows of 16 samples.
+/// 32-bit sums of one group: eight rows of 16 samples. They are never negative, so all 32 bits count.
 pub(crate) type GroupSums = [[i32; GROUP]; TILE_ROWS];
 
 /// Number of tiles summed together, and number of slices summed into one tile before the next.
 pub(crate) const TILES: usize = 4;
 const BLOCK_SLICES: usize = 32;
-/// Runs separated by at most this many empty cells are merged, so that a group of samples reads only one run.
-const JOINED: usize = 2;
+/// Slices that are prefetched before they are summed. Less than this, and the memory answers too late.
+const SLICES_AHEAD: usize = 3;
 /// Number of voxels in a group's window, which starts at the group's first voxel.
 pub(crate) const WINDOW: usize = 32;
 
@@ -62,6 +63,9 @@ pub(crate) trait Lanes: Copy {
         place: GroupPlace,
         sums: &mut GroupSums,
     );
+    /// For each of [`LEVELS`] cells from `at` on, the level that all rows share, or [`MIXED`]; and one bit for each that differs from
+    /// the one before it. `before` holds the cells before these.
+    fn join(self, rows: &[&[u8]], at: usize, before: &[u8; LEVELS]) -> ([u8; LEVELS], u32);
     /// Prefetches a cache line.
     fn prefetch<T>(self, data: &[T], offset: usize);
 }
@@ -110,119 +114,30 @@ impl Lanes for Scalar {
         for (window, sums) in rows.windows(place.first).zip(sums) {
             for lane in 0..GROUP {
                 let (x, w) = (offsets[lane], weights[lane]);
-                sums[lane] += i32::from(window[x]) * w[0] + i32::from(window[x + 1]) * w[1];
+                let sample = i32::from(window[x]) * w[0] + i32::from(window[x + 1]) * w[1];
+                sums[lane] = sums[lane].wrapping_add(sample);
             }
         }
+    }
+
+    #[inline(always)]
+    fn join(self, rows: &[&[u8]], at: usize, before: &[u8; LEVELS]) -> ([u8; LEVELS], u32) {
+        let of = |row: &&[u8], cell: usize| row.get(at + cell).copied().unwrap_or(MIXED);
+        let shared = |cell: usize| {
+            let first = rows.first().map_or(MIXED, |row| of(row, cell));
+            if rows.iter().all(|row| of(row, cell) == first) { first } else { MIXED }
+        };
+        let joined: [u8; LEVELS] = core::array::from_fn(shared);
+        let previous = before.last().into_iter().chain(&joined);
+        let changed = joined.iter().zip(previous).enumerate();
+        (joined, changed.fold(0, |bits, (n, (a, b))| bits | (u32::from(a != b) << n)))
     }
 
     #[inline(always)]
     fn prefetch<T>(self, _data: &[T], _offset: usize) {}
 }
 
-/// A run of cells summed at once, and the groups that read them; both half-open.
-#[derive(Debug, Clone, Copy)]
-struct Run {
-    cells: (usize, usize),
-    groups: (usize, usize),
-}
-
-/// Position of a tile's rows in a slice, and which of their cells are occupied.
-#[derive(Debug, Default)]
-struct TileRows {
-    /// For each image row, its first voxel line and the 15-bit fraction to the next.
-    line: [usize; TILE_ROWS],
-    fraction: [i16; TILE_ROWS],
-    /// First cells of the lines in the copy.
-    offsets: [usize; MAX_LINES],
-    lines: usize,
-    /// Occupancy of the lines' cells, one bit each: set if any line's cell is occupied.
-    occupied: Vec<u64>,
-    runs: Vec<Run>,
-    summed: Summed,
-}
-
-/// The samples of a tile that are summed in a slice; ranges are half-open.
-#[derive(Debug, Default)]
-struct Summed {
-    /// Columns of each row.
-    columns: [(usize, usize); TILE_ROWS],
-    /// Groups with any of these columns, and groups of which all rows have all columns.
-    any: (usize, usize),
-    whole: (usize, usize),
-}
-
-impl Summed {
-    #[inline(always)]
-    fn of(plan: &Plan, slice: &Slice, first_row: usize) -> Self {
-        if !plan.meets_detector(slice, first_row) {
-            let all = plan.seen_columns(first_row);
-            let groups = ((all.0 / GROUP).max(slice.groups.0), (all.1 / GROUP).min(slice.groups.1));
-            return Self { columns: [all; TILE_ROWS], any: groups, whole: groups };
-        }
-        let columns: [(usize, usize); TILE_ROWS] =
-            core::array::from_fn(|row| plan.summed_columns(slice, first_row + row));
-        let filled = || columns.iter().filter(|row| row.0 < row.1);
-        let any = filled().fold((usize::MAX, 0), |all, row| (all.0.min(row.0), all.1.max(row.1)));
-        let whole = columns.iter().fold((0, usize::MAX), |all, row| (all.0.max(row.0), all.1.min(row.1)));
-        let any = ((any.0 / GROUP).max(slice.groups.0), any.1.div_ceil(GROUP).min(slice.groups.1));
-        Self { columns, any, whole: (whole.0.div_ceil(GROUP), whole.1 / GROUP) }
-    }
-
-    /// Adds those of a group's samples that are summed.
-    #[inline(always)]
-    fn add(&self, group: usize, samples: &GroupSums, sums: &mut GroupSums) {
-        for ((sums, samples), columns) in sums.iter_mut().zip(samples).zip(&self.columns) {
-            for lane in 0..GROUP {
-                let column = group * GROUP + lane;
-                let kept = columns.0 <= column && column < columns.1;
-                sums[lane] += if kept { samples[lane] } else { 0 };
-            }
-        }
-    }
-}
-
-impl TileRows {
-    /// Finds the voxel lines that the tile reads in a slice; false if nothing attenuates in them.
-    #[inline(always)]
-    fn place<T: Voxel>(&mut self, copy: &Copy3<T>, plan: &Plan, slice: &Slice, first_row: usize) -> bool {
-        self.runs.clear();
-        self.summed = Summed::of(plan, slice, first_row);
-        if self.summed.any.0 >= self.summed.any.1 {
-            return false;
-        }
-        let (first_line, _) = slice.row(first_row);
-        let (last_line, _) = slice.row(first_row + TILE_ROWS - 1);
-        self.lines = ((last_line - first_line) as usize + 2).min(MAX_LINES);
-        self.occupied.fill(0);
-        for line in 0..self.lines {
-            let (offset, occupied) = copy.row(plan.axes.slow, slice.index, first_line + line as i64);
-            self.offsets[line] = offset;
-            for (all, word) in self.occupied.iter_mut().zip(occupied) {
-                *all |= word;
-            }
-        }
-        let (mut from, read_end) = slice.cells_read(self.summed.any, copy.row_cells());
-        while let Some((first, end)) = next_run(&self.occupied, from).filter(|run| run.0 < read_end) {
-            from = end;
-            let end = end.min(read_end);
-            let groups = slice.groups_reading((first * CELL) as i64, (end * CELL) as i64, self.summed.any);
-            if groups.0 < groups.1 {
-                self.runs.push(Run { cells: (first, end), groups });
-            }
-        }
-        if self.runs.is_empty() {
-            return false;
-        }
-        for row in 0..TILE_ROWS {
-            let (line, fraction) = slice.row(first_row + row);
-            self.line[row] = ((line - first_line) as usize).min(MAX_LINES - 2);
-            self.fraction[row] = fraction;
-        }
-        true
-    }
-}
-
-/// Prefetches the tile's data of the next slice, a few cells at a time, so that loading and summing overlap.
+/// Prefetches the tile's data of a later slice, a few cells at a time, so that loading and summing overlap.
 struct Ahead<'a> {
     rows: &'a TileRows,
     run: usize,
@@ -236,9 +151,9 @@ struct Ahead<'a> {
 impl<'a> Ahead<'a> {
     #[inline(always)]
     fn new(now: &TileRows, rows: &'a TileRows) -> Self {
-        let cells = rows.runs.iter().map(|run| run.cells.1 - run.cells.0).sum();
+        let cells = rows.runs.iter().map(|run| run.mixed.1 - run.mixed.0).sum();
         let groups = now.runs.iter().map(|run| run.groups.1 - run.groups.0).sum();
-        Self { rows, run: 0, cell: rows.runs.first().map_or(0, |run| run.cells.0), cells, groups, due: 0 }
+        Self { rows, run: 0, cell: rows.runs.first().map_or(0, |run| run.mixed.0), cells, groups, due: 0 }
     }
 
     /// Call for each group summed.
@@ -247,15 +162,14 @@ impl<'a> Ahead<'a> {
         self.due += self.cells;
         while self.due >= self.groups {
             self.due -= self.groups;
-            let Some(run) = self.rows.runs.get(self.run) else { return };
+            while self.rows.runs.get(self.run).is_some_and(|run| self.cell >= run.mixed.1) {
+                self.run += 1;
+                self.cell = self.rows.runs.get(self.run).map_or(0, |run| run.mixed.0);
+            }
             for &offset in self.rows.offsets.get(..self.rows.lines).unwrap_or(&[]) {
                 lanes.prefetch(data, offset + self.cell);
             }
             self.cell += 1;
-            if self.cell >= run.cells.1 {
-                self.run += 1;
-                self.cell = self.rows.runs.get(self.run).map_or(0, |run| run.cells.0);
-            }
         }
     }
 }
@@ -273,10 +187,11 @@ struct TileSums {
 #[derive(Default)]
 pub(crate) struct Work {
     sums: Vec<TileSums>,
+    known: Vec<LevelSums>,
     /// Eight rows of cells, with one zero cell at either end.
     blended: Vec<Cell16>,
-    /// Of the current slice and of the next one.
-    rows: [TileRows; 2],
+    /// Of the current slice and of those to come.
+    rows: [TileRows; 1 + SLICES_AHEAD],
 }
 
 impl Work {
@@ -285,18 +200,49 @@ impl Work {
         self.sums.resize_with(TILES, TileSums::default);
         for tile in &mut self.sums {
             tile.groups.resize(plan.columns / GROUP, [[0; GROUP]; TILE_ROWS]);
+            tile.touched = (usize::MAX, 0);
         }
+        self.known.resize_with(TILES, LevelSums::default);
+        self.known.iter_mut().for_each(|known| known.fit(plan.columns / GROUP));
+        // The cells at either end of a row stay zero.
+        self.blended.clear();
         self.blended.resize(TILE_ROWS * (copy.row_cells() + 2), Cell16::default());
-        for rows in &mut self.rows {
-            rows.occupied.resize(copy.words_per_row(), 0);
+    }
+}
+
+/// The order of the sum: a few slices for all tiles before the next few, so that a voxel line that two tiles read is loaded from memory
+/// once.
+struct Order<'a> {
+    slices: &'a [Slice],
+    tiles: usize,
+    block: usize,
+    tile: usize,
+    slice: usize,
+}
+
+impl<'a> Order<'a> {
+    #[inline(always)]
+    fn next(&mut self) -> Option<(usize, &'a Slice)> {
+        loop {
+            let end = (self.block + BLOCK_SLICES).min(self.slices.len());
+            if self.slice < end {
+                self.slice += 1;
+                return Some((self.tile, self.slices.get(self.slice - 1)?));
+            }
+            self.tile += 1;
+            if self.tile >= self.tiles {
+                (self.tile, self.block) = (0, end);
+                if end >= self.slices.len() {
+                    return None;
+                }
+            }
+            self.slice = self.block;
         }
     }
 }
 
 /// Sums all slices into the tiles of eight rows starting at image row `first_row`; `out` holds the tiles, row-major. Sums at most
 /// `flush_after` slices in 32 bits.
-///
-/// Processes a few slices for all tiles before the next few, so that a voxel line that two tiles read is loaded from memory once.
 #[inline(always)]
 pub(crate) fn sum_tiles<T: Voxel, L: Lanes>(
     lanes: L,
@@ -309,63 +255,53 @@ pub(crate) fn sum_tiles<T: Voxel, L: Lanes>(
 ) {
     out.fill(0);
     let length = (TILE_ROWS * plan.columns).max(1);
-    let tiles = out.len() / length;
-    let Work { sums, blended, rows: [now, next] } = work;
-    let mut slices = plan
-        .slices
-        .chunks(BLOCK_SLICES)
-        .flat_map(|block| (0..tiles).flat_map(move |tile| block.iter().map(move |slice| (tile, slice))));
-    let mut find = |rows: &mut TileRows| {
-        slices.find(|(tile, slice)| {
+    let Work { sums, known, blended, rows } = work;
+    let mut order = Order { slices: &plan.slices, tiles: out.len() / length, block: 0, tile: 0, slice: 0 };
+    let mut queue: [Option<(usize, &Slice)>; 1 + SLICES_AHEAD] = [None; 1 + SLICES_AHEAD];
+    for now in (0..=SLICES_AHEAD).cycle().skip(1) {
+        let last = (now + SLICES_AHEAD) % (1 + SLICES_AHEAD);
+        rows[last].runs.clear();
+        queue[last] = None;
+        while let Some((tile, slice)) = order.next() {
             let from = first_row + tile * TILE_ROWS;
             let meets = slice.rows.0.max(from) < slice.rows.1.min(from + TILE_ROWS);
-            meets && slice.groups.0 < slice.groups.1 && rows.place(copy, plan, slice, from)
-        })
-    };
-    let mut current = find(now);
-    while let Some((tile, slice)) = current {
-        next.runs.clear();
-        current = find(next);
-        if let Some(tile_sums) = sums.get_mut(tile) {
-            sum_slice(lanes, copy, slice, (&*now, &*next), blended, tile_sums);
+            let Some(known) = known.get_mut(tile).filter(|_| meets && slice.groups.0 < slice.groups.1) else {
+                continue;
+            };
+            if rows[last].place(lanes, copy, plan, (slice, from), known) {
+                queue[last] = Some((tile, slice));
+                break;
+            }
+        }
+        if let Some((tile, slice)) = queue[now]
+            && let Some(tile_sums) = sums.get_mut(tile)
+        {
+            sum_slice(lanes, copy, slice, (&rows[now], &rows[last]), blended, tile_sums);
             if tile_sums.summed == flush_after {
                 flush(tile_sums, plan.columns, out.get_mut(tile * length..).unwrap_or(&mut []));
             }
         }
-        core::mem::swap(now, next);
+        if queue.iter().all(Option::is_none) {
+            break;
+        }
+        queue[now] = None;
     }
-    for (sums, out) in sums.iter_mut().zip(out.chunks_mut(length)) {
+    for ((sums, known), out) in sums.iter_mut().zip(known).zip(out.chunks_mut(length)) {
         flush(sums, plan.columns, out);
+        add_known(known, plan.columns, out);
     }
 }
 
-/// The first run of occupied cells at or after `from`, half-open.
+/// Adds what groups of one value sum to.
 #[inline(always)]
-fn next_run(occupied: &[u64], from: usize) -> Option<(usize, usize)> {
-    let next = |from: usize, wanted: bool| {
-        let mut word = from / 64;
-        let mut skip = u64::MAX << (from % 64);
-        while let Some(&bits) = occupied.get(word) {
-            let found = if wanted { bits } else { !bits } & skip;
-            if found != 0 {
-                return word * 64 + found.trailing_zeros() as usize;
+fn add_known(known: &mut LevelSums, columns: usize, out: &mut [i64]) {
+    for (group, value) in known.take().enumerate().filter(|(_, value)| *value != 0) {
+        for row in out.chunks_exact_mut(columns) {
+            let samples = row.get_mut(group * GROUP..).and_then(|rest| rest.first_chunk_mut::<GROUP>());
+            for sample in samples.into_iter().flatten() {
+                *sample += value << WEIGHT_BITS;
             }
-            word += 1;
-            skip = u64::MAX;
         }
-        occupied.len() * 64
-    };
-    let first = next(from, true);
-    if first >= occupied.len() * 64 {
-        return None;
-    }
-    let mut end = next(first, false);
-    loop {
-        let again = next(end, true);
-        if again >= occupied.len() * 64 || again - end > JOINED {
-            return Some((first, end));
-        }
-        end = next(again, false);
     }
 }
 
@@ -383,15 +319,18 @@ fn sum_slice<T: Voxel, L: Lanes>(
     let constants = lanes.per_slice(slice.lane_step());
     let mut ahead = Ahead::new(rows, next);
     for run in &rows.runs {
-        let (first, end) = run.cells;
+        let (first, end) = run.mixed;
         for (row, out) in blended.chunks_exact_mut(stride).enumerate() {
             let line = |line: usize| {
                 let start = rows.offsets[rows.line[row] + line] + first;
                 data.get(start..start + (end - first)).unwrap_or(&[])
             };
-            out[first] = Cell16::default();
-            out[end + 1] = Cell16::default();
             lanes.blend::<T>(line(0), line(1), rows.fraction[row], &mut out[first + 1..=end]);
+        }
+        for cell in (run.cells.0..first).chain(end..run.cells.1) {
+            let level = rows.levels.get(cell).copied().unwrap_or(0);
+            let level = Cell16([copy.value_of(level); CELL]);
+            blended.iter_mut().skip(cell + 1).step_by(stride).for_each(|cell| *cell = level);
         }
         let lines = BlendedRows { voxels: voxels(blended), length: stride * CELL };
         let (low, high) = run.groups;
@@ -426,7 +365,7 @@ fn flush(sums: &mut TileSums, columns: usize, out: &mut [i64]) {
             };
             // Reading both before writing lets the compiler vectorise.
             let (before, new) = (*out, *sums);
-            *out = core::array::from_fn(|n| before[n] + i64::from(new[n]));
+            *out = core::array::from_fn(|n| before[n] + i64::from(new[n] as u32));
             *sums = [0; GROUP];
         }
     }

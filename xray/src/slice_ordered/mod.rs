@@ -24,6 +24,7 @@ mod kernel;
 mod options;
 mod parts;
 mod plan;
+mod runs;
 mod splat;
 mod standing;
 mod store;
@@ -32,7 +33,7 @@ mod warp;
 mod x86;
 
 pub use instructions::Instructions;
-pub use options::{SliceOrderedMemory, SliceOrderedOptions, Sums, Update, UpdateCost};
+pub use options::{CellShares, SliceOrderedMemory, SliceOrderedOptions, Sums, Update, UpdateCost};
 
 use crate::attenuation::MuTable;
 use crate::carm::{CArm, PixelBox};
@@ -66,6 +67,8 @@ pub struct SliceOrdered {
     standing: Option<Standing>,
     /// After [`SliceOrdered::step_aside`] the previous cache; otherwise memory for the next one-off frame.
     aside: Option<Standing>,
+    /// Memory for the first frame, already written once: the first access to a page is slow.
+    fresh: (Vec<i64>, Vec<f32>),
     /// Voxels changed since the last frame, in order; not yet applied to the copies.
     waiting: Vec<Change>,
     cost: UpdateCost,
@@ -101,6 +104,7 @@ impl SliceOrdered {
             store,
             standing: None,
             aside: None,
+            fresh: Default::default(),
             waiting: Vec::new(),
             cost: UpdateCost::default(),
         })
@@ -118,7 +122,8 @@ impl SliceOrdered {
 
     /// Bytes held.
     pub fn memory(&self) -> SliceOrderedMemory {
-        let image = self.standing.iter().chain(&self.aside).map(Standing::bytes).sum();
+        let images: usize = self.standing.iter().chain(&self.aside).map(Standing::bytes).sum();
+        let image = images + size_of_val(&*self.fresh.0) + size_of_val(&*self.fresh.1);
         SliceOrderedMemory {
             copies: self.store.copy_bytes(),
             preview_sums: self.store.preview_bytes(),
@@ -126,9 +131,9 @@ impl SliceOrdered {
         }
     }
 
-    /// Fraction of occupied 32-voxel cells in each existing copy (for slices across x, y, z).
-    pub fn occupied_shares(&self) -> [Option<f64>; 3] {
-        self.store.occupied_shares()
+    /// Which 32-voxel cells of each existing copy (for slices across x, y, z) frames have to read.
+    pub fn cell_shares(&self) -> [Option<CellShares>; 3] {
+        self.store.cell_shares()
     }
 
     /// The sums of the last frame. Their total is a checksum of the drilled volume from this view.
@@ -187,10 +192,10 @@ impl SliceOrdered {
         Ok(())
     }
 
-    /// Creates the copies that this C-arm needs, so that the first frame does not wait for them.
+    /// Creates the copies and the images that this C-arm needs, so that the first frame does not wait for them.
     ///
     /// # Errors
-    /// The volume is too large for the memory.
+    /// The volume or an image is too large for the memory.
     pub fn prepare(
         &mut self,
         view: &VolumeView<'_>,
@@ -198,7 +203,15 @@ impl SliceOrdered {
         c_arm: &CArm,
     ) -> Result<(), DrrError> {
         let fan = RayFan::new(&self.store_grid, c_arm);
-        self.parts(&fan, c_arm).iter().try_for_each(|part| self.ensure(view, removed, part.plan.axes.slow))
+        let parts = self.parts(&fan, c_arm);
+        parts.iter().try_for_each(|part| self.ensure(view, removed, part.plan.axes.slow))?;
+        if self.standing.is_none() {
+            let samples = parts.last().map_or(0, |last| last.samples().end);
+            self.check_memory(samples)?;
+            // Not zeros: the system would only promise these.
+            self.fresh = (vec![1; samples], vec![1.0; samples]);
+        }
+        Ok(())
     }
 
     fn parts(&self, fan: &RayFan, c_arm: &CArm) -> Vec<Part> {
@@ -253,7 +266,7 @@ impl SliceOrdered {
         let fan = RayFan::new(&self.store_grid, c_arm);
         // Reuse the old sums' memory.
         let (mut sums, mut floats) =
-            self.standing.take().map_or_else(Default::default, |s| (s.sums, s.image));
+            self.standing.take().map_or_else(|| core::mem::take(&mut self.fresh), |s| (s.sums, s.image));
         self.settle();
         let parts = self.parts(&fan, c_arm);
         parts.iter().try_for_each(|part| self.ensure(view, removed, part.plan.axes.slow))?;

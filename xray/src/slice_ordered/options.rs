@@ -80,6 +80,15 @@ impl SliceOrderedMemory {
     }
 }
 
+/// Fractions of the cells of 32 voxels along a row, of a copy.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct CellShares {
+    /// Cells in which something attenuates. No other is ever read.
+    pub occupied: f64,
+    /// Cells whose voxels differ. The others are read only beside such a cell, or where a neighbour has another value.
+    pub mixed: f64,
+}
+
 /// Times measured at run time. They decide how changes are applied, never the result.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct UpdateCost {

@@ -132,21 +132,25 @@ impl Slice {
         (position >> 32, (position as u32 >> (32 - ROW_BITS)) as i16)
     }
 
-    /// Those of the groups `within` that read one of the voxels `first..end` of a row, half-open.
+    /// Voxels that a group may read beyond its first one: 15 steps from anywhere in that voxel, and the neighbour.
     #[inline(always)]
-    pub fn groups_reading(&self, first: i64, end: i64, within: (usize, usize)) -> (usize, usize) {
+    pub fn reach(&self) -> i64 {
+        (((GROUP as i64 - 1) * self.step) >> 32) + 2
+    }
+
+    /// The first of the groups `within` that starts at or after a voxel.
+    #[inline(always)]
+    pub fn first_group_from(&self, voxel: i64, within: (usize, usize)) -> usize {
         let stride = GROUP as i64 * self.step;
-        // The first group that starts at or after a voxel.
-        let from = |voxel: i64| -((self.start[0] - voxel * ONE).div_euclid(stride));
-        let clamp = |group: i64| group.max(within.0 as i64).min(within.1 as i64) as usize;
-        (clamp(from(first - GROUP_REACH)), clamp(from(end)))
+        let group = -((self.start[0] - voxel * ONE).div_euclid(stride));
+        group.max(within.0 as i64).min(within.1 as i64) as usize
     }
 
     /// The cells of a row of `row_cells` that the groups `first..end` read, half-open.
     #[inline(always)]
     pub fn cells_read(&self, (first, end): (usize, usize), row_cells: usize) -> (usize, usize) {
         let cell = |voxel: i64| voxel.max(0) as usize / CELL;
-        let last = self.group(end.saturating_sub(1)).voxel + GROUP_REACH + 1;
+        let last = self.group(end.saturating_sub(1)).voxel + self.reach();
         (cell(self.group(first).voxel), (cell(last) + 1).min(row_cells))
     }
 

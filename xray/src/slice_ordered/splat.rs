@@ -149,5 +149,5 @@ fn near(slice: &Slice, m: usize, position: i64, count: usize) -> (usize, usize) 
 /// Maximum number of slices whose samples, with values up to `largest`, cannot overflow 32 bits.
 pub(crate) fn slices_until_flush(largest: i16) -> usize {
     let most = i64::from(largest.max(1)) << WEIGHT_BITS;
-    (i64::from(i32::MAX) / most) as usize
+    (i64::from(u32::MAX) / most) as usize
 }

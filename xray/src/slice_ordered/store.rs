@@ -8,6 +8,7 @@ use super::Machine;
 use super::copies::{Copy3, Voxel, copy_elements};
 use super::instructions::Instructions;
 use super::kernel::{TILES, Work};
+use super::options::CellShares;
 use super::parts::Part;
 use super::plan::{Axes, TILE_ROWS};
 use super::splat::{Splatter, slices_until_flush};
@@ -182,9 +183,9 @@ impl Store {
         }
     }
 
-    /// Fraction of occupied cells in each existing copy.
-    pub fn occupied_shares(&self) -> [Option<f64>; 3] {
-        with_copies!(self, copies => copies.each(Copy3::occupied_share))
+    /// Which cells of each existing copy frames have to read.
+    pub fn cell_shares(&self) -> [Option<CellShares>; 3] {
+        with_copies!(self, copies => copies.each(Copy3::shares))
     }
 }
 

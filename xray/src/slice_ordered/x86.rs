@@ -7,7 +7,7 @@ use core::arch::x86_64::{__m128i, __m256i, __m512i, _MM_HINT_T0};
 use pulp::bytemuck::cast;
 use pulp::x86::{V3, V4};
 
-use super::copies::{Cell16, Voxel};
+use super::copies::{Cell16, LEVELS, Voxel};
 use super::kernel::{BlendedRows, GroupPlace, GroupSums, Lanes, WINDOW};
 use super::plan::{FRACTION_MASK, GROUP, LANE_BITS, WEIGHT_BITS};
 
@@ -52,6 +52,11 @@ impl Lanes for Avx512 {
             let products = bw._mm512_madd_epi16(bw._mm512_permutexvar_epi16(pairs, voxels), along);
             *sums = cast(f._mm512_add_epi32(cast(*sums), products));
         }
+    }
+
+    #[inline(always)]
+    fn join(self, rows: &[&[u8]], at: usize, before: &[u8; LEVELS]) -> ([u8; LEVELS], u32) {
+        Avx2(*self.0).join(rows, at, before)
     }
 
     #[inline(always)]
@@ -170,6 +175,24 @@ impl Lanes for Avx2 {
                 self.add_half(half, window, sums);
             }
         }
+    }
+
+    #[inline(always)]
+    fn join(self, rows: &[&[u8]], at: usize, before: &[u8; LEVELS]) -> ([u8; LEVELS], u32) {
+        let (sse2, ssse3) = (self.0.sse2, self.0.ssse3);
+        let mut first = sse2._mm_set1_epi8(-1);
+        let mut differs = sse2._mm_setzero_si128();
+        for (n, row) in rows.iter().enumerate() {
+            let Some(row) = row.get(at..).and_then(|rest| rest.first_chunk::<LEVELS>()) else { continue };
+            first = if n == 0 { cast(*row) } else { first };
+            differs = sse2._mm_or_si128(differs, sse2._mm_xor_si128(cast(*row), first));
+        }
+        let same = sse2._mm_cmpeq_epi8(differs, sse2._mm_setzero_si128());
+        let joined = sse2._mm_or_si128(first, sse2._mm_andnot_si128(same, sse2._mm_set1_epi8(-1)));
+        // The last cell before these, then these but the last.
+        let previous = ssse3._mm_alignr_epi8::<15>(joined, cast(*before));
+        let changed = !(sse2._mm_movemask_epi8(sse2._mm_cmpeq_epi8(joined, previous)) as u32) & 0xFFFF;
+        (cast(joined), changed)
     }
 
     #[inline(always)]

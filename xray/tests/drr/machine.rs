@@ -43,7 +43,7 @@ impl Machine for SlowUpdates {
 }
 
 /// A clock that stands still, so that updates never seem slower.
-struct NoClock;
+pub struct NoClock;
 
 impl Machine for NoClock {
     fn workers(&self, threads: usize) -> Result<rayon::ThreadPool, String> {

@@ -15,7 +15,7 @@ use crate::machine::Desk;
 pub const POSES: [(f64, f64); 6] =
     [(0.0, 0.0), (37.0, 18.0), (90.0, 5.0), (46.0, -44.0), (5.0, 85.0), (-135.0, 20.0)];
 
-fn water() -> f64 {
+pub fn water() -> f64 {
     Material::Water.mu_per_m(60.0).unwrap()
 }
 
@@ -161,7 +161,7 @@ fn every_instruction_set_and_number_of_threads_gives_the_same_bits() {
     let sets = Instructions::available();
     println!("instructions here: {:?}", sets.iter().map(|s| s.name()).collect::<Vec<_>>());
     let mut golden = Vec::new();
-    // 32767: four slices fill the 32-bit sums.
+    // 32767: eight slices fill the 32-bit sums.
     for largest in [2000, 31_767] {
         let (grid, hu) = volume(largest);
         let view = VolumeView::new(grid, &hu).unwrap();

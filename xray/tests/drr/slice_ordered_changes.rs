@@ -2,11 +2,11 @@
 
 use proptest::prelude::*;
 use xray::removal::RemovedVoxels;
-use xray::slice_ordered::{SliceOrderedOptions, Update};
+use xray::slice_ordered::{Instructions, SliceOrdered, SliceOrderedOptions, Update};
 use xray::{CArm, DrrParameters, DrrRenderer, FrameSeed, Grid, Projector, RenderKind, Tool, VolumeView};
 
-use crate::machine::Desk;
-use crate::slice_ordered::{POSES, c_arm, full, hash, random, remove, slices, volume};
+use crate::machine::{Desk, NoClock};
+use crate::slice_ordered::{POSES, c_arm, full, hash, random, remove, slices, table, volume, water};
 
 /// Removes voxels in batches of these sizes; after each, sums and image are those of a full render with the voxels in reverse order.
 /// Returns how many batches changed the kept sums instead of making them anew.
@@ -51,6 +51,41 @@ fn removals_by_ones_and_by_thousands_equal_full_renders_bit_for_bit() {
             let batches = [1, 100, 3, 10_000, 100_000];
             let changed = assert_removals_equal_full_renders(&view, &grid, &c_arm, options, &batches);
             assert!(changed >= 2, "the cached sums were hardly used");
+        }
+    }
+}
+
+#[test]
+fn blocks_of_equal_voxels_hold_exactly_what_their_voxels_take_away_one_by_one() {
+    let dims = [128, 96, 40];
+    let grid = Grid::centred(dims, [1e-3; 3]).unwrap();
+    // Seams beside the cells of 32 voxels and across them; blocks longer and shorter than a group of samples.
+    let block = |v: [usize; 3]| (v[0] / 65 + v[0] / 96 + v[1] / 40 + v[2] / 9) % 4;
+    let hu: Vec<i16> = (0..grid.voxels())
+        .map(|n| [-1000, 300, 1200, 1200][block([n % dims[0], n / dims[0] % dims[1], n / dims[0] / dims[1]])])
+        .collect();
+    let view = VolumeView::new(grid, &hu).unwrap();
+    let all: Vec<u32> = (0..grid.voxels() as u32).collect();
+    for instructions in Instructions::available() {
+        for (primary, secondary) in [(0.0, 0.0), (37.0, 18.0), (90.0, 5.0)] {
+            let c_arm = c_arm(primary, secondary, 64);
+            let options = SliceOrderedOptions { instructions, ..SliceOrderedOptions::default() };
+            let mut kept =
+                SliceOrdered::new(&view, &table(), water() / 1000.0, 0.0, options, &NoClock).unwrap();
+            let mut set = RemovedVoxels::new(&grid);
+            let mut image = vec![0.0; c_arm.pixels()];
+            kept.project(&view, &set, &c_arm, &mut image).unwrap();
+            let share = kept.cell_shares().into_iter().flatten().next().unwrap();
+            assert!(share.mixed < 0.7 && share.occupied > 0.6, "{share:?}");
+            for batch in all.chunks(20_000) {
+                remove(&mut kept, &view, &mut set, batch);
+                let update = kept.project(&view, &set, &c_arm, &mut image).unwrap();
+                assert!(!matches!(update, Update::Full), "summed anew");
+            }
+            assert!(kept.sums().values.iter().all(|sum| *sum == 0), "something is left");
+            kept.forget();
+            kept.project(&view, &set, &c_arm, &mut image).unwrap();
+            assert!(kept.sums().values.iter().all(|sum| *sum == 0), "a removed voxel is still summed");
         }
     }
 }

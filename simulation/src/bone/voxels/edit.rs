@@ -5,6 +5,7 @@ use super::{BoneSnapshot, Voxels};
 use crate::bone::BoneError;
 use crate::bone::drilling::{GONE, is_ended};
 use crate::bone::grid::VoxelIndex;
+use crate::bone::occupancy::VoxelBox;
 use crate::bone::strength::Place;
 
 /// One tick of drilling. On drop it records in the journal what changed.
@@ -40,6 +41,11 @@ impl Drilling<'_> {
         self.set(voxel, place, spent)
     }
 
+    /// Notes that voxels in this box are cut, for [`Self::set`].
+    pub fn note_cuts(&mut self, around: &VoxelBox) {
+        self.changed.cut = self.changed.cut.hull(around);
+    }
+
     /// True if another voxel may be queued for the list of removed voxels.
     pub fn has_room(&self) -> bool {
         self.voxels.waiting.len() < self.voxels.waiting_limit
@@ -62,8 +68,9 @@ impl Drilling<'_> {
         *removed_total += count as u64;
     }
 
+    /// Sets the spent fraction of a voxel within what [`Self::note_cuts`] noted; returns what was set.
     #[inline(always)]
-    fn set(&mut self, voxel: VoxelIndex, place: Place, spent: f64) -> f64 {
+    pub fn set(&mut self, voxel: VoxelIndex, place: Place, spent: f64) -> f64 {
         let spent = if spent > GONE { self.pass(voxel, place, spent) } else { spent };
         if self.voxels.pool.set(place, spent) {
             self.note_first_cut(place);
