@@ -225,9 +225,13 @@ impl Sums {
     /// `blocks` by z and y; the first voxel's y and z within the first of them.
     #[inline(always)]
     fn add(&mut self, blocks: &[[Option<Block>; 2]; 2], [y, z]: [usize; 2]) {
-        let mut slices = [[Lanes::ZERO; 3]; SPLINE_VOXELS];
+        let mut slices = [[Lanes::ZERO; SPLINE_VOXELS]; 3];
         let mut any = false;
-        for (slice, sums) in slices.iter_mut().enumerate() {
+        #[allow(
+            clippy::needless_range_loop,
+            reason = "by an iterator over slices a whole step takes an eighth longer with AVX-512"
+        )]
+        for slice in 0..SPLINE_VOXELS {
             let z = z + slice;
             let [first, second] = &blocks[z / BLOCK_EDGE % 2];
             if is_cut(first, second, y, z) {
@@ -238,14 +242,13 @@ impl Sums {
                     let side = if y + row < BLOCK_EDGE { first } else { second };
                     *lanes = Lanes::of_bone(&side[(y + row) % BLOCK_EDGE]);
                 }
-                *sums = combine(rows);
+                let [one, u, u2] = combine(rows);
+                [slices[0][slice], slices[1][slice], slices[2][slice]] = [one, u, u2];
             }
         }
         if any {
-            let [s0, s1, s2, s3, s4, s5, s6] = &slices;
-            for (power, by_z) in self.by_y.iter_mut().enumerate() {
-                *by_z =
-                    combine([s0[power], s1[power], s2[power], s3[power], s4[power], s5[power], s6[power]]);
+            for (by_z, slices) in self.by_y.iter_mut().zip(slices) {
+                *by_z = combine(slices);
             }
         }
     }
