@@ -90,6 +90,9 @@ pub struct PhysicsChartArguments {
     /// Measure only the settings that `trabecula plan` chooses from, and the drilled path.
     #[arg(long, conflicts_with = "peers")]
     plan_only: bool,
+    /// Measure only the contact problem, with the other simulators.
+    #[arg(long, requires = "peers")]
+    contact_only: bool,
 }
 
 /// Where to, and by what.
@@ -149,6 +152,7 @@ pub fn run(command: &ChartCommand) -> Result<(), Failure> {
                 effort: Effort::of_option(quick),
                 peers: arguments.peers.clone(),
                 settings_only: arguments.plan_only,
+                contact_only: arguments.contact_only,
             })
         }
         ChartCommand::Flexure(arguments) => {

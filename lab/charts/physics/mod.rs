@@ -1,6 +1,7 @@
 //! `trabecula chart physics`: error against cost for every rung, integrator and baseline, one panel per problem.
 
 mod candidates;
+mod contact;
 mod drilled;
 mod elastica;
 mod peers;
@@ -11,7 +12,7 @@ mod voxel_wall;
 
 use crate::effort::Effort;
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use ipc_types::scene::ContactVoxels;
@@ -65,11 +66,19 @@ pub struct Plan {
     pub peers: Option<PathBuf>,
     /// Whether to measure only the settings of plans and the drilled path.
     pub settings_only: bool,
+    /// Whether to measure only the peers' contact problem.
+    pub contact_only: bool,
 }
 
 /// The files it writes.
 const FILES: [&str; 4] =
     ["physics-plan.csv", "accuracy-physics.csv", "accuracy-physics.png", "accuracy-physics.svg"];
+
+/// The file of the peers' contact problem alone.
+const CONTACT_FILE: &str = "peers-contact.csv";
+
+/// First line of a CSV.
+const COLUMNS: &str = "problem,method,links,dt_ms,us_per_ms,figure,value\n";
 
 /// Measures, and writes `accuracy-physics.svg`, `.png` and `.csv`, and `physics-plan.csv`, into the folder; of the settings only the last.
 ///
@@ -77,6 +86,9 @@ const FILES: [&str; 4] =
 /// A file that cannot be written.
 pub fn run(plan: &Plan) -> Result<(), Failure> {
     let folder = &plan.out;
+    if let (Some(scripts), true) = (&plan.peers, plan.contact_only) {
+        return contact_alone(scripts, folder, plan.effort);
+    }
     refuse_existing(&within(folder, if plan.settings_only { &FILES[..1] } else { &FILES }))?;
     output_file::create_folder(folder).map_err(Failure::folder(folder))?;
     let (all, mut measured) = (Instant::now(), Vec::new());
@@ -85,10 +97,11 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
         measured.push((*problem, measure_all(*problem, plan.effort)?));
         took(problem.key(), began);
     }
-    let mut peers = Vec::new();
+    let (mut peers, mut contact) = (Vec::new(), Vec::new());
     if let Some(scripts) = &plan.peers {
         let began = Instant::now();
         peers = peers::measure(scripts, folder, plan.effort)?;
+        contact = contact::measure(scripts, folder, plan.effort)?;
         took("peers", began);
     }
     // Save the settings as they are measured, so that an interrupted run keeps its results.
@@ -114,9 +127,19 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
                 writeln!(text, "{head},{:.3},cost over ours at no larger error,{ratio:.3}", peer.us_per_ms);
         }
     }
+    text += &contact::csv(&contact);
     let [png, svg] = draw(&measured, &peers)?.files(folder, "accuracy-physics")?;
     output_file::write_all(&[(folder.join(FILES[1]), text.into_bytes()), png, svg])?;
     took("all", all);
+    Ok(())
+}
+
+/// Measures the peers' contact problem, and writes `peers-contact.csv`.
+fn contact_alone(scripts: &Path, folder: &Path, effort: Effort) -> Result<(), Failure> {
+    refuse_existing(&within(folder, &[CONTACT_FILE]))?;
+    output_file::create_folder(folder).map_err(Failure::folder(folder))?;
+    let all = contact::measure(scripts, folder, effort)?;
+    output_file::write(&folder.join(CONTACT_FILE), COLUMNS.to_owned() + &contact::csv(&all))?;
     Ok(())
 }
 
@@ -171,7 +194,7 @@ fn line(problem: Problem, point: &Point) -> String {
 }
 
 fn csv(measured: &[(Problem, Vec<Point>)]) -> String {
-    let mut text = String::from("problem,method,links,dt_ms,us_per_ms,figure,value\n");
+    let mut text = String::from(COLUMNS);
     for (problem, points) in measured {
         for point in points {
             let error = [(problem.axis(), point.error)];

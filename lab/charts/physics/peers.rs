@@ -9,6 +9,7 @@ use std::path::Path;
 
 use serde_json::json;
 
+use super::contact;
 use super::elastica::elastica;
 use super::problems::{
     BEAM_HZ, DENSITY_KG_PER_M, END_MOMENT_NM, LENGTH_M, Point, Problem, RIGIDITY_NM2, measure as measure_own,
@@ -69,7 +70,7 @@ pub fn measure(folder: &Path, out: &Path, effort: Effort) -> Result<Vec<Peer>, F
     });
     output_file::write(&input.path().join("beam.json"), beam.to_string())?;
     let mut all = Vec::new();
-    for (name, script) in scripts(folder)? {
+    for (name, script) in scripts(folder)?.into_iter().filter(|(name, _)| !name.ends_with(contact::SUFFIX)) {
         let (before, mut peers) = (ours(effort)?, Vec::new());
         match run(&script, &name, &work, input.path()) {
             Err(reason) => say!("peer {name}: not measured ({reason})"),
