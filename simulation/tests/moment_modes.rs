@@ -286,7 +286,7 @@ fn a_sudden_pull_ends_at_a_wall_within_the_first_step() {
         let mut overlap_m = [0.0; 2];
         for (m, overlap_m) in tools.iter_mut().zip(&mut overlap_m) {
             let wall = |m: &AnyManipulator| {
-                let (sphere_index, burr) = m.proxy_spheres().iter().enumerate().last().unwrap();
+                let (sphere_index, burr) = m.proxy_spheres().iter().enumerate().next_back().unwrap();
                 let gap_m = 0.05e-3 - burr.centre_m.x;
                 let point_m = burr.centre_m + Vector3::x() * (burr.radius_m + gap_m);
                 ContactPlane::hard(sphere_index, point_m, -Vector3::x_axis(), gap_m)
