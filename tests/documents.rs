@@ -211,6 +211,7 @@ const NO_CAPACITIES: &[(&str, &str)] = &[
     ("MAX_CORES", "physics_proc/src/process/disturbance.rs"),
     ("MAX_EVALUATIONS", "simulation/src/rigid/coupling.rs"),
     ("MAX_FILE_BYTES", "volume_io/src/dicom/file.rs"),
+    ("MAX_FREEDOMS", "simulation/src/manipulator/moment_modes/mod.rs"),
     ("MAX_FREEDOMS", "simulation/src/manipulator/pressing.rs"),
     ("MOST_FAR_PLANES", "simulation/src/bone/query.rs"),
     ("MOST_PLANES", "simulation/src/bone/yielding.rs"),

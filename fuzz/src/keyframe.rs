@@ -14,7 +14,7 @@ use simulation::{CtView, Simulation, SimulationSnapshot};
 use test_support::scenes::TOOL;
 
 /// Bone, bodies, elastic joints, and each kind of manipulator: what a keyframe can hold.
-const SCENES: [&str; 4] = [
+const SCENES: [&str; 5] = [
     r#"
 name = "bone"
 run = { mode = "lockstep", duration_s = 1.0 }
@@ -54,6 +54,11 @@ joint_damping_nms_per_rad = [10.0, 10.0, 10.0, 1.0, 1.0, 1.0]
 name = "arc"
 run = { mode = "lockstep", duration_s = 1.0 }
 manipulator = { model = "constant_curvature" }
+"#,
+    r#"
+name = "modes"
+run = { mode = "lockstep", duration_s = 1.0 }
+manipulator = { model = "modal" }
 "#,
 ];
 

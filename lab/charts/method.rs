@@ -30,8 +30,10 @@ pub enum Method {
 
 impl Method {
     /// Ours first. The arc has one integrator; the two are compared on planar and spatial.
-    pub const ALL: [Method; 9] = [
+    pub const ALL: [Method; 11] = [
         Method::Rung(Rung::ConstantCurvature, Integrator::LinearlyImplicitEuler),
+        Method::Rung(Rung::Modal, Integrator::LinearlyImplicitEuler),
+        Method::Rung(Rung::Modal, Integrator::Hybrid),
         Method::Rung(Rung::Planar, Integrator::LinearlyImplicitEuler),
         Method::Rung(Rung::Planar, Integrator::Hybrid),
         Method::Rung(Rung::Spatial, Integrator::LinearlyImplicitEuler),
@@ -43,10 +45,10 @@ impl Method {
     ];
 
     /// The methods of the stability map, which adds contact by proxies.
-    pub const WITH_PROXIES: [Method; 11] = {
-        let [a, b, c, d, e, f, g, h, i] = Method::ALL;
+    pub const WITH_PROXIES: [Method; 13] = {
+        let [a, b, c, d, e, f, g, h, i, j, k] = Method::ALL;
         let (position, force) = (Method::Proxy(ProxyDrive::Position), Method::Proxy(ProxyDrive::Force));
-        [a, b, c, d, e, f, g, h, i, position, force]
+        [a, b, c, d, e, f, g, h, i, j, k, position, force]
     };
 
     /// The name in charts and tables.

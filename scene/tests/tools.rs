@@ -326,6 +326,25 @@ fn a_rung_whose_assumptions_a_tool_breaks_is_refused() {
     assert!(scene(&format!("{SCENE}model = \"spatial\"\n"), &across).is_ok());
 }
 
+/// Smooth moments do not jump where a tendon ends; the number of modes is of that model alone.
+#[test]
+fn moment_modes_are_refused_where_a_tool_bends_in_parts() {
+    let modal = format!("{SCENE}model = \"modal\"\nmodes = 4\n");
+    assert_eq!(scene(&modal, TOOL).unwrap().manipulator.modes, Some(4));
+    let half = TOOL.replace("toward_mm = 2.5", "toward_mm = 2.5\nto_flexure = 3");
+    let refused = scene(&modal, &half).unwrap_err().to_string();
+    let said =
+        "`manipulator.model` is modal, whose bending moments are smooth; tendon 1 of `drill` bends only part";
+    assert!(refused.contains(said), "{refused}");
+    let refused = scene(&format!("{SCENE}modes = 4\n"), TOOL).unwrap_err().to_string();
+    assert!(refused.contains("`manipulator.modes` is of the model modal"), "{refused}");
+    let refused = scene(&modal.replace("modes = 4", "modes = 9"), TOOL).unwrap_err().to_string();
+    assert!(refused.contains("`manipulator.modes` is 9, allowed is 2 to 8"), "{refused}");
+    let across = TOOL.replace("toward_mm = 2.5", "toward_mm = 2.5\nacross_mm = 1.0");
+    let refused = scene(&modal, &across).unwrap_err().to_string();
+    assert!(refused.contains("bends out of the plane"), "{refused}");
+}
+
 #[test]
 fn a_tool_file_alone_is_read_by_the_same_rules() {
     assert_eq!(ToolDescription::parse(TOOL, Path::new("t.toml")).unwrap().name, "drill");

@@ -50,7 +50,7 @@ fn contact_converges_in_the_four_tunnels() {
 
 #[test]
 fn contact_converges_in_every_model() {
-    for model in ["constant_curvature", "spatial", "full"] {
+    for model in ["constant_curvature", "modal", "spatial", "full"] {
         let (ticks, above) = run(model, 10.0, 5.0);
         assert!(ticks > 800, "{model}: {ticks} ticks in contact");
         assert!(above * 1000 <= ticks, "{model}: {above} of {ticks} ticks above 1e-6 m/s");

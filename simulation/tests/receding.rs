@@ -44,7 +44,7 @@ fn forces(model: &str, dt_ms: f64, faster: f64) -> ([f64; 2], f64) {
 /// Bounds: a force may jump in 1 % of the ticks (the requirement); the mean force may change by 2 % with the step, 0.3 % seen.
 #[test]
 fn the_force_of_a_steady_feed_is_steady_and_the_same_at_every_step() {
-    for model in ["planar", "full"] {
+    for model in ["modal", "planar", "full"] {
         let ([reference_n, _], share) = forces(model, 0.2, 5.0);
         assert!(share <= 0.01, "{model}, 0.2 ms: {share}");
         for dt_ms in [1.0, 2.0, 5.0] {

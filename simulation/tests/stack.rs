@@ -11,9 +11,10 @@ use simulation::Simulation;
 /// Less than the 2 MB that a thread of Rust's has: whoever calls has taken some of it.
 const STACK_BYTES: usize = 3 << 19;
 
-const SCENES: [&str; 4] = [
+const SCENES: [&str; 5] = [
     "name = \"planar\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\n",
     "name = \"arc\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\nmanipulator = { model = \"constant_curvature\" }\n",
+    "name = \"modes\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\nmanipulator = { model = \"modal\" }\n",
     "name = \"full\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\nmanipulator = { model = \"full\", links = 27 }\n",
     "name = \"bodies\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\nmanipulator = { model = \"spatial\", links = 8 }\n\
      [[body]]\nname = \"fragment\"\ncuboid = { half_extents_mm = [8.0, 8.0, 4.0] }\nmotion = \"free\"\nposition_mm = [1.0, 0.5, 7.6]\n",

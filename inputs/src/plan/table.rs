@@ -43,6 +43,7 @@ impl Settings {
     pub fn write_into(&self, scene: &mut Scene) {
         scene.manipulator.model = Some(match self.rung {
             Rung::ConstantCurvature => ManipulatorRung::ConstantCurvature,
+            Rung::Modal => ManipulatorRung::Modal,
             Rung::Planar => ManipulatorRung::Planar,
             Rung::Spatial => ManipulatorRung::Spatial,
             Rung::Full => ManipulatorRung::Full,

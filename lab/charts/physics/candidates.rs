@@ -13,7 +13,8 @@ use trabecula::failure::Failure;
 use trabecula::plan::measure::against::{References, distance_mm};
 use trabecula::plan::{Beam, Pull, Row, Settings};
 
-/// Links of each rung; the tool has 27 flexures. A richer rung is not worth its cost while the error from few links
+/// Links of each measured rung, which is all but `modal`: a tolerance never chooses it, because it is not valid where single flexures stand
+/// on their stops. The tool has 27 flexures. A richer rung is not worth its cost while the error from few links
 /// dominates.
 const LINKS: [(Rung, &[usize]); 4] = [
     (Rung::ConstantCurvature, &[27]),
@@ -60,7 +61,7 @@ pub fn settings(effort: Effort) -> Vec<Settings> {
         let integrators: &[SceneIntegrator] = match rung {
             Rung::ConstantCurvature => &[euler],
             Rung::Full => &[SceneIntegrator::Hybrid],
-            Rung::Planar | Rung::Spatial => &[euler, SceneIntegrator::Hybrid],
+            Rung::Modal | Rung::Planar | Rung::Spatial => &[euler, SceneIntegrator::Hybrid],
         };
         for &integrator in integrators {
             for &links in links {
@@ -86,7 +87,7 @@ fn is_drilled(settings: &Settings) -> bool {
         (Rung::Planar, 27) => hybrid || settings.dt_ms == 1.0,
         (Rung::Planar, _) | (Rung::Spatial | Rung::Full, 27) => hybrid && settings.dt_ms == 1.0,
         (Rung::ConstantCurvature, _) => settings.dt_ms == 1.0,
-        (Rung::Spatial | Rung::Full, _) => false,
+        (Rung::Modal | Rung::Spatial | Rung::Full, _) => false,
     }
 }
 

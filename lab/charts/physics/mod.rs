@@ -35,8 +35,10 @@ const FOOT: f64 = 250.0;
 /// Errors below this are rounding and are drawn at it, in each problem's unit.
 const ROUNDING: f64 = 1e-4;
 /// Okabe and Ito 2008, and greys for the baselines.
-const COLOURS: [RGBColor; 9] = [
+const COLOURS: [RGBColor; 11] = [
     RGBColor(230, 159, 0),
+    RGBColor(240, 228, 66),
+    RGBColor(180, 160, 20),
     RGBColor(86, 180, 233),
     RGBColor(0, 114, 178),
     RGBColor(150, 210, 190),

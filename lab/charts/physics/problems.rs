@@ -205,6 +205,8 @@ fn settings(problem: Problem, method: Method, effort: Effort) -> Vec<(usize, f64
         (false, _) if arc => vec![(16, 1.0)],
         (false, _) if quick => vec![(8, 1.0)],
         (false, _) if slow => vec![(4, 1.0), (8, 1.0), (16, 1.0), (26, 1.0)],
+        // The rung has no more.
+        (false, Method::Rung(Rung::Modal, _)) => [4, 6, 8, 13, 26, 32].map(|links| (links, 1.0)).to_vec(),
         (false, _) => [4, 6, 8, 13, 26, 32, 64].map(|links| (links, 1.0)).to_vec(),
         (true, _) if quick => vec![(8, 0.5)],
         (true, _) if slow => [1.0, 0.5, 0.25].map(|dt| (26, dt)).to_vec(),

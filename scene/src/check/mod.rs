@@ -172,7 +172,7 @@ fn check_tendons(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     let model = scene.manipulator.model;
     let flat = match model {
         None => !scene.tolerance.as_ref().is_some_and(|t| t.tip_mm.is_some() || t.path_mm.is_some()),
-        Some(model) => matches!(model, ManipulatorRung::Planar | ManipulatorRung::ConstantCurvature),
+        Some(model) => !matches!(model, ManipulatorRung::Spatial | ManipulatorRung::Full),
     };
     let tool = scene.manipulator.tool.iter().flat_map(|tool| &tool.tendon);
     let across = scene.tendon.iter().map(|tendon| ("tendon.across_mm", tendon.across_mm));

@@ -265,6 +265,11 @@ impl Check<'_> {
 /// Checks that a scene's other keys go with the tool that it describes.
 pub(crate) fn beside(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     let manipulator = &scene.manipulator;
+    let is_modal = manipulator.model == Some(ManipulatorRung::Modal);
+    if manipulator.modes.is_some() && !is_modal {
+        let problem = "is of the model modal; expected `manipulator.model` to be modal, or no modes";
+        return Err(checker.invalid("manipulator.modes", problem));
+    }
     let Some(described) = &manipulator.tool else { return Ok(()) };
     tool(described, "manipulator.tool.", checker)?;
     let notches = [
@@ -283,7 +288,31 @@ pub(crate) fn beside(scene: &Scene, checker: &Checker) -> Result<(), SceneError>
     if manipulator.model == Some(ManipulatorRung::ConstantCurvature) {
         one_arc(described, checker)?;
     }
+    if is_modal {
+        smooth_moments(described, checker)?;
+    }
     Ok(())
+}
+
+/// What a few smooth moments cannot follow: they jump where a tendon or an outer tube ends.
+fn smooth_moments(tool: &ToolDescription, checker: &Checker) -> Result<(), SceneError> {
+    bends_in_parts(tool).map_or(Ok(()), |why| {
+        let problem =
+            format!("is modal, whose bending moments are smooth; {why}; expected planar, spatial or full");
+        Err(checker.invalid("manipulator.model", problem))
+    })
+}
+
+/// Why the tool does not bend all along, if it does not.
+fn bends_in_parts(tool: &ToolDescription) -> Option<String> {
+    if tool.outer_tube.is_some() {
+        return Some(format!("`{}` slides out of a tube that holds it straight", tool.name));
+    }
+    let flexures = tool.flexures().len();
+    let in_part =
+        |tendon: &ToolTendon| tendon.from_flexure > 1 || tendon.to_flexure.is_some_and(|to| to < flexures);
+    let index = tool.tendon.iter().position(in_part)?;
+    Some(format!("tendon {} of `{}` bends only part of the tool", index + 1, tool.name))
 }
 
 /// The cheapest rung is one arc: its rest shape and its tendons bend it all along.
@@ -293,16 +322,10 @@ fn one_arc(tool: &ToolDescription, checker: &Checker) -> Result<(), SceneError> 
             format!("is constant_curvature, which is one arc; {why}; expected planar, spatial or full");
         Err(checker.invalid("manipulator.model", problem))
     };
-    if tool.outer_tube.is_some() {
-        return refused(format!("`{}` slides out of a tube that holds it straight", tool.name));
+    if let Some(why) = bends_in_parts(tool) {
+        return refused(why);
     }
     let places = tool.flexures();
-    let along = |tendon: &&ToolTendon| {
-        tendon.from_flexure > 1 || tendon.to_flexure.is_some_and(|to| to < places.len())
-    };
-    if let Some(index) = tool.tendon.iter().position(|tendon| along(&tendon)) {
-        return refused(format!("tendon {} of `{}` bends only part of the tool", index + 1, tool.name));
-    }
     let curvature = |index: usize| {
         let length_mm = ToolDescription::pitch_mm(&places, index).unwrap_or(1.0);
         places[index].flexure.rest_deg / length_mm

@@ -54,6 +54,9 @@ pub struct Manipulator {
     pub tool: Option<ToolDescription>,
     /// Rung of the ladder of models: `planar` is the standard.
     pub model: Option<ManipulatorRung>,
+    /// Number of moment modes of the model `modal`; 5 by default, with which the standard tool rests within 25 µm of all its flexures.
+    #[schemars(range(min = 2, max = 8))]
+    pub modes: Option<usize>,
     /// The flexible length as this many equal links in place of the flexures of the tables.
     #[schemars(range(min = 1, max = MAX_JOINTS))]
     pub links: Option<usize>,
@@ -101,6 +104,8 @@ pub struct Manipulator {
 pub enum ManipulatorRung {
     /// An arc of one curvature.
     ConstantCurvature,
+    /// A chain that bends in one plane, in a few modes of its bending moment. Not valid while single flexures stand on their stops.
+    Modal,
     /// A chain that bends in one plane.
     #[default]
     Planar,

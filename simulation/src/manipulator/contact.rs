@@ -8,6 +8,7 @@
 //! remaining sliding. The rows are solved together by Newton's method (`newton`) on the chain's own recursion (`chain`).
 
 mod chain;
+mod dense;
 mod laws;
 mod newton;
 mod patch;
@@ -25,7 +26,8 @@ use laws::{ContactRow, StopRow};
 use newton::Problem;
 use patch::Patch;
 
-pub(super) use chain::{Chain, Square};
+pub(super) use chain::{Chain, Operator, Square};
+pub(super) use dense::{Dense, Factor, lanes, lanes_mut};
 pub(super) use newton::Outcome;
 
 /// A contact inherits the last tick's impulses if it is on the same sphere and the cosine between the two normals exceeds this.
@@ -92,10 +94,10 @@ pub(super) struct Place<const N: usize> {
     pub force: [[f64; N]; 3],
 }
 
-/// Contacts, stops and the chain that they press on.
+/// Contacts, stops and the chain, or another operator, that they press on.
 #[derive(Debug, Clone)]
-pub(super) struct ContactSolver<const N: usize> {
-    pub chain: Chain<N>,
+pub(super) struct ContactSolver<const N: usize, O = Chain<N>> {
+    pub chain: O,
     pub contact: Vec<Contact>,
     row: Vec<ContactRow<N>>,
     stop: Vec<StopRow>,
@@ -116,8 +118,15 @@ impl<const N: usize> ContactSolver<N> {
     /// `first`: see [`Chain::new`]. `contacts` is the most that a step takes.
     pub fn new(first: Vec<usize>, contacts: usize) -> Self {
         let (links, freedoms) = (first.len() - 1, first[first.len() - 1]);
+        Self::on(Chain::new(first), (links, freedoms), contacts)
+    }
+}
+
+impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
+    /// On an operator of so many links and freedoms. `contacts` is the most that a step takes.
+    pub fn on(chain: O, (links, freedoms): (usize, usize), contacts: usize) -> Self {
         Self {
-            chain: Chain::new(first),
+            chain,
             contact: Vec::with_capacity(contacts),
             row: Vec::with_capacity(contacts),
             stop: Vec::with_capacity(freedoms),
@@ -132,27 +141,34 @@ impl<const N: usize> ContactSolver<N> {
         }
     }
 
-    /// Takes the usable contacts, ordered by sphere, then by input order, warm-started with the last tick's impulses. Spheres are ordered
-    /// by link. `place` gives a sphere's contact for its normal and tangents.
-    pub fn collect(
-        &mut self,
-        step: &ContactStep,
-        spheres: &[SphereLayout],
-        results: &[ContactResult],
-        place: impl Fn(usize, &[Vector3<f64>; 3]) -> Place<N>,
-    ) {
+    /// Forgets all contacts and stops.
+    pub fn clear(&mut self) {
         self.contact.clear();
         self.row.clear();
         self.stop.clear();
         self.order.clear();
         self.max_overlap_m = 0.0;
         self.patch = Patch::default();
+    }
+
+    /// Takes the usable contacts, ordered by sphere, then by input order, warm-started with the last tick's impulses. Spheres are ordered
+    /// by link. Only those enter for which `enters` says so, by index; `place` gives a sphere's contact for its normal and tangents.
+    pub fn collect(
+        &mut self,
+        step: &ContactStep,
+        spheres: &[SphereLayout],
+        results: &[ContactResult],
+        enters: impl Fn(usize, &ContactPlane) -> bool,
+        place: impl Fn(usize, &[Vector3<f64>; 3]) -> Place<N>,
+    ) {
+        self.clear();
         let considered = &step.planes[..step.planes.len().min(self.used.len())];
         let usable = |c: &ContactPlane| c.sphere_index < spheres.len() && c.is_usable();
         for (index, plane) in considered.iter().enumerate().filter(|(_, c)| usable(c)) {
             self.order.push((plane.sphere_index, index));
         }
         self.refused = step.planes.len() - self.order.len();
+        self.order.retain(|(_, index)| enters(*index, &step.planes[*index]));
         self.order.sort_unstable();
         self.used.fill(false);
         let mut last = LastContacts { results, used: &mut self.used };

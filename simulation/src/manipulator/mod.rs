@@ -27,11 +27,12 @@ mod contact;
 mod coupling;
 mod error;
 mod flexure;
+mod frequencies;
 mod geometry;
 mod helix;
 mod loads;
-mod modal;
 mod model;
+mod moment_modes;
 mod outer_tube;
 mod parameters;
 mod pressed;
@@ -58,10 +59,12 @@ pub use error::ManipulatorError;
 pub use flexure::{Notch, StiffnessRatios, UnitStiffness};
 pub use geometry::SphereKind;
 pub use model::{AnyManipulator, AnyManipulatorState, ManipulatorModel, Rung};
+pub use moment_modes::{MomentModes, MomentModesState};
 pub use outer_tube::{BendingSpring, OuterTube};
 pub(crate) use parameters::pitch_m;
 pub use parameters::{
-    ContactParameters, Integrator, ManipulatorParameters, Section, TendonParameters, TendonReach, TendonRoute,
+    ContactParameters, Integrator, ManipulatorParameters, STANDARD_MOMENT_MODES, Section, TendonParameters,
+    TendonReach, TendonRoute,
 };
 use pressed::PressedStops;
 pub use spatial::{SpatialChain, SpatialState};
@@ -128,7 +131,8 @@ impl Manipulator {
         let mut stiffness = [0.0; MAX_JOINTS];
         stiffness[..n].copy_from_slice(&parameters.joint_stiffness_nm_per_rad);
         let (lengths, bodies) = (&layout.length_m[..n], &layout.body[..=n]);
-        let first = modal::first_frequency_rad_per_s(layout.first_joint_m, lengths, bodies, &stiffness[..n]);
+        let first =
+            frequencies::first_frequency_rad_per_s(layout.first_joint_m, lengths, bodies, &stiffness[..n]);
         let mut rest = [0.0; MAX_JOINTS];
         rest[..parameters.joint_rest_rad.len()].copy_from_slice(&parameters.joint_rest_rad);
         let damping = stiffness.map(|k| 2.0 * parameters.damping_ratio / first * k);

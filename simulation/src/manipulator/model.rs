@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::constant_curvature::{ConstantCurvature, ConstantCurvatureState};
 use super::error::ManipulatorError;
+use super::moment_modes::{FEW_MODES, MomentModes, MomentModesState};
 use super::parameters::ManipulatorParameters;
 use super::spatial::{SpatialChain, SpatialState};
 use super::state::{BaseMotion, ContactResult, ManipulatorState, ProxySphere, StepInput, StepReport, Wrench};
@@ -15,6 +16,8 @@ use super::{MAX_JOINTS, MAX_TENDONS, Manipulator};
 pub enum Rung {
     /// One arc of constant curvature.
     ConstantCurvature,
+    /// A chain that bends in one plane, in a few modes of its bending moment.
+    Modal,
     /// A chain that bends in one plane.
     Planar,
     /// A chain that bends in two planes and twists.
@@ -25,12 +28,14 @@ pub enum Rung {
 
 impl Rung {
     /// All rungs, in order.
-    pub const ALL: [Rung; 4] = [Rung::ConstantCurvature, Rung::Planar, Rung::Spatial, Rung::Full];
+    pub const ALL: [Rung; 5] =
+        [Rung::ConstantCurvature, Rung::Modal, Rung::Planar, Rung::Spatial, Rung::Full];
 
     /// Name in scenes and tables.
     pub fn name(self) -> &'static str {
         match self {
             Rung::ConstantCurvature => "constant_curvature",
+            Rung::Modal => "modal",
             Rung::Planar => "planar",
             Rung::Spatial => "spatial",
             Rung::Full => "full",
@@ -155,6 +160,7 @@ macro_rules! model {
 
 model!([] Manipulator, ManipulatorState);
 model!([] ConstantCurvature, ConstantCurvatureState);
+model!([const N: usize] MomentModes<N>, MomentModesState);
 model!([const D: usize] SpatialChain<D>, SpatialState);
 
 /// A manipulator of any rung.
@@ -166,6 +172,10 @@ model!([const D: usize] SpatialChain<D>, SpatialState);
 pub enum AnyManipulator {
     /// See [`ConstantCurvature`].
     ConstantCurvature(ConstantCurvature),
+    /// See [`MomentModes`]: up to five modes.
+    FewModes(MomentModes<8>),
+    /// See [`MomentModes`]: up to eight modes.
+    MoreModes(MomentModes<16>),
     /// See [`Manipulator`].
     Planar(Manipulator),
     /// The planar rung with more flexures than [`Manipulator`] supports.
@@ -185,6 +195,8 @@ pub enum AnyManipulatorState {
     Planar(Box<ManipulatorState>),
     /// State of a spatial chain, including the long planar one.
     Spatial(SpatialState),
+    /// State of the moment modes.
+    Modes(MomentModesState),
 }
 
 /// Borrowed [`AnyManipulatorState`], so that serialising needs no copy. The variants are the same.
@@ -193,6 +205,7 @@ pub(crate) enum AnyManipulatorStateRef<'a> {
     ConstantCurvature(&'a ConstantCurvatureState),
     Planar(&'a ManipulatorState),
     Spatial(&'a SpatialState),
+    Modes(&'a MomentModesState),
 }
 
 impl AnyManipulator {
@@ -207,6 +220,10 @@ impl AnyManipulator {
     ) -> Result<Self, ManipulatorError> {
         Ok(match rung {
             Rung::ConstantCurvature => Self::ConstantCurvature(ConstantCurvature::new(parameters, base)?),
+            Rung::Modal if parameters.moment_modes <= FEW_MODES => {
+                Self::FewModes(MomentModes::new(parameters, base)?)
+            }
+            Rung::Modal => Self::MoreModes(MomentModes::new(parameters, base)?),
             Rung::Planar if parameters.joint_positions_m.len() > MAX_JOINTS => {
                 Self::LongPlanar(SpatialChain::new(parameters, base)?)
             }
@@ -220,6 +237,8 @@ impl AnyManipulator {
     pub fn straighten(&mut self) {
         match self {
             Self::ConstantCurvature(tool) => tool.straighten(),
+            Self::FewModes(tool) => tool.straighten(),
+            Self::MoreModes(tool) => tool.straighten(),
             Self::Planar(tool) => tool.straighten(),
             Self::LongPlanar(tool) => tool.straighten(),
             Self::Spatial(tool) => tool.straighten(),
@@ -230,8 +249,8 @@ impl AnyManipulator {
     /// Says how far a tool with an outer tube is out of it, m; 0 at first.
     pub fn set_deployed(&mut self, deployed_m: f64) {
         match self {
-            // It takes no such tool.
-            Self::ConstantCurvature(_) => {}
+            // They take no such tool.
+            Self::ConstantCurvature(_) | Self::FewModes(_) | Self::MoreModes(_) => {}
             Self::Planar(tool) => tool.set_deployed(deployed_m),
             Self::LongPlanar(tool) => tool.set_deployed(deployed_m),
             Self::Spatial(tool) => tool.set_deployed(deployed_m),
@@ -243,6 +262,8 @@ impl AnyManipulator {
     pub fn set_burr_turns(&mut self, turns: bool) {
         match self {
             Self::ConstantCurvature(tool) => tool.set_burr_turns(turns),
+            Self::FewModes(tool) => tool.set_burr_turns(turns),
+            Self::MoreModes(tool) => tool.set_burr_turns(turns),
             Self::Planar(tool) => tool.set_burr_turns(turns),
             Self::LongPlanar(tool) => tool.set_burr_turns(turns),
             Self::Spatial(tool) => tool.set_burr_turns(turns),
@@ -254,6 +275,8 @@ impl AnyManipulator {
     pub fn use_plain_instructions(&mut self) {
         match self {
             Self::ConstantCurvature(tool) => tool.use_plain_instructions(),
+            Self::FewModes(tool) => tool.use_plain_instructions(),
+            Self::MoreModes(tool) => tool.use_plain_instructions(),
             Self::Planar(tool) => tool.use_plain_instructions(),
             Self::LongPlanar(tool) => tool.use_plain_instructions(),
             Self::Spatial(tool) => tool.use_plain_instructions(),
@@ -267,6 +290,8 @@ impl AnyManipulator {
             (Self::ConstantCurvature(tool), AnyManipulatorState::ConstantCurvature(state)) => {
                 state.copy_from(tool.state());
             }
+            (Self::FewModes(tool), AnyManipulatorState::Modes(state)) => state.copy_from(tool.state()),
+            (Self::MoreModes(tool), AnyManipulatorState::Modes(state)) => state.copy_from(tool.state()),
             (Self::Planar(tool), AnyManipulatorState::Planar(state)) => state.copy_from(tool.state()),
             (Self::LongPlanar(tool), AnyManipulatorState::Spatial(state)) => state.copy_from(tool.state()),
             (Self::Spatial(tool), AnyManipulatorState::Spatial(state)) => state.copy_from(tool.state()),
@@ -279,6 +304,8 @@ impl AnyManipulator {
     pub(crate) fn state(&self) -> AnyManipulatorStateRef<'_> {
         match self {
             Self::ConstantCurvature(tool) => AnyManipulatorStateRef::ConstantCurvature(tool.state()),
+            Self::FewModes(tool) => AnyManipulatorStateRef::Modes(tool.state()),
+            Self::MoreModes(tool) => AnyManipulatorStateRef::Modes(tool.state()),
             Self::Planar(tool) => AnyManipulatorStateRef::Planar(tool.state()),
             Self::LongPlanar(tool) => AnyManipulatorStateRef::Spatial(tool.state()),
             Self::Spatial(tool) => AnyManipulatorStateRef::Spatial(tool.state()),
@@ -290,6 +317,7 @@ impl AnyManipulator {
     pub(crate) fn fits(&self, state: &AnyManipulatorState) -> bool {
         match (self, state) {
             (Self::ConstantCurvature(_), AnyManipulatorState::ConstantCurvature(_))
+            | (Self::FewModes(_) | Self::MoreModes(_), AnyManipulatorState::Modes(_))
             | (Self::Planar(_), AnyManipulatorState::Planar(_)) => true,
             (Self::LongPlanar(tool), AnyManipulatorState::Spatial(state)) => tool.fits(state),
             (Self::Spatial(tool), AnyManipulatorState::Spatial(state)) => tool.fits(state),
@@ -302,6 +330,7 @@ impl AnyManipulator {
     pub fn rung(&self) -> Rung {
         match self {
             Self::ConstantCurvature(_) => Rung::ConstantCurvature,
+            Self::FewModes(_) | Self::MoreModes(_) => Rung::Modal,
             Self::Planar(_) | Self::LongPlanar(_) => Rung::Planar,
             Self::Spatial(_) => Rung::Spatial,
             Self::Full(_) => Rung::Full,
@@ -313,6 +342,8 @@ macro_rules! each {
     ($self:expr, $tool:ident => $what:expr) => {
         match $self {
             AnyManipulator::ConstantCurvature($tool) => $what,
+            AnyManipulator::FewModes($tool) => $what,
+            AnyManipulator::MoreModes($tool) => $what,
             AnyManipulator::Planar($tool) => $what,
             AnyManipulator::LongPlanar($tool) => $what,
             AnyManipulator::Spatial($tool) => $what,
@@ -337,6 +368,8 @@ impl ManipulatorModel for AnyManipulator {
     fn snapshot(&self) -> AnyManipulatorState {
         match self {
             Self::ConstantCurvature(tool) => AnyManipulatorState::ConstantCurvature(tool.snapshot()),
+            Self::FewModes(tool) => AnyManipulatorState::Modes(tool.snapshot()),
+            Self::MoreModes(tool) => AnyManipulatorState::Modes(tool.snapshot()),
             Self::Planar(tool) => AnyManipulatorState::Planar(Box::new(tool.snapshot())),
             Self::LongPlanar(tool) => AnyManipulatorState::Spatial(tool.snapshot()),
             Self::Spatial(tool) => AnyManipulatorState::Spatial(tool.snapshot()),
@@ -350,6 +383,8 @@ impl ManipulatorModel for AnyManipulator {
             (Self::ConstantCurvature(tool), AnyManipulatorState::ConstantCurvature(state)) => {
                 tool.restore(state);
             }
+            (Self::FewModes(tool), AnyManipulatorState::Modes(state)) => tool.restore(state),
+            (Self::MoreModes(tool), AnyManipulatorState::Modes(state)) => tool.restore(state),
             (Self::Planar(tool), AnyManipulatorState::Planar(state)) => tool.restore(state),
             (Self::LongPlanar(tool), AnyManipulatorState::Spatial(state)) => tool.restore(state),
             (Self::Spatial(tool), AnyManipulatorState::Spatial(state)) => tool.restore(state),

@@ -96,6 +96,9 @@ pub enum Section {
     Ratios(Vec<StiffnessRatios>),
 }
 
+/// Moment modes of the rung `modal` unless others are asked for: with five, the standard tool is at rest within 25 µm of all its flexures.
+pub const STANDARD_MOMENT_MODES: usize = 5;
+
 /// Complete definition of a continuum manipulator, for every rung. SI units.
 ///
 /// Base frame: +z is the insertion axis along the straight tool, +x the bending direction toward tendon 0, and in the
@@ -163,6 +166,8 @@ pub struct ManipulatorParameters {
     pub integrator: Integrator,
     /// Error per joint and step, rad, above which [`Integrator::Hybrid`] repeats the step with linearly implicit Euler.
     pub hybrid_tolerance_rad: f64,
+    /// Number of moment modes, 2 to 8. Used by the rung `modal` only; a tool of fewer flexures has one mode each.
+    pub moment_modes: usize,
 }
 
 /// Flexure centres of the BIGSS/JHU manipulator from its base, mm ("From the CAD", `create_snake_yaml.py`,
@@ -283,6 +288,7 @@ impl ManipulatorParameters {
             },
             integrator: Integrator::LinearlyImplicitEuler,
             hybrid_tolerance_rad: 0.005,
+            moment_modes: STANDARD_MOMENT_MODES,
         }
     }
 

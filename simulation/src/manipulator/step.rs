@@ -194,12 +194,18 @@ impl Manipulator {
         let lateral_m = state.mount_displacement_m[1];
         let results = &state.results[..state.result_count];
         let solver = &mut self.contact;
-        solver.collect(&step, &layout.spheres, results, |sphere, direction| {
-            let SphereLayout { link, along_m, radius_m, .. } = layout.spheres[sphere];
-            let centre = configuration.point(link, along_m);
-            let point = Vector3::new(centre[0], lateral_m, centre[1]) - direction[0] * radius_m;
-            Place { link, point, force: direction.map(|d| pressing::force(&point, &d)) }
-        });
+        solver.collect(
+            &step,
+            &layout.spheres,
+            results,
+            |_, _| true,
+            |sphere, direction| {
+                let SphereLayout { link, along_m, radius_m, .. } = layout.spheres[sphere];
+                let centre = configuration.point(link, along_m);
+                let point = Vector3::new(centre[0], lateral_m, centre[1]) - direction[0] * radius_m;
+                Place { link, point, force: direction.map(|d| pressing::force(&point, &d)) }
+            },
+        );
         let law = self.parameters.stop_law();
         for i in (0..layout.joints).filter(|i| !self.pressed.has(*i)) {
             let moving = (state.joint_position_rad[i] - self.rest[i], free.joint[i]);

@@ -190,6 +190,8 @@ impl ManipulatorParameters {
         check("contact.tolerance_m_per_s", contact.tolerance_m_per_s, "0 to 1 m/s", |x| {
             (0.0..=1.0).contains(&x)
         })?;
+        let modes = self.moment_modes as f64;
+        check("moment_modes", modes, "2 to 8", |modes| (2.0..=8.0).contains(&modes))?;
         check("hybrid_tolerance_rad", self.hybrid_tolerance_rad, "above 0 and at most 1 rad", |x| {
             x > 0.0 && x <= 1.0
         })

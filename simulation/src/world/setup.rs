@@ -141,6 +141,7 @@ fn cutting_coefficient(scene: &Scene) -> Option<f64> {
 pub fn rung(name: ManipulatorRung) -> Rung {
     match name {
         ManipulatorRung::ConstantCurvature => Rung::ConstantCurvature,
+        ManipulatorRung::Modal => Rung::Modal,
         ManipulatorRung::Planar => Rung::Planar,
         ManipulatorRung::Spatial => Rung::Spatial,
         ManipulatorRung::Full => Rung::Full,
@@ -169,6 +170,9 @@ pub fn manipulator_parameters(scene: &Scene) -> Result<ManipulatorParameters, Ma
             ..TendonRoute::from([it.toward_mm * 1e-3, it.across_mm * 1e-3])
         });
         parameters.tendon_routes = Some(routes.collect());
+    }
+    if let Some(modes) = overrides.modes {
+        parameters.moment_modes = modes;
     }
     if let Some(ratio) = overrides.damping_ratio {
         parameters.damping_ratio = ratio;

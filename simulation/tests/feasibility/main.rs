@@ -90,3 +90,31 @@ fn a_long_step_is_told_of_a_pre_curved_tool_alone_and_not_of_the_other_integrato
         assert_eq!(said(file, keys, dt_ms), [], "{file}, {keys}, {dt_ms} ms");
     }
 }
+
+/// Moment modes do not follow flexures on their stops, which the softest of the standard tool reaches at 10.7 N.
+#[test]
+fn modes_are_told_of_stops_that_the_controllers_may_reach() {
+    let said = |keys: &str, pull: &str| {
+        let tool = TOOL.replace("external = true", pull);
+        let text = format!(
+            "name = \"a\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[manipulator]\n{keys}\n{tool}"
+        );
+        let scene = Scene::parse(&text, Path::new("a.toml")).unwrap();
+        findings(&scene, None, &|_| true).unwrap()
+    };
+    for (pull, asked) in [("hold = { tension_n = 11.0 }", "up to 11 N"), ("external = true", "any tension")] {
+        let found = said("model = \"modal\"", pull);
+        assert_eq!(found.len(), 1, "{found:?}");
+        assert_eq!((found[0].verdict, found[0].key), (Verdict::Unlikely, "manipulator.model"));
+        assert!(
+            found[0].problem.contains("from 10.7 N on") && found[0].problem.contains(asked),
+            "{}",
+            found[0]
+        );
+    }
+    for (keys, pull) in
+        [("model = \"modal\"", "hold = { tension_n = 10.5 }"), ("model = \"planar\"", "external = true")]
+    {
+        assert_eq!(said(keys, pull), [], "{keys}, {pull}");
+    }
+}

@@ -9,7 +9,8 @@ use crate::failure::Failure;
 use crate::plan::measure::trials::Trial;
 use crate::plan::table::{OWN_LINKS, Row, Settings};
 
-/// Equal links in place of the tool's flexures, for each rung. Where each flexure lies decides more than how the rest is computed, so the
+/// Measured models: all but `modal`, which is not valid where single flexures stand on their stops, and no scene says beforehand whether
+/// they will. Equal links in place of the tool's flexures, for each rung. Where each flexure lies decides more than how the rest is computed, so the
 /// richer rungs have few of them.
 const LINKS: [(Rung, &[usize]); 4] =
     [(Rung::ConstantCurvature, &[]), (Rung::Planar, &[4, 8, 16]), (Rung::Spatial, &[8]), (Rung::Full, &[])];
@@ -44,7 +45,7 @@ pub fn settings(tool: &OwnTool) -> Result<Vec<Settings>, Failure> {
 fn integrators(rung: Rung) -> &'static [Integrator] {
     match rung {
         Rung::ConstantCurvature => &[Integrator::LinearlyImplicitEuler],
-        Rung::Planar => &[Integrator::LinearlyImplicitEuler, Integrator::Hybrid],
+        Rung::Modal | Rung::Planar => &[Integrator::LinearlyImplicitEuler, Integrator::Hybrid],
         Rung::Spatial | Rung::Full => &[Integrator::Hybrid],
     }
 }
@@ -70,7 +71,7 @@ pub fn is_drilled(settings: &Settings, flexures: usize) -> bool {
     settings.links == flexures
         && match settings.rung {
             Rung::ConstantCurvature => settings.dt_ms == COSTED_DT_MS,
-            Rung::Planar | Rung::Spatial | Rung::Full => {
+            Rung::Modal | Rung::Planar | Rung::Spatial | Rung::Full => {
                 settings.integrator == Integrator::Hybrid
                     && (COSTED_DT_MS..=LARGEST_SOUND_STEP_MS).contains(&settings.dt_ms)
             }

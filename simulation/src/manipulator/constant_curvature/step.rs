@@ -164,14 +164,20 @@ impl ConstantCurvature {
         let (arc, spheres, q) = (&self.arc, &self.sphere_layout, &self.state.position);
         let results = &self.state.results[..self.state.result_count];
         let solver = &mut self.contact;
-        solver.collect(&step, spheres, results, |sphere, direction| {
-            let lever = direction[0] * -spheres[sphere].radius_m;
-            let place = arc.place(self.sphere_z_m[sphere], q[3]);
-            let point = Vector3::new(q[0] + place.point[0], q[1], q[2] + place.point[1]) + lever;
-            let per_bend =
-                Vector3::new(place.first[0], 0.0, place.first[1]) + Vector3::y().cross(&lever) * place.share;
-            Place { link: 0, point, force: direction.map(|d| [d.x, d.y, d.z, d.dot(&per_bend)]) }
-        });
+        solver.collect(
+            &step,
+            spheres,
+            results,
+            |_, _| true,
+            |sphere, direction| {
+                let lever = direction[0] * -spheres[sphere].radius_m;
+                let place = arc.place(self.sphere_z_m[sphere], q[3]);
+                let point = Vector3::new(q[0] + place.point[0], q[1], q[2] + place.point[1]) + lever;
+                let per_bend = Vector3::new(place.first[0], 0.0, place.first[1])
+                    + Vector3::y().cross(&lever) * place.share;
+                Place { link: 0, point, force: direction.map(|d| [d.x, d.y, d.z, d.dot(&per_bend)]) }
+            },
+        );
         let law = StopLaw { limit_rad: self.limit_rad, stiffness_nm_per_rad: self.stop_stiffness_nm_per_rad };
         let from_rest = q[BEND] - self.rest_rad;
         solver.collect_stop((dt, &law), BEND, (from_rest, free[BEND]), self.state.stop_torque_nm);

@@ -5,6 +5,7 @@
 //! quantities are expressed at the base origin; N is the number of their components (4 in the bending plane with the out-of-plane
 //! velocity, 6 in space). Tendons that couple the joints follow by the Woodbury identity (see `coupling`).
 
+use super::dense::{lanes, lanes_mut};
 use crate::manipulator::MAX_TENDONS;
 use crate::manipulator::coupling::Kernel;
 
@@ -46,9 +47,86 @@ pub(super) fn add_outer<const N: usize>(m: &mut Square<N>, scale: f64, a: &[f64;
     }
 }
 
+/// Rows of at least so many numbers are worked on a vector at a time: the compiler does so by itself only with shorter ones.
+const WIDE: usize = 8;
+
+/// [`add_outer`], to the same bits.
+#[inline(always)]
+pub(super) fn add_outer_by<S: pulp::Simd, const N: usize>(
+    simd: S,
+    m: &mut Square<N>,
+    scale: f64,
+    a: &[f64; N],
+) {
+    if N < WIDE {
+        return add_outer(m, scale, a);
+    }
+    for (row, x) in m.iter_mut().zip(a) {
+        add_scaled_by(simd, row, scale * x, a);
+    }
+}
+
+/// [`add_scaled`], to the same bits.
+#[inline(always)]
+pub(super) fn add_scaled_by<S: pulp::Simd, const N: usize>(
+    simd: S,
+    a: &mut [f64; N],
+    scale: f64,
+    b: &[f64; N],
+) {
+    if N < WIDE {
+        return add_scaled(a, scale, b);
+    }
+    let scale = simd.splat_f64s(scale);
+    for (a, b) in lanes_mut::<S>(a).iter_mut().zip(lanes::<S>(b)) {
+        *a = simd.add_f64s(*a, simd.mul_f64s(scale, *b));
+    }
+}
+
+/// [`times`], to the same bits.
+#[inline(always)]
+pub(super) fn times_by<S: pulp::Simd, const N: usize>(simd: S, m: &Square<N>, v: &[f64; N]) -> [f64; N] {
+    if N < WIDE {
+        return times(m, v);
+    }
+    let mut out = [0.0; N];
+    for (b, out) in lanes_mut::<S>(&mut out).iter_mut().enumerate() {
+        let mut sum = *out;
+        for (row, x) in m.iter().zip(v) {
+            sum = simd.add_f64s(sum, simd.mul_f64s(simd.splat_f64s(*x), lanes::<S>(row)[b]));
+        }
+        *out = sum;
+    }
+    out
+}
+
+/// m += a s s' + b (s t' + t s') + c t t'.
+#[inline(always)]
+pub(super) fn add_pair_by<S: pulp::Simd, const N: usize>(
+    simd: S,
+    m: &mut Square<N>,
+    [a, b, c]: [f64; 3],
+    [s, t]: [&[f64; N]; 2],
+) {
+    for i in 0..N {
+        let (x, y) = (a * s[i] + b * t[i], b * s[i] + c * t[i]);
+        if N < WIDE {
+            for j in 0..N {
+                m[i][j] += x * s[j] + y * t[j];
+            }
+            continue;
+        }
+        let (x, y) = (simd.splat_f64s(x), simd.splat_f64s(y));
+        let vectors = lanes::<S>(s).iter().zip(lanes::<S>(t));
+        for (entry, (s, t)) in lanes_mut::<S>(&mut m[i]).iter_mut().zip(vectors) {
+            *entry = simd.add_f64s(*entry, simd.add_f64s(simd.mul_f64s(x, *s), simd.mul_f64s(y, *t)));
+        }
+    }
+}
+
 /// What the rows add to the operator, and their impulses.
 #[derive(Debug, Clone)]
-pub(super) struct Pressing<const N: usize> {
+pub(in crate::manipulator) struct Pressing<const N: usize> {
     /// Sum of w f f' on each link.
     pub link: Vec<Square<N>>,
     /// Stiffness that stops add to each freedom.
@@ -59,7 +137,7 @@ pub(super) struct Pressing<const N: usize> {
 }
 
 impl<const N: usize> Pressing<N> {
-    fn new(links: usize, freedoms: usize) -> Self {
+    pub(super) fn new(links: usize, freedoms: usize) -> Self {
         Self {
             link: vec![[[0.0; N]; N]; links],
             freedom: vec![0.0; freedoms],
@@ -74,6 +152,72 @@ impl<const N: usize> Pressing<N> {
         self.freedom.fill(0.0);
         self.link_impulse.fill([0.0; N]);
         self.freedom_impulse.fill(0.0);
+    }
+}
+
+/// What Newton's method needs of the operator of a step: `A + sum w f f'` and its inverse.
+pub(in crate::manipulator) trait Operator<const N: usize> {
+    /// What the rows add, which the caller sets.
+    fn pressing(&mut self) -> &mut Pressing<N>;
+    /// Factors the operator with what `pressing` adds.
+    fn factor<S: pulp::Simd>(&mut self, simd: S);
+    /// Solves for the velocities under the impulses in `pressing`.
+    fn solve(&mut self);
+    /// The solution: motions of the links.
+    fn motion(&self) -> &[[f64; N]];
+    /// The solution: velocities of the freedoms.
+    fn velocity(&self) -> &[f64];
+    /// Motions of the links at velocities `x` of the freedoms.
+    fn motions_of(&self, x: &[f64], out: &mut [[f64; N]]);
+    /// Calls `link` with the mobility of each link to a force on itself and `freedom` with that of each freedom to its own torque, base to
+    /// tip, for the present factor.
+    fn mobilities<S: pulp::Simd>(
+        &self,
+        simd: S,
+        freedom: impl FnMut(usize, f64),
+        link: impl FnMut(usize, &Square<N>),
+    );
+}
+
+impl<const N: usize> Operator<N> for Chain<N> {
+    #[inline(always)]
+    fn pressing(&mut self) -> &mut Pressing<N> {
+        &mut self.pressing
+    }
+
+    #[inline(always)]
+    fn factor<S: pulp::Simd>(&mut self, _: S) {
+        self.factor_chain();
+    }
+
+    #[inline(always)]
+    fn solve(&mut self) {
+        self.solve_chain();
+    }
+
+    #[inline(always)]
+    fn motion(&self) -> &[[f64; N]] {
+        &self.motion
+    }
+
+    #[inline(always)]
+    fn velocity(&self) -> &[f64] {
+        &self.velocity
+    }
+
+    #[inline(always)]
+    fn motions_of(&self, x: &[f64], out: &mut [[f64; N]]) {
+        self.motions(x, out);
+    }
+
+    #[inline(always)]
+    fn mobilities<S: pulp::Simd>(
+        &self,
+        _: S,
+        freedom: impl FnMut(usize, f64),
+        link: impl FnMut(usize, &Square<N>),
+    ) {
+        self.link_mobilities(freedom, link);
     }
 }
 
@@ -137,7 +281,7 @@ impl<const N: usize> Chain<N> {
 
     /// Factors the operator with what `pressing` adds.
     #[inline(always)]
-    pub(super) fn factor(&mut self) {
+    pub(super) fn factor_chain(&mut self) {
         let mut inertia = [[0.0; N]; N];
         for link in (0..self.body.len()).rev() {
             let (own, added) = (&self.body[link], &self.pressing.link[link]);
@@ -181,7 +325,7 @@ impl<const N: usize> Chain<N> {
 
     /// Solves for the velocities under the impulses in `pressing`.
     #[inline(always)]
-    pub(super) fn solve(&mut self) {
+    pub(super) fn solve_chain(&mut self) {
         self.torque.copy_from_slice(&self.pressing.freedom_impulse);
         let impulse = core::mem::take(&mut self.pressing.link_impulse);
         self.sweep_inward(|link| impulse[link]);
@@ -237,13 +381,13 @@ impl<const N: usize> Chain<N> {
     #[inline(always)]
     fn move_links(&mut self) {
         let mut motion = core::mem::take(&mut self.motion);
-        self.motions_of(&self.velocity, &mut motion);
+        self.motions(&self.velocity, &mut motion);
         self.motion = motion;
     }
 
     /// Motions of the links at velocities `x` of the freedoms.
     #[inline(always)]
-    pub(super) fn motions_of(&self, x: &[f64], out: &mut [[f64; N]]) {
+    pub(super) fn motions(&self, x: &[f64], out: &mut [[f64; N]]) {
         let mut v = [0.0; N];
         for (link, out) in out.iter_mut().enumerate() {
             for k in self.freedoms_of(link) {
@@ -256,7 +400,7 @@ impl<const N: usize> Chain<N> {
     /// Calls `link` with the mobility of each link to a force on itself and `freedom` with that of each freedom to its own torque, base
     /// to tip, for the present factor (Kreutz-Delgado, Jain and Rodriguez 1992). Without the tendons' coupling, which only stiffens.
     #[inline(always)]
-    pub(super) fn mobilities(
+    pub(super) fn link_mobilities(
         &self,
         mut freedom: impl FnMut(usize, f64),
         mut link: impl FnMut(usize, &Square<N>),

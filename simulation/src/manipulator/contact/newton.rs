@@ -18,7 +18,7 @@
 //! All vectors of an iteration are kept per row: a solution x = v - v* obeys `A x = sum f p` with p the rows' impulses, so the function's
 //! slope along a step needs only the rows' impulses and speeds.
 
-use super::chain::{Chain, add_outer, add_scaled, dot, times};
+use super::chain::{Operator, add_outer_by, add_pair_by, add_scaled_by, dot, times_by};
 use super::laws::{ContactRow, StopRow, Tangent, bound_miss, onto_disc};
 use super::patch::Patch;
 use crate::manipulator::parameters::ContactParameters;
@@ -42,9 +42,9 @@ pub(in crate::manipulator) struct Outcome {
     pub residual: f64,
 }
 
-/// The rows of one step on their chain.
-pub(super) struct Problem<'s, const N: usize> {
-    pub chain: &'s mut Chain<N>,
+/// The rows of one step on their chain, or on another operator.
+pub(super) struct Problem<'s, const N: usize, O> {
+    pub chain: &'s mut O,
     /// Ordered by link.
     pub row: &'s mut [ContactRow<N>],
     pub stop: &'s mut [StopRow],
@@ -57,27 +57,27 @@ pub(super) struct Problem<'s, const N: usize> {
 }
 
 /// [`Problem::solve`], compiled for each instruction set. No operation is reordered or fused, so the result is the same to the bit.
-impl<const N: usize> pulp::WithSimd for Problem<'_, N> {
+impl<const N: usize, O: Operator<N>> pulp::WithSimd for Problem<'_, N, O> {
     type Output = Outcome;
 
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(mut self, _: S) -> Outcome {
-        self.solve()
+    fn with_simd<S: pulp::Simd>(mut self, simd: S) -> Outcome {
+        self.solve(simd)
     }
 }
 
-impl<const N: usize> Problem<'_, N> {
+impl<const N: usize, O: Operator<N>> Problem<'_, N, O> {
     /// Iterates until every row keeps its law to the tolerance, or the iteration limit is reached. Leaves the impulses in the rows.
     #[inline(always)]
-    fn solve(&mut self) -> Outcome {
-        self.start();
+    fn solve<S: pulp::Simd>(&mut self, simd: S) -> Outcome {
+        self.start(simd);
         let mut outcome = Outcome { iterations: 0, residual: f64::INFINITY };
         while outcome.residual > self.parameters.tolerance_m_per_s
             && outcome.iterations < self.parameters.max_iterations
         {
             let first = outcome.iterations == 0;
             outcome.iterations += 1;
-            self.newton_step(first);
+            self.newton_step(simd, first);
             let length = if first { 1.0 } else { self.search() };
             self.go(length);
             let held;
@@ -93,7 +93,7 @@ impl<const N: usize> Problem<'_, N> {
 
     /// Free speeds and mobilities of the rows, and the speeds under the last tick's impulses.
     #[inline(always)]
-    fn start(&mut self) {
+    fn start<S: pulp::Simd>(&mut self, simd: S) {
         for row in self.row.iter_mut() {
             let motion = &self.free_motion[row.link];
             for j in 0..3 {
@@ -103,20 +103,22 @@ impl<const N: usize> Problem<'_, N> {
         for stop in self.stop.iter_mut() {
             stop.free = stop.stop.sign * self.free[stop.freedom];
         }
-        self.chain.pressing.clear();
+        self.chain.pressing().clear();
         for row in self.row.iter() {
             for j in 0..3 {
-                add_scaled(&mut self.chain.pressing.link_impulse[row.link], row.impulse[j], &row.force[j]);
+                let sum = &mut self.chain.pressing().link_impulse[row.link];
+                add_scaled_by(simd, sum, row.impulse[j], &row.force[j]);
             }
         }
         for stop in self.stop.iter() {
-            self.chain.pressing.freedom_impulse[stop.freedom] += stop.stop.sign * stop.stop.impulse;
+            self.chain.pressing().freedom_impulse[stop.freedom] += stop.stop.sign * stop.stop.impulse;
         }
-        self.chain.factor();
+        self.chain.factor(simd);
         self.chain.solve();
         let (mut next_row, mut next_stop) = (0, 0);
         let (row, stop) = (&mut *self.row, &mut *self.stop);
         self.chain.mobilities(
+            simd,
             |freedom, mobility| {
                 if next_stop < stop.len() && stop[next_stop].freedom == freedom {
                     stop[next_stop].mobility = mobility + stop[next_stop].stop.compliance;
@@ -126,26 +128,26 @@ impl<const N: usize> Problem<'_, N> {
             |link, mobility| {
                 while next_row < row.len() && row[next_row].link == link {
                     let row = &mut row[next_row];
-                    let [n, a, b] = row.force.map(|f| dot(&f, &times(mobility, &f)));
+                    let [n, a, b] = row.force.map(|f| dot(&f, &times_by(simd, mobility, &f)));
                     row.mobility = [n + row.compliance, a.max(b)];
                     next_row += 1;
                 }
             },
         );
         for row in self.row.iter_mut() {
-            let motion = &self.chain.motion[row.link];
+            let motion = &self.chain.motion()[row.link];
             row.speed = core::array::from_fn(|j| row.drive[j] + dot(&row.force[j], motion));
             row.begin();
         }
         for stop in self.stop.iter_mut() {
-            stop.rate = stop.free + stop.stop.sign * self.chain.velocity[stop.freedom];
+            stop.rate = stop.free + stop.stop.sign * self.chain.velocity()[stop.freedom];
         }
     }
 
     /// Solves the chain with the rows' tangent laws into each row's `next`.
     #[inline(always)]
-    fn newton_step(&mut self, first: bool) {
-        let pressing = &mut self.chain.pressing;
+    fn newton_step<S: pulp::Simd>(&mut self, simd: S, first: bool) {
+        let pressing = self.chain.pressing();
         pressing.clear();
         let back = if first { self.patch.carried(self.row) } else { self.patch.root(self.row, 0.0) };
         for row in self.row.iter_mut() {
@@ -155,20 +157,15 @@ impl<const N: usize> Problem<'_, N> {
             let impulse = row.tangent_law(&row.drive, 0.0);
             let (link, sum) = (&mut pressing.link[row.link], &mut pressing.link_impulse[row.link]);
             if normal > 0.0 {
-                add_outer(link, normal, n);
+                add_outer_by(simd, link, normal, n);
             }
             if row.tangent.presses() {
-                add_scaled(sum, impulse[0], n);
+                add_scaled_by(simd, sum, impulse[0], n);
             }
             if row.radius > 0.0 {
-                for i in 0..N {
-                    let (x, y) = (a * s[i] + b * t[i], b * s[i] + c * t[i]);
-                    for j in 0..N {
-                        link[i][j] += x * s[j] + y * t[j];
-                    }
-                }
-                add_scaled(sum, impulse[1], s);
-                add_scaled(sum, impulse[2], t);
+                add_pair_by(simd, link, [a, b, c], [s, t]);
+                add_scaled_by(simd, sum, impulse[1], s);
+                add_scaled_by(simd, sum, impulse[2], t);
             }
         }
         let of_links = (&mut pressing.link[..], &mut pressing.link_impulse[..]);
@@ -181,16 +178,16 @@ impl<const N: usize> Problem<'_, N> {
             pressing.freedom[row.freedom] += row.weight;
             pressing.freedom_impulse[row.freedom] += sign * row.weight * (target - row.free);
         }
-        self.chain.factor();
+        self.chain.factor(simd);
         self.chain.solve();
-        let back = back_law.at(&self.chain.motion);
+        let back = back_law.at(self.chain.motion());
         for row in self.row.iter_mut() {
-            let motion = &self.chain.motion[row.link];
+            let motion = &self.chain.motion()[row.link];
             row.next_speed = core::array::from_fn(|j| row.drive[j] + dot(&row.force[j], motion));
             row.next = row.tangent_law(&row.next_speed, back);
         }
         for row in self.stop.iter_mut() {
-            row.next_rate = row.free + row.stop.sign * self.chain.velocity[row.freedom];
+            row.next_rate = row.free + row.stop.sign * self.chain.velocity()[row.freedom];
             row.next = row.weight * (row.stop.target - row.next_rate);
         }
     }

@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::chain::Chain;
+use super::chain::{Chain, Operator};
 use super::laws::{ContactRow, StopRow};
 use super::newton::Problem;
 use super::patch::Patch;

@@ -24,7 +24,7 @@ use super::error::ManipulatorError;
 use super::parameters::ManipulatorParameters;
 use super::pressed::PressedStops;
 use super::state::{BaseMotion, ContactResult, ProxySphere, StepReport, Wrench};
-use super::{CONTACTS_PER_SPHERE, MAX_LINKS, MAX_SHAFT_SPHERES, modal};
+use super::{CONTACTS_PER_SPHERE, MAX_LINKS, MAX_SHAFT_SPHERES, frequencies};
 use articulated::Articulated;
 use coupling::Coupling;
 use layout::{Configuration, MOUNT, SpatialLayout};
@@ -82,8 +82,12 @@ impl<const D: usize> SpatialChain<D> {
         let layout = SpatialLayout::new(&parameters);
         let (freedoms, links) = (layout.freedoms(), layout.joints + 1);
         let bending = &parameters.joint_stiffness_nm_per_rad;
-        let first =
-            modal::first_frequency_rad_per_s(layout.first_joint_m, &layout.length_m, &layout.body, bending);
+        let first = frequencies::first_frequency_rad_per_s(
+            layout.first_joint_m,
+            &layout.length_m,
+            &layout.body,
+            bending,
+        );
         let stiffness = stiffnesses::<D>(&parameters);
         let mut rest = vec![0.0; freedoms];
         for (joint, angle) in parameters.joint_rest_rad.iter().enumerate() {

@@ -235,11 +235,17 @@ impl<const D: usize> SpatialChain<D> {
         let (layout, configuration, state) = (&self.layout, &self.configuration, &self.state);
         let results = &state.results[..state.result_count];
         let solver = &mut self.contact;
-        solver.collect(&step, &layout.spheres, results, |sphere, direction| {
-            let SphereLayout { link, along_m, radius_m, .. } = layout.spheres[sphere];
-            let point = configuration.point(link, along_m) - direction[0] * radius_m;
-            Place { link, point, force: direction.map(|d| force_at(&point, &Vector3::zeros(), &d)) }
-        });
+        solver.collect(
+            &step,
+            &layout.spheres,
+            results,
+            |_, _| true,
+            |sphere, direction| {
+                let SphereLayout { link, along_m, radius_m, .. } = layout.spheres[sphere];
+                let point = configuration.point(link, along_m) - direction[0] * radius_m;
+                Place { link, point, force: direction.map(|d| force_at(&point, &Vector3::zeros(), &d)) }
+            },
+        );
         let law = self.parameters.stop_law();
         for joint in 0..layout.joints {
             let bend = layout.bend(joint);

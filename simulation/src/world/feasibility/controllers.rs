@@ -1,11 +1,11 @@
 //! Rules about what the controllers, the arm and the X-ray can do in this run.
 
 use nalgebra::Vector3;
-use scene::Drives;
+use scene::{Controller, Drives, Feedback};
 
 use super::{Feed, Start};
 use crate::arm::{Arm, ArmCommand, LEAST_MANIPULABILITY_M3};
-use crate::manipulator::{Integrator, ManipulatorModel};
+use crate::manipulator::{Integrator, ManipulatorModel, Rung};
 
 /// A target may lie so far beyond the end of the feed, mm: the drilled tip is not at the tool's, and nobody measures a tenth of a burr.
 const BEYOND_MM: f64 = 0.5;
@@ -180,6 +180,34 @@ pub(super) fn long_step_of_pre_curved_tool(start: &Start) -> Option<String> {
              linearly_implicit_euler: near its buckling load the tool ends elsewhere"
         )
     })
+}
+
+/// The moment modes do not follow single flexures on their stops. In bone the walls bend the tool, which nobody knows beforehand.
+pub(super) fn modes_on_stops(start: &Start) -> Option<String> {
+    let tool = &start.simulation.manipulator;
+    if tool.rung() != Rung::Modal {
+        return None;
+    }
+    let least_n = tool.parameters().first_stop_n()?;
+    let pulls = start.scene.controller.iter().filter(|entry| entry.drives.contains(&Drives::Tendon));
+    let most_n = pulls.map(most_tension_n).fold(0.0, f64::max);
+    (most_n > least_n).then(|| {
+        let asked = if most_n.is_finite() { format!("up to {most_n} N") } else { "any tension".to_owned() };
+        format!(
+            "is modal, which is not valid where single flexures stand on their stops: from {least_n:.1} N on at rest in free space, and \
+             the controllers may ask for {asked}; expected planar, or less tension"
+        )
+    })
+}
+
+/// The most tension that a controller may ask for, N; infinite if the scene does not say.
+fn most_tension_n(entry: &Controller) -> f64 {
+    let drilling = entry.curved_drilling.as_ref().filter(|drilling| drilling.feedback == Feedback::None);
+    let drilled_n = drilling.and_then(|drilling| drilling.tension_n);
+    let held_n = entry.hold.as_ref().map(|hold| hold.tension_n);
+    let skived_n = entry.skiving.as_ref().map(|skiving| skiving.tension_n);
+    let swept_n = entry.tension_sweep.as_ref().and_then(|sweep| sweep.most_n);
+    drilled_n.or(held_n).or(skived_n).or(swept_n).unwrap_or(f64::INFINITY)
 }
 
 pub(super) fn frame_rate_is_rounded(start: &Start) -> Option<String> {

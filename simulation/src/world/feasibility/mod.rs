@@ -64,7 +64,7 @@ const fn unlikely(key: &'static str, find: fn(&Start) -> Option<String>) -> Rule
 }
 
 /// Every rule, in the order in which findings are told.
-const RULES: [Rule; 25] = [
+const RULES: [Rule; 26] = [
     impossible("controller.command", controllers::program_is_missing),
     impossible("volume.bone_threshold_hu", geometry::nothing_to_drill),
     unlikely("volume.bone_threshold_hu", geometry::no_bone),
@@ -88,6 +88,7 @@ const RULES: [Rule; 25] = [
     unlikely("controller.curved_drilling.insertion_mm", controllers::insertion_shorter_than_arc),
     unlikely("run.dt_ms", controllers::long_step_in_bone),
     unlikely("manipulator.integrator", controllers::long_step_of_pre_curved_tool),
+    unlikely("manipulator.model", controllers::modes_on_stops),
     unlikely("run.duration_s", controllers::run_shorter_than_plan),
     unlikely("drr.rate_hz", controllers::frame_rate_is_rounded),
 ];

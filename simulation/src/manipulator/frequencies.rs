@@ -1,4 +1,4 @@
-//! Bending modes of the straight tool on a rigid mount, and the axial load under which it buckles.
+//! Bending modes of the straight tool on a rigid mount, the axial load under which it buckles, and the tension at which its stops begin.
 
 use nalgebra::{DMatrix, SymmetricEigen};
 
@@ -19,6 +19,18 @@ impl ManipulatorParameters {
         squared_s.sort_by(|a, b| b.total_cmp(a));
         let hz = |squared_s: f64| 1.0 / (core::f64::consts::TAU * libm::sqrt(squared_s));
         squared_s.into_iter().take(count).map(hz).collect()
+    }
+
+    /// The least tension of one tendon alone that bends a flexure to its stop, at rest in free space and without friction, N: its stiffness
+    /// times the stop's angle over the tendon's lever, `k q = T (d cos(q/2) + g/2 sin(q/2))`. `None` without tendons.
+    pub fn first_stop_n(&self) -> Option<f64> {
+        let (sin, cos) = libm::sincos(0.5 * self.joint_limit_rad);
+        let softest = self.joint_stiffness_nm_per_rad.iter().copied().fold(f64::INFINITY, f64::min);
+        let routes = self.tendon_routes.iter().flatten().map(|route| route.channel_m[0].abs());
+        let pair = self.tendon_routes.is_none().then_some(self.tendon.offset_m.abs());
+        let offset_m = routes.chain(pair).fold(0.0, f64::max);
+        let lever_m = offset_m * cos + 0.5 * self.tendon.gap_m * sin;
+        (lever_m > 0.0).then_some(softest * self.joint_limit_rad / lever_m)
     }
 
     /// Euler's buckling load of the tool clamped at its base, N: the axial load at the burr whose moments, `P (x_tip - x_i)`, equal those of
