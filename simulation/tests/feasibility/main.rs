@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by it")]
 
 mod plans;
+mod ranges;
 mod scene_text;
 mod starts;
 

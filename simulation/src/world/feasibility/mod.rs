@@ -2,10 +2,12 @@
 //!
 //! Ranges of single keys and relations of keys are checked when a scene is parsed (`scene`). Here the tool is put where the scene puts it,
 //! beside the bone and the bodies. What cannot work is [`Verdict::Impossible`]; what works and is most likely a mistake is
-//! [`Verdict::Unlikely`]. [`RULES`] is the one list of both.
+//! [`Verdict::Unlikely`]. [`RULES`] is the one list of both; values for which nothing is claimed stand in
+//! `ranges`.
 
 mod controllers;
 mod geometry;
+mod ranges;
 
 use std::fmt::{self, Display, Formatter};
 
@@ -116,7 +118,7 @@ pub fn findings(
         let problem = (rule.find)(&start)?;
         Some(Finding { verdict: rule.verdict, key: rule.key, problem })
     };
-    Ok(RULES.iter().filter_map(found).collect())
+    Ok(RULES.iter().filter_map(found).chain(ranges::findings(scene)).collect())
 }
 
 /// A straight or curved feed that a built-in controller makes.
