@@ -73,8 +73,8 @@ struct Count {
     warned: usize,
 }
 
-/// Runs `count` scenes from `seed` on; prints each that is not sound, and the counts. Returns how many are not finite or fast without a
-/// cause, fail with another error than a lost tool, or are lost or chatter without a warning.
+/// Runs `count` scenes from `seed` on; prints each that is not sound, and the counts. Returns how many are not finite, fail with another error
+/// than a lost tool, or are lost, chatter or are fast without a cause and without a warning.
 ///
 /// # Errors
 /// A scene cannot be drawn.
@@ -100,10 +100,7 @@ pub fn run(count: u64, seed: u64, sheet: &mut Sheet) -> Result<usize, Failure> {
             let name = seen.class.name();
             let told = if *warned { "warned" } else { "not warned" };
             sheet.line(&format!("{seed:>5} {name}, {told}: {}; {}", seen.what, drawn.line()));
-            sheet.push(
-                "scenes",
-                json!({"seed": seed, "class": name, "what": seen.what, "warned": warned}),
-            );
+            sheet.push("scenes", json!({"seed": seed, "class": name, "what": seen.what, "warned": warned}));
         }
     }
     let counted: Vec<String> = counts
@@ -121,16 +118,16 @@ pub fn run(count: u64, seed: u64, sheet: &mut Sheet) -> Result<usize, Failure> {
 fn wrong(class: Class, count: &Count) -> usize {
     match class {
         Class::Sound | Class::Refused => 0,
-        Class::Lost | Class::Chatter => count.all - count.warned,
-        Class::Failed | Class::NotFinite | Class::Fast => count.all,
+        Class::Lost | Class::Chatter | Class::Fast => count.all - count.warned,
+        Class::Failed | Class::NotFinite => count.all,
     }
 }
 
-/// Warnings about where the tool starts say nothing about what becomes of it.
+/// Warnings about where the tool starts say nothing about what becomes of it, but for a hole that is too thin for it.
 fn is_warned_of(drawn: &Drawn) -> bool {
     let ct = drawn.bone.as_ref().map(|block| CtView { geometry: block.geometry, hu: &block.hu });
     let found = findings(&drawn.scene, ct, &|_| true).unwrap_or_default();
-    let tables = ["manipulator.", "contact.", "drilling.", "run."];
+    let tables = ["manipulator.", "contact.", "predrill.", "run."];
     found.iter().any(|finding| tables.iter().any(|table| finding.key.starts_with(table)))
 }
 

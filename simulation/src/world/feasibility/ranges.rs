@@ -27,9 +27,17 @@ const TRUSTED: [Trusted; 12] = [
     trusted("manipulator.lateral_stiffness_ratio", |scene| scene.manipulator.lateral_stiffness_ratio, RATIO),
     trusted("manipulator.torsion_stiffness_ratio", |scene| scene.manipulator.torsion_stiffness_ratio, RATIO),
     trusted("contact.stiffness_n_per_m", |scene| scene.contact.stiffness_n_per_m, CONTACT),
-    trusted("truth.manipulator.stiffness_scale", |scene| scene.truth.as_ref()?.manipulator.stiffness_scale, STIFFNESS),
+    trusted(
+        "truth.manipulator.stiffness_scale",
+        |scene| scene.truth.as_ref()?.manipulator.stiffness_scale,
+        STIFFNESS,
+    ),
     trusted("truth.manipulator.mass_scale", |scene| scene.truth.as_ref()?.manipulator.mass_scale, MASS),
-    trusted("truth.manipulator.damping_ratio", |scene| scene.truth.as_ref()?.manipulator.damping_ratio, DAMPING),
+    trusted(
+        "truth.manipulator.damping_ratio",
+        |scene| scene.truth.as_ref()?.manipulator.damping_ratio,
+        DAMPING,
+    ),
     trusted(
         "truth.manipulator.lateral_stiffness_ratio",
         |scene| scene.truth.as_ref()?.manipulator.lateral_stiffness_ratio,
@@ -40,7 +48,11 @@ const TRUSTED: [Trusted; 12] = [
         |scene| scene.truth.as_ref()?.manipulator.torsion_stiffness_ratio,
         RATIO,
     ),
-    trusted("truth.contact.stiffness_n_per_m", |scene| scene.truth.as_ref()?.contact.stiffness_n_per_m, CONTACT),
+    trusted(
+        "truth.contact.stiffness_n_per_m",
+        |scene| scene.truth.as_ref()?.contact.stiffness_n_per_m,
+        CONTACT,
+    ),
 ];
 
 const fn trusted(
