@@ -367,6 +367,8 @@ codes! {
         /// A link of the arm, the holder or the shaft behind the tool's base has entered bone, where nothing collides; `text` says which, and
         /// how deep.
         ArmInBone = EVENT_ARM_IN_BONE, 14, "arm_in_bone";
+        /// The model of the tool is not valid from here on, because a flexure is past its stop; `text` says which, and how far.
+        ModelNotValid = EVENT_MODEL_NOT_VALID, 15, "model_not_valid";
     }
 }
 

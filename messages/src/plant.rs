@@ -47,6 +47,11 @@ pub trait Plant {
         None
     }
 
+    /// The flexure farthest past its stop after the last tick, if the tool's model is not valid while one is.
+    fn invalid_flexure(&self) -> Option<PastStop> {
+        None
+    }
+
     /// Takes the memory that the next tick may need. Called between ticks; changes no result.
     fn make_room(&mut self) {}
 
@@ -70,6 +75,17 @@ pub struct ArmEntry {
     pub part: &'static str,
     /// How far bone reaches into it, m.
     pub depth_m: f64,
+}
+
+/// A flexure past its stop, where the model of the tool is not valid.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PastStop {
+    /// The model, as scenes name it.
+    pub model: &'static str,
+    /// Its place in [`State::joint_position_rad`].
+    pub flexure: usize,
+    /// How far it is past its stop, rad.
+    pub excess_rad: f64,
 }
 
 /// Part of a valid command that the plant could not follow (an unreachable goal). That part, tendon or arm, is unchanged; the command's

@@ -2,7 +2,11 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot build its tool has failed")]
 
+mod common;
+
+use common::tunnel::{RAMP_S, latched};
 use nalgebra::{Isometry3, Unit, Vector3};
+use simulation::Simulation;
 use simulation::contact_plane::ContactPlane;
 use simulation::manipulator::{
     AnyManipulator, BaseMotion, Integrator, ManipulatorModel, ManipulatorParameters, MomentModes, Rung,
@@ -229,6 +233,37 @@ fn flexures_on_their_stops_are_said_and_held() {
         assert_eq!(stopped > 0, stands);
         assert!(most < 1.06 * p.joint_limit_rad, "{most}");
         assert!(stands || off_um < 1.0, "{off_um} um where it is valid");
+    }
+}
+
+/// During a run the modal rung says which flexure is past its stop, and how far, from the tension on at which the statics of the single
+/// flexures have the softest there. The planar rung holds there and says nothing.
+#[test]
+fn a_run_says_from_which_tension_on_the_modes_are_not_valid() {
+    let p = ManipulatorParameters::jhu_27();
+    let least_n = p.first_stop_n().unwrap();
+    for (model, tension_n, says) in [("modal", 12.0, true), ("modal", 10.0, false), ("planar", 12.0, false)] {
+        let text = "name = \"pull\"\nrun = { mode = \"lockstep\", duration_s = 2.0 }\n";
+        let scene = common::scene(&format!("{text}manipulator = {{ model = \"{model}\" }}\n"));
+        let mut simulation = Simulation::new(&scene, None).unwrap();
+        let mut first_n = None;
+        for tick in 0..(RAMP_S * 1e3) as u64 {
+            simulation.step(&latched(tick, 1e-3, tension_n)).unwrap();
+            let (state, past) = (simulation.state(), simulation.invalid_flexure());
+            let bends = state.joint_position_rad[..27].iter().map(|q| q.abs()).enumerate();
+            let (farthest, most_rad) = bends.max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
+            let excess_rad = (most_rad - p.joint_limit_rad).max(0.0);
+            assert_eq!(state.stop_excess_rad, excess_rad, "{model}, tick {tick}");
+            assert_eq!(past.is_some(), model == "modal" && excess_rad > 0.0, "{model}, tick {tick}");
+            if let Some(past) = past {
+                assert_eq!((past.model, past.flexure, past.excess_rad), ("modal", farthest, excess_rad));
+                first_n.get_or_insert(state.tendon_tension_n[0]);
+            }
+        }
+        println!("{model}, up to {tension_n} N: not valid from {first_n:?} N on, in statics {least_n:.2} N");
+        assert_eq!(first_n.is_some(), says, "{model}, {tension_n} N");
+        // The ramp of 12 N/s is 0.07 N over the first mode's 164 rad/s ahead of the shape.
+        assert!(first_n.is_none_or(|first_n| (first_n - least_n).abs() < 0.15), "{first_n:?} N");
     }
 }
 

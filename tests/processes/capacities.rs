@@ -2,13 +2,10 @@
 
 use std::fs;
 
-use ipc_types::messages::{EVENT_CAPACITY_REACHED, Event};
-use recorder_proc::log_file::LogFile;
-use run_log::{MessageStream, ReadOptions, Topic};
+use ipc_types::messages::EventCode;
 use serde_json::Value;
-use zerocopy::FromBytes;
 
-use crate::common::logs::assert_replays;
+use crate::common::logs::{assert_replays, events};
 use crate::common::program::Place;
 
 /// 39 spheres (32 links) of 6 mm between four walls and in a hole that is no wider: 156 contacts with the walls, and about 300 with the
@@ -60,17 +57,7 @@ fn a_capacity_that_is_reached_is_an_event_a_warning_and_a_count() {
     let ended = place.complete(&scene(4));
     let words = "contacts: they do not push";
 
-    let timing = LogFile::at(ended.folder.join("timing.mcap"));
-    let mut stream = MessageStream::open(&timing, ReadOptions::default()).unwrap();
-    let mut said = Vec::new();
-    while let Some(message) = stream.next_message().unwrap() {
-        if message.known == Some(Topic::Event) {
-            let (event, text) = Event::read_from_prefix(message.body).unwrap();
-            if event.code == EVENT_CAPACITY_REACHED {
-                said.push((event.tick, String::from_utf8(text.to_vec()).unwrap()));
-            }
-        }
-    }
+    let said = events(&ended.folder, EventCode::CapacityReached);
     // At once, then once a second: this run is shorter.
     assert!(said.len() == 1 && said[0].0 == 0 && said[0].1.contains(words), "{said:?}");
 

@@ -43,6 +43,7 @@ mod lichtblick;
 mod lifetimes;
 mod log_tools;
 mod lost_tool;
+mod model_validity;
 mod notebooks;
 mod oblique;
 mod openigtlink;

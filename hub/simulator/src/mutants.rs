@@ -248,6 +248,18 @@ pub const MUTANTS: &[Mutant] = &[
         "        self.newest = Some(message);\n",
         "",
     ),
+    mutant(
+        "a model that is not valid is told of in every tick",
+        "machine/ticking.rs",
+        "        self.invalid_told = true;\n",
+        "",
+    ),
+    mutant(
+        "a model that is not valid is told of once, whatever is reset",
+        "machine/ticking.rs",
+        "            self.invalid_told = false;\n",
+        "",
+    ),
 ];
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use std::cell::Cell;
 use std::rc::Rc;
 
-use messages::{ControllerIndex, Latched, Plant, Refusal, SensorReading, State};
+use messages::{ControllerIndex, Latched, PastStop, Plant, Refusal, SensorReading, State};
 use zerocopy::IntoBytes;
 
 /// Voxels that are gone from the start, as many as two messages hold and one more.
@@ -12,6 +12,9 @@ const PREDRILLED: usize = messages::services::MAX_REMOVED_PER_MESSAGE + 1;
 pub const UNCUT_TICKS: [u64; 2] = [9, 10];
 /// Voxels for which these ticks have no memory.
 pub const UNCUT: usize = 5;
+
+/// From this `State.tick` on the plant's model is not valid.
+pub const INVALID_FROM: u64 = 6;
 
 /// What the schedule does to the plant, shared with it.
 #[derive(Debug, Clone, Default)]
@@ -139,6 +142,11 @@ impl Plant for ChainPlant {
 
     fn uncut_voxels(&self) -> usize {
         if UNCUT_TICKS.contains(&self.state.tick) { UNCUT } else { 0 }
+    }
+
+    fn invalid_flexure(&self) -> Option<PastStop> {
+        let past = PastStop { model: "chain", flexure: 2, excess_rad: 1e-3 };
+        (self.state.tick >= INVALID_FROM).then_some(past)
     }
 
     fn write_keyframe(&self, buffer: &mut [u8]) -> Result<usize, String> {

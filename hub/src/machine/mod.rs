@@ -201,6 +201,8 @@ pub struct Hub<P: Plant> {
     status_sent_ns: Option<u64>,
     /// Whether the event "state does not fit into a keyframe" has been sent.
     keyframe_refused: bool,
+    /// Whether the event "the model is not valid" has been sent since the start, or since the last reset.
+    invalid_told: bool,
     /// Voxels that could not be cut for want of memory.
     uncut_voxels: Shortfall,
     /// Contacts that there was no room for.
@@ -242,6 +244,7 @@ impl<P: Plant> Hub<P> {
             control_warnings: WarningLimit::default(),
             status_sent_ns: None,
             keyframe_refused: false,
+            invalid_told: false,
             uncut_voxels: Shortfall::default(),
             left_out_contacts: Shortfall::default(),
             timing: TickTiming::zeroed(),

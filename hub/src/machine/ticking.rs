@@ -48,11 +48,13 @@ impl<P: Plant> Hub<P> {
             let text = format!("reset: tick {made} began from the initial state");
             let (severity, code) = (Severity::Info, EventCode::Reset);
             env.send_event(&Note { tick: self.tick, severity, code, text: &text })?;
+            self.invalid_told = false;
         }
         self.report_sources(env, made)?;
         self.report_refusals(env)?;
         self.report_shortfall(env, made)?;
         self.report_arm_entry(env)?;
+        self.report_invalid_model(env)?;
         self.steps_left = self.steps_left.saturating_sub(1);
         self.send_status(env, Phase::Running, When::IfDueAt(done_ns))?;
         Ok((Stage::TickDue, None))
@@ -127,6 +129,22 @@ impl<P: Plant> Hub<P> {
         let depth_mm = entry.depth_m * 1e3;
         let text = format!("the arm's {} is {depth_mm:.0} mm in bone; nothing collides there", entry.part);
         let (severity, code) = (Severity::Warning, EventCode::ArmInBone);
+        Ok(env.send_event(&Note { tick: self.tick, severity, code, text: &text })?)
+    }
+
+    /// Reports the first tick after which the tool's model is not valid. `State.stop_excess_rad` says how it goes on.
+    fn report_invalid_model<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
+        if self.invalid_told {
+            return Ok(());
+        }
+        let Some(past) = self.plant.invalid_flexure() else { return Ok(()) };
+        self.invalid_told = true;
+        let (model, number, excess_deg) = (past.model, past.flexure + 1, past.excess_rad.to_degrees());
+        let text = format!(
+            "the model {model} is not valid while a flexure is past its stop: flexure {number} from the base is, by {excess_deg:.3} \
+             degrees; use planar, or less load"
+        );
+        let (severity, code) = (Severity::Warning, EventCode::ModelNotValid);
         Ok(env.send_event(&Note { tick: self.tick, severity, code, text: &text })?)
     }
 

@@ -31,6 +31,8 @@ const STANDARD: Settings = Settings {
     dt_ms: 1.0,
     contact: ContactVoxels::Planes,
 };
+/// Measured and drawn beside them, but in no table: no plan chooses it.
+const BESIDE: Settings = Settings { rung: Rung::Modal, ..STANDARD };
 /// Voxel of the default scene, mm.
 const SPACING_MM: f64 = 0.5;
 /// The coarser voxel size to compare with, mm.
@@ -39,6 +41,16 @@ pub const COARSE_MM: f64 = 1.0;
 const TIMINGS: usize = 2;
 /// Fraction of the drilled path used with quick effort.
 const QUICK_SHARE: f64 = 0.02;
+
+/// What the settings came to.
+pub struct Settled {
+    /// The table of the settings that a plan chooses from.
+    pub rows: Vec<Row>,
+    /// Moment modes, measured likewise.
+    pub beside: Row,
+    /// How far voxels of twice the size move the drilled path, mm.
+    pub coarse_mm: f64,
+}
 
 /// The settings to measure at this effort.
 pub fn settings(effort: Effort) -> Vec<Settings> {
@@ -140,15 +152,14 @@ pub fn without_bone(settings: &Settings, references: &mut References) -> Result<
     })
 }
 
-/// Measures all settings on all problems, and how far voxels of twice the size move the drilled path, mm. Calls `save`
-/// with the rows whenever there are new results.
+/// Measures all settings on all problems. Calls `save` with the rows whenever there are new results.
 ///
 /// # Errors
 /// Invalid settings, or results that cannot be saved.
 pub fn measure(
     effort: Effort,
     mut save: impl FnMut(&[Row]) -> Result<(), Failure>,
-) -> Result<(Vec<Row>, f64), Failure> {
+) -> Result<Settled, Failure> {
     let (mut rows, mut references) = (Vec::new(), References::default());
     let mut of_tunnels = TunnelReferences::default();
     for settings in settings(effort) {
@@ -174,6 +185,9 @@ pub fn measure(
         }
         tell(&rows[place]);
     }
+    let mut beside = without_bone(&BESIDE, &mut references)?;
+    in_bone(&mut beside, &drilling, effort, &mut references, &mut of_tunnels)?;
+    tell(&beside);
     let (fine, _) = drilling.path(&STANDARD)?;
     let (path, _) = Drilling::new(COARSE_MM, if quick { QUICK_SHARE } else { 1.0 })?.path(&STANDARD)?;
     let off_mm = distance_mm(&path, &fine);
@@ -181,7 +195,7 @@ pub fn measure(
         "drilled     {}, voxel {COARSE_MM} mm instead of {SPACING_MM}: {off_mm:.4} mm r.m.s.",
         STANDARD.text()
     );
-    Ok((rows, off_mm))
+    Ok(Settled { rows, beside, coarse_mm: off_mm })
 }
 
 /// The errors and the cost of drilling; with quick effort only of the default scene's beginning.

@@ -20,6 +20,7 @@ use output_file::SavedFile;
 use plotters::style::RGBColor;
 
 use crate::charts::method::Method;
+use candidates::Settled;
 use peers::Peer;
 use problems::{Point, Problem, measure};
 use trabecula::failure::Failure;
@@ -29,12 +30,12 @@ use trabecula::report::axis::{Axis, bounds, duration_label};
 use trabecula::report::panel::{INK, Key, Panel, Rect};
 use trabecula::report::shapes::{Anchor, Figure, Stroke, TextSize, WIDTH};
 
-const HEIGHT: f64 = 1330.0;
+const HEIGHT: f64 = 1375.0;
 /// Height of the legend.
-const FOOT: f64 = 250.0;
+const FOOT: f64 = 295.0;
 /// Errors below this are rounding and are drawn at it, in each problem's unit.
 const ROUNDING: f64 = 1e-4;
-/// Okabe and Ito 2008, and greys for the baselines.
+/// Okabe and Ito 2008, and greys for the baselines, in the order of [`Method::ALL`].
 const COLOURS: [RGBColor; 11] = [
     RGBColor(230, 159, 0),
     RGBColor(240, 228, 66),
@@ -110,11 +111,12 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
     let mut settings = SavedFile::create(&folder.join(FILES[0]))?;
     let save = |rows: &[Row]| Ok(settings.save(trabecula::plan::write(rows))?);
     let began = Instant::now();
-    let (rows, coarse_mm) = candidates::measure(plan.effort, save)?;
+    let Settled { mut rows, beside, coarse_mm } = candidates::measure(plan.effort, save)?;
     took("settings and drilled path", began);
     if plan.settings_only {
         return Ok(());
     }
+    rows.push(beside);
     measured.push((Problem::Drilled, drilled_points(&rows)));
     let mut text = csv(&measured);
     // Writing to a String cannot fail.
@@ -291,7 +293,7 @@ fn draw_legend(figure: &mut Figure, left: f64, top: f64) {
         figure.text((left + 40.0, y), &method.name(), TextSize::Label, INK, Anchor::Left);
     }
     let note = "Errors below 0.0001 are shown there; a method that lost the tool has no point.";
-    figure.text((left, top + 22.0 * 9.5), note, TextSize::Label, INK, Anchor::Left);
+    figure.text((left, top + 22.0 * 11.5), note, TextSize::Label, INK, Anchor::Left);
 }
 
 #[cfg(test)]

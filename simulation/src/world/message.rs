@@ -5,6 +5,7 @@ use messages::{
 };
 use nalgebra::{Isometry3, Vector3};
 
+use super::validity::past_stops;
 use super::{Simulation, numbers};
 use crate::arm::{ArmMode, ProtectiveStop};
 use crate::manipulator::{ManipulatorModel, SphereKind};
@@ -68,10 +69,7 @@ impl Simulation<'_> {
         state.burr_force_n = report.burr_normal_force_n.norm();
         state.contact_iterations = report.contact_iterations as u32;
         state.contact_residual_m_per_s = report.contact_residual_m_per_s;
-        let parameters = tool.parameters();
-        let bends = tool.joint_positions_rad().iter().enumerate();
-        let past = bends.map(|(i, q)| (q - tool.rest_rad(i)).abs() - parameters.joint_limit_rad);
-        state.stop_excess_rad = past.fold(0.0, f64::max);
+        state.stop_excess_rad = past_stops(tool).fold(0.0, f64::max);
     }
 
     fn write_tube(&mut self) {

@@ -26,6 +26,7 @@ mod setup;
 mod tendon_drive;
 mod tool;
 mod tube_drive;
+mod validity;
 
 use std::sync::Arc;
 

@@ -1,6 +1,6 @@
 //! The simulation as the hub steps it.
 
-use messages::{ArmEntry, Latched, Plant, Refusal, SensorReading, State};
+use messages::{ArmEntry, Latched, PastStop, Plant, Refusal, SensorReading, State};
 
 use super::{Simulation, SimulationError};
 
@@ -41,6 +41,10 @@ impl Plant for Simulation<'_> {
 
     fn arm_entry(&self) -> Option<&ArmEntry> {
         self.arm_entry()
+    }
+
+    fn invalid_flexure(&self) -> Option<PastStop> {
+        self.invalid_flexure()
     }
 
     fn make_room(&mut self) {

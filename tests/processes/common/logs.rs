@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use ipc_types::messages::{DrrReply, Latched, State};
+use ipc_types::messages::{DrrReply, Event, EventCode, Latched, State};
 use recorder_proc::log_file::{LogFile, create_run};
 use run_log::{EndMarker, EndReason, LogHeader, LogReader, MessageStream, ReadOptions, TickRecord, Topic};
 use zerocopy::FromBytes;
@@ -32,6 +32,22 @@ pub fn counts(log: &Path) -> BTreeMap<String, u64> {
     let marker = stream.ending().marker.clone().expect("an end marker");
     assert_eq!(marker.lost, BTreeMap::new());
     stream.counts().into_iter().map(|(topic, count)| (topic, count.messages)).collect()
+}
+
+/// The events of a run with this code: `State.tick` and text.
+pub fn events(folder: &Path, code: EventCode) -> Vec<(u64, String)> {
+    let log = LogFile::at(folder.join("timing.mcap"));
+    let mut stream = MessageStream::open(&log, ReadOptions::default()).unwrap();
+    let mut said = Vec::new();
+    while let Some(message) = stream.next_message().unwrap() {
+        if message.known == Some(Topic::Event) {
+            let (event, text) = Event::read_from_prefix(message.body).unwrap();
+            if event.code() == Ok(code) {
+                said.push((event.tick, String::from_utf8(text.to_vec()).unwrap()));
+            }
+        }
+    }
+    said
 }
 
 /// Replays a folder or log with `--verify`.

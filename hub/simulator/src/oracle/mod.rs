@@ -10,7 +10,7 @@ use messages::{
 use scene::{Drives, Mode};
 
 use crate::plan::{MS, Plan};
-use crate::plant::{ChainPlant, Handle, UNCUT, UNCUT_TICKS};
+use crate::plant::{ChainPlant, Handle, INVALID_FROM, UNCUT, UNCUT_TICKS};
 use controllers::Slot;
 
 /// Requests of one connection that are answered within [`RATION_NS`]; more may be passed over.
@@ -56,6 +56,10 @@ pub struct Oracle {
     readings_in_tick: usize,
     /// Events that say a capacity was reached.
     capacity_notes: u32,
+    /// Events that say the model is not valid, those that were due, and whether none was since the start or a reset.
+    invalid_notes: u64,
+    invalid_due: u64,
+    invalid_untold: bool,
     keyframe_parts: u64,
     keyframe_of_tick: bool,
     controllers: Vec<Slot>,
@@ -113,6 +117,9 @@ impl Oracle {
             removed_messages: 0,
             removed_in_tick: None,
             capacity_notes: 0,
+            invalid_notes: 0,
+            invalid_due: 0,
+            invalid_untold: true,
             readings_in_tick: 0,
             keyframe_parts: 0,
             keyframe_of_tick: false,
@@ -331,6 +338,11 @@ impl Oracle {
             let (tick, sent) = (state.tick, self.removed_in_tick);
             expect!(self, sent == due, format!("tick {tick}: voxels published: {sent:?}, expected {due:?}"));
             self.tick += 1;
+            let (notes, notes_due) = (self.invalid_notes, self.invalid_due);
+            expect!(self, notes == notes_due, format!("{notes} notes of the model, expected {notes_due}"));
+            let untold = self.invalid_untold || reset;
+            self.invalid_untold = untold && self.tick < INVALID_FROM;
+            self.invalid_due += u64::from(untold && self.tick >= INVALID_FROM);
         }
         // The plant lacks memory in two ticks of one second: the first is told.
         let told = u32::from(self.tick > UNCUT_TICKS[0] && self.shown);
@@ -417,6 +429,7 @@ impl Oracle {
             let text = format!("no memory for {UNCUT} voxels");
             expect!(self, note.text.starts_with(&text), format!("an event says `{}`", note.text));
         }
+        self.invalid_notes += u64::from(note.code == EventCode::ModelNotValid);
         let limited = [EventCode::CommandRefused, EventCode::MessagesLost, EventCode::RequestRefused];
         if !limited.contains(&note.code) {
             return;

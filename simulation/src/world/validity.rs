@@ -1,0 +1,26 @@
+//! Whether the tool's model holds in the present state.
+
+use messages::PastStop;
+
+use super::Simulation;
+use crate::manipulator::{AnyManipulator, ManipulatorModel, Rung};
+
+/// How far each flexure is past its stop, rad; below zero short of it.
+pub(super) fn past_stops(tool: &AnyManipulator) -> impl Iterator<Item = f64> {
+    let limit_rad = tool.parameters().joint_limit_rad;
+    let bends = tool.joint_positions_rad().iter().enumerate();
+    bends.map(move |(i, q)| (q - tool.rest_rad(i)).abs() - limit_rad)
+}
+
+impl Simulation<'_> {
+    /// The flexure farthest past its stop, of a tool in moment modes: its bending moment jumps there, which they do not follow. The other
+    /// models hold there.
+    pub fn invalid_flexure(&self) -> Option<PastStop> {
+        let tool = &self.manipulator;
+        if self.state.stop_excess_rad <= 0.0 || tool.rung() != Rung::Modal {
+            return None;
+        }
+        let (flexure, excess_rad) = past_stops(tool).enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
+        Some(PastStop { model: tool.rung().name(), flexure, excess_rad })
+    }
+}
