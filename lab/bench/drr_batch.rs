@@ -82,8 +82,16 @@ fn poses(centre_m: [f64; 3], count: usize) -> Result<[Poses; 2], Failure> {
         c_arm(degrees, [within(10e-3), within(10e-3), within(10e-3)])
     });
     Ok([
-        Poses { name: "about an oblique pose", key: "registration", c_arms: about.collect::<Result<_, _>>()? },
-        Poses { name: "sweep of 180 degrees", key: "sweep", c_arms: (0..count).map(turned).collect::<Result<_, _>>()? },
+        Poses {
+            name: "about an oblique pose",
+            key: "registration",
+            c_arms: about.collect::<Result<_, _>>()?,
+        },
+        Poses {
+            name: "sweep of 180 degrees",
+            key: "sweep",
+            c_arms: (0..count).map(turned).collect::<Result<_, _>>()?,
+        },
     ])
 }
 
@@ -102,8 +110,10 @@ fn in_turn(
         let (mut single, mut batch) = (Vec::new(), Vec::new());
         // The first round finds its memory written to.
         for round in 0..=rounds {
-            let (one, alone) = timed(c_arms.len(), |images| one_by_one(&mut renderer, view, &c_arms, images))?;
-            let (many, together) = timed(c_arms.len(), |images| at_once(&mut renderer, view, &c_arms, images))?;
+            let (one, alone) =
+                timed(c_arms.len(), |images| one_by_one(&mut renderer, view, &c_arms, images))?;
+            let (many, together) =
+                timed(c_arms.len(), |images| at_once(&mut renderer, view, &c_arms, images))?;
             if alone != together {
                 return Err(Failure::failed("a frame of a batch differs from the frame alone"));
             }
@@ -155,8 +165,11 @@ fn at_once(
     images: &mut [Vec<u16>],
 ) -> Result<(), Failure> {
     let tool = Tool::default();
-    let shot = |(c_arm, image)| {
-        Shot { c_arm, tool: &tool, seed: FrameSeed::default(), output: Output::Mono16(image) }
+    let shot = |(c_arm, image)| Shot {
+        c_arm,
+        tool: &tool,
+        seed: FrameSeed::default(),
+        output: Output::Mono16(image),
     };
     let images = images.iter_mut().map(|image| &mut image[..]);
     let mut shots: Vec<Shot<'_>> = c_arms.iter().copied().zip(images).map(shot).collect();

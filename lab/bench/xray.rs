@@ -53,7 +53,8 @@ pub fn run(
     let mut waits = Samples::default();
     let frames = match c_arm {
         CArmMoves::Stands => {
-            let x_rayed = |scene: &Scene, end: &EndRequest, with: &mut Physics| one(scene, None, None, end, with);
+            let x_rayed =
+                |scene: &Scene, end: &EndRequest, with: &mut Physics| one(scene, None, None, end, with);
             in_turn("X-ray", [without, with], seconds, rounds, x_rayed, sheet)?
         }
         CArmMoves::Turns => {

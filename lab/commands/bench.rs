@@ -8,8 +8,8 @@ use ipc_types::scene::Policy;
 use crate::bench::ping_pong::Wait;
 use crate::bench::start::CacheState;
 use crate::bench::{
-    bridge, drr, drr_batch, drr_poses, instructions, latency, lateness, log, memory, overhead, ping_pong, readings,
-    recorder, soak, start, step, tools, viewer, xray,
+    bridge, drr, drr_batch, drr_poses, instructions, latency, lateness, log, memory, overhead, ping_pong,
+    readings, recorder, soak, start, step, tools, viewer, xray,
 };
 use crate::commands::stress::refuse_cores;
 use crate::sheet::Sheet;

@@ -323,7 +323,8 @@ fn pictures_from_many_c_arms_are_those_from_each_and_change_nothing() {
     let shared = place.scene();
     let mut sim = Sim::new(&shared, &Drive::Nothing).unwrap();
     let angles = |primary_deg: f64, secondary_deg: f64| View::Angles { primary_deg, secondary_deg };
-    let from = [angles(30.0, -10.0), View::Scene, angles(-75.0, 5.0), angles(30.0, -10.0), angles(160.0, 40.0)];
+    let from =
+        [angles(30.0, -10.0), View::Scene, angles(-75.0, 5.0), angles(30.0, -10.0), angles(160.0, 40.0)];
     for _ in 0..2 {
         // Drilled on between the two.
         sim.step(&[], 400).unwrap();

@@ -8,8 +8,8 @@ use clap::{Args, ValueEnum};
 use drr_proc::ThisMachine;
 use volume_io::Volume;
 use xray::{
-    DetectorParameters, DisplayMode, DisplayParameters, DrrParameters, DrrRenderer, Grid, Projector, Spectrum,
-    VolumeView,
+    DetectorParameters, DisplayMode, DisplayParameters, DrrParameters, DrrRenderer, Grid, Projector,
+    Spectrum, VolumeView,
 };
 
 use crate::failure::Failure;

@@ -82,7 +82,8 @@ fn render(
             Shot { c_arm: placed.c_arm, tool: &tool, seed, output }
         })
         .collect();
-    let reports = renderer.render_batch(view, &mut shots).map_err(|cause| Failure::failed(cause.to_string()))?;
+    let reports =
+        renderer.render_batch(view, &mut shots).map_err(|cause| Failure::failed(cause.to_string()))?;
     drop(shots);
     for (picture, report) in pictures.iter_mut().zip(reports) {
         picture.window = report.window;

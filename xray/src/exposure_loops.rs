@@ -105,7 +105,14 @@ lanes! {
 
 /// Blurs the pixels `from..` of a row along the columns, with edge rows repeated outside the image.
 #[inline(always)]
-pub(crate) fn column_blur(image: &[f32], width: usize, row: usize, from: usize, weights: &[f32], out: &mut [f32]) {
+pub(crate) fn column_blur(
+    image: &[f32],
+    width: usize,
+    row: usize,
+    from: usize,
+    weights: &[f32],
+    out: &mut [f32],
+) {
     let (reach, last) = (weights.len() / 2, image.len() / width - 1);
     for (i, w) in weights.iter().enumerate() {
         let start = (row + i).saturating_sub(reach).min(last) * width + from;

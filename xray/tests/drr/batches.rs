@@ -11,7 +11,8 @@ use crate::machine::{Desk, Small};
 /// Frontal, oblique, lateral, along an edge, from above; then with parts of the volume behind the detector, and from inside it.
 fn c_arms() -> Vec<CArm> {
     let angles = [(0.0, 0.0), (37.0, 18.0), (90.0, 5.0), (46.0, -44.0), (5.0, 85.0)];
-    let mut all: Vec<CArm> = angles.into_iter().map(|(primary, secondary)| close_up(primary, secondary)).collect();
+    let mut all: Vec<CArm> =
+        angles.into_iter().map(|(primary, secondary)| close_up(primary, secondary)).collect();
     for (n, towards) in [0.85, 0.7, 1.0].into_iter().enumerate() {
         let mut c_arm = close_up(30.0 * n as f64, -20.0);
         let source_m = c_arm.source_m;
@@ -40,7 +41,12 @@ fn at_once(renderer: &mut DrrRenderer, view: &VolumeView<'_>, frames: &[(CArm, T
     let mut shots: Vec<Shot<'_>> = frames
         .iter()
         .zip(&mut images)
-        .map(|((c_arm, tool, seed), image)| Shot { c_arm: *c_arm, tool, seed: *seed, output: Output::Mono16(image) })
+        .map(|((c_arm, tool, seed), image)| Shot {
+            c_arm: *c_arm,
+            tool,
+            seed: *seed,
+            output: Output::Mono16(image),
+        })
         .collect();
     let reports = renderer.render_batch(view, &mut shots).unwrap();
     images.into_iter().zip(reports).collect()
@@ -83,7 +89,8 @@ fn frames_of_a_batch_have_the_bits_of_frames_alone_on_any_number_of_threads() {
         alone.remove(&view, &gone).unwrap();
         let want = one_by_one(&mut alone, &view, &frames);
         for threads in [1, 2, 4] {
-            let mut renderer = DrrRenderer::new(&view, DrrParameters { threads, ..parameters }, &Desk).unwrap();
+            let mut renderer =
+                DrrRenderer::new(&view, DrrParameters { threads, ..parameters }, &Desk).unwrap();
             renderer.remove(&view, &gone).unwrap();
             let what = format!("{:?}, {threads} threads", parameters.projector);
             assert_same(&at_once(&mut renderer, &view, &frames), &want, &what);
@@ -122,7 +129,8 @@ fn a_batch_keeps_the_picture_of_the_stationary_c_arm() {
             );
             let pixels = |made: Made| made.into_iter().map(|(image, _)| image).collect::<Vec<_>>();
             assert!(
-                pixels(one_by_one(&mut kept, &view, &standing)) == pixels(one_by_one(&mut fresh, &view, &standing)),
+                pixels(one_by_one(&mut kept, &view, &standing))
+                    == pixels(one_by_one(&mut fresh, &view, &standing)),
                 "{:?}: the stationary C-arm's picture after {step} batches",
                 parameters.projector
             );
@@ -157,8 +165,11 @@ fn a_batch_with_a_bad_frame_is_refused_by_its_number_before_anything_is_rendered
             .iter()
             .zip(&tools)
             .zip(&mut images)
-            .map(|((c_arm, tool), image)| {
-                Shot { c_arm: *c_arm, tool, seed: FrameSeed::default(), output: Output::Mono16(image) }
+            .map(|((c_arm, tool), image)| Shot {
+                c_arm: *c_arm,
+                tool,
+                seed: FrameSeed::default(),
+                output: Output::Mono16(image),
             })
             .collect();
         let refused = renderer.render_batch(&view, &mut shots).unwrap_err();

@@ -171,7 +171,8 @@ impl Sim {
         py: Python<'py>,
         given: Vec<(Option<Vec<u8>>, Option<(f64, f64)>)>,
     ) -> PyResult<Vec<(Bound<'py, PyBytes>, Bound<'py, PyBytes>)>> {
-        let view = |(geometry, angles_deg): &(Option<Vec<u8>>, _)| view_of(py, geometry.as_deref(), *angles_deg);
+        let view =
+            |(geometry, angles_deg): &(Option<Vec<u8>>, _)| view_of(py, geometry.as_deref(), *angles_deg);
         let views = given.iter().map(view).collect::<PyResult<Vec<View>>>()?;
         let rendered = self.with(py, move |sim| sim.render_many(&views))?;
         let bytes = |bytes: &[u8]| PyBytes::new(py, bytes);
