@@ -26,8 +26,8 @@ pub(super) fn turn(sessions: &Receiver<PathBuf>, rate_hz: f64) -> Result<Samples
     // Without a session the run has not begun, which its own error says.
     let Ok(folder) = sessions.recv_timeout(LIMIT) else { return Ok(samples) };
     let session = Some(folder.to_string_lossy().into_owned());
-    let mut client =
-        Client::connect(&Connection { session, controller: None, limit: LIMIT }).map_err(failed)?;
+    let mut client = Client::connect(&Connection { session, controller: Some(String::new()), limit: LIMIT })
+        .map_err(failed)?;
     let isocentre_m = scene_isocentre_m(client.scene());
     let period = Duration::from_secs_f64(1.0 / rate_hz);
     let mut due = Instant::now();

@@ -1,7 +1,6 @@
 //! Many frames of one volume: each thread renders frames of its own, so that none waits for another between the stages of a frame.
 //!
-//! The frames share the copies of the volume and the removed voxels. A thread sums a few at a time, which read the volume together. One that
-//! finds no frame left helps with those of the others.
+//! The frames share the copies of the volume and the removed voxels. A thread that finds no frame left helps with those of the others.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -48,20 +47,11 @@ impl Shot<'_> {
     }
 }
 
-/// Frames that a thread sums at a time, at most.
-const TOGETHER: usize = 4;
-
-/// The anatomy of a frame.
-#[derive(Default)]
-struct Sight {
+/// Memory of the frame that a thread is rendering, used again by its next.
+pub(super) struct Lane {
     images: Images,
     anatomy: Vec<f64>,
     bone_m: Vec<f64>,
-}
-
-/// Memory of the frames that a thread is rendering, used again by its next.
-pub(super) struct Lane {
-    sights: Vec<Sight>,
     tool: PlacedTool,
     arm: SolidLayer,
     exposure: Exposure,
@@ -72,8 +62,8 @@ impl DrrRenderer {
     /// is faster than one frame after the other. Every frame is computed whole; the cache of the stationary C-arm stays.
     ///
     /// # Errors
-    /// As [`DrrRenderer::render_to`], with the number of the frame; nothing has been rendered then. Each thread needs the
-    /// memory of up to four frames.
+    /// As [`DrrRenderer::render_to`], with the number of the frame; nothing has been rendered then. One of the frames' memory is needed for
+    /// each thread.
     pub fn render_batch(
         &mut self,
         view: &VolumeView<'_>,
@@ -83,12 +73,11 @@ impl DrrRenderer {
         for (frame, shot) in shots.iter().enumerate() {
             shot.check().map_err(|cause| DrrError::Frame { frame, cause: Box::new(cause) })?;
         }
-        let together = (shots.len() / self.parameters.threads).clamp(1, TOGETHER);
-        self.make_ready(view, shots, together)?;
+        self.make_ready(view, shots)?;
         let mut lanes = core::mem::take(&mut self.lanes);
         lanes.resize_with(self.parameters.threads, || Mutex::new(self.lane()));
         let mut reports = vec![Ok(FrameReport::NONE); shots.len()];
-        let queue = Mutex::new(shots.chunks_mut(together).zip(reports.chunks_mut(together)));
+        let queue = Mutex::new(shots.iter_mut().zip(&mut reports));
         let this: &Self = self;
         // Each thread takes frames until none is left; only then does it look for parts of others' frames.
         self.pool.broadcast(|thread| {
@@ -96,11 +85,8 @@ impl DrrRenderer {
             let mut lane = lane.lock().unwrap_or_else(PoisonError::into_inner);
             loop {
                 let next = queue.lock().unwrap_or_else(PoisonError::into_inner).next();
-                let Some((shots, reports)) = next else { break };
-                this.find_anatomy(&mut lane, view, shots);
-                for (n, (shot, report)) in shots.iter_mut().zip(reports).enumerate() {
-                    *report = this.show(&mut lane, n, view, shot);
-                }
+                let Some((shot, report)) = next else { break };
+                *report = this.render_in(&mut lane, view, shot);
             }
         });
         self.lanes = lanes;
@@ -109,7 +95,9 @@ impl DrrRenderer {
 
     fn lane(&self) -> Lane {
         Lane {
-            sights: Vec::new(),
+            images: Images::default(),
+            anatomy: Vec::new(),
+            bone_m: Vec::new(),
             tool: PlacedTool::default(),
             arm: SolidLayer::default(),
             exposure: self.exposure.anew(),
@@ -117,66 +105,29 @@ impl DrrRenderer {
     }
 
     /// Creates the copies that the C-arms need.
-    fn make_ready(
-        &mut self,
-        view: &VolumeView<'_>,
-        shots: &[Shot<'_>],
-        together: usize,
-    ) -> Result<(), DrrError> {
+    fn make_ready(&mut self, view: &VolumeView<'_>, shots: &[Shot<'_>]) -> Result<(), DrrError> {
         let Self { tissue, bone, removed, pool, parameters, .. } = self;
         for slices in core::iter::once(tissue).chain(bone).filter_map(|layer| layer.slices.as_mut()) {
             let c_arms = shots.par_iter().map(|shot| &shot.c_arm);
-            pool.install(|| slices.ready(view, removed, c_arms, parameters.threads * together))?;
+            pool.install(|| slices.ready(view, removed, c_arms, parameters.threads))?;
         }
         Ok(())
     }
 
-    /// Line integrals of the frames' anatomy.
-    fn find_anatomy(&self, lane: &mut Lane, view: &VolumeView<'_>, shots: &[Shot<'_>]) {
-        if lane.sights.len() < shots.len() {
-            lane.sights.resize_with(shots.len(), Sight::default);
-        }
-        let tissue = lane.sights.iter_mut().map(|sight| (&mut sight.images, &mut sight.anatomy));
-        self.project_layer(&self.tissue, view, shots, tissue);
-        if let Some(bone) = &self.bone {
-            let bones = lane.sights.iter_mut().map(|sight| (&mut sight.images, &mut sight.bone_m));
-            self.project_layer(bone, view, shots, bones);
-        }
-    }
-
-    fn project_layer<'a>(
-        &self,
-        layer: &Layer,
-        view: &VolumeView<'_>,
-        shots: &'a [Shot<'_>],
-        memory: impl Iterator<Item = (&'a mut Images, &'a mut Vec<f64>)>,
-    ) {
-        let frames = shots.iter().map(|shot| &shot.c_arm).zip(memory);
-        match &layer.slices {
-            Some(slices) => slices.project_together(frames.map(|(c_arm, (images, out))| {
-                out.resize(c_arm.pixels(), 0.0);
-                (c_arm, images, &mut out[..])
-            })),
-            None => frames.for_each(|(c_arm, (_, out))| {
-                let fan = RayFan::new(&self.grid, c_arm);
-                self.trace_all(&layer.field(view, &self.removed), *c_arm, &fan, out);
-            }),
-        }
-    }
-
-    /// What the detector sees of the anatomy with the tool in it.
-    fn show(
+    fn render_in(
         &self,
         lane: &mut Lane,
-        number: usize,
         view: &VolumeView<'_>,
         shot: &mut Shot<'_>,
     ) -> Result<FrameReport, DrrError> {
         let (c_arm, width) = (&shot.c_arm, shot.c_arm.columns as usize);
         let fan = RayFan::new(&self.grid, c_arm);
-        let Lane { sights, tool, arm, exposure } = lane;
+        let Lane { images, anatomy, bone_m, tool, arm, exposure } = lane;
         tool.place(shot.tool, c_arm, self.parameters.energy_kev)?;
-        let Sight { anatomy, bone_m, .. } = &sights[number];
+        self.anatomy_once(&self.tissue, view, c_arm, &fan, images, anatomy);
+        if let Some(bone) = &self.bone {
+            self.anatomy_once(bone, view, c_arm, &fan, images, bone_m);
+        }
         let anatomy = Anatomy { total: anatomy, bone_m };
         let window = self.parameters.display.window;
         let window = exposure.with_anatomy(anatomy, |image| window_limits(window, image));
@@ -188,5 +139,24 @@ impl DrrRenderer {
         let metal = Metal { tool, arm, aluminium_per_m: self.aluminium_per_m };
         exposure.expose(anatomy, metal, width, window, shot.seed, &mut shot.output);
         Ok(FrameReport { kind: RenderKind::Full, rays_traced: c_arm.pixels(), tool_pixels, window })
+    }
+
+    /// Line integrals of a layer.
+    fn anatomy_once(
+        &self,
+        layer: &Layer,
+        view: &VolumeView<'_>,
+        c_arm: &CArm,
+        fan: &RayFan,
+        images: &mut Images,
+        out: &mut Vec<f64>,
+    ) {
+        match &layer.slices {
+            Some(slices) => {
+                out.resize(c_arm.pixels(), 0.0);
+                slices.project_once(c_arm, images, out);
+            }
+            None => self.trace_all(&layer.field(view, &self.removed), *c_arm, fan, out),
+        }
     }
 }

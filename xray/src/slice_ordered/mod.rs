@@ -274,22 +274,22 @@ impl SliceOrdered {
         parts.iter().try_for_each(|part| self.ensure(view, removed, part.plan.axes.slow))?;
         self.check_memory(samples_of(&parts))?;
         let mut standing = Standing { c_arm: *c_arm, fan, parts, sums, image: image_floats };
-        let began_ns = self.machine.now_ns();
-        self.sum(core::slice::from_mut(&mut standing));
-        self.cost.full_ns = self.machine.now_ns().saturating_sub(began_ns) as f64;
+        self.cost.full_ns = self.sum(&mut standing);
         self.develop(&mut standing, image);
         self.standing = Some(standing);
         Ok(Update::Full)
     }
 
-    /// Sums all slices of all frames.
-    fn sum(&self, frames: &mut [Standing]) {
-        for Standing { parts, sums, image, .. } in frames.iter_mut() {
-            // Every sample is overwritten.
-            sums.resize(samples_of(parts), 0);
-            image.resize(samples_of(parts), 0.0);
-        }
-        self.store.sum(frames, self.options.instructions);
+    /// Sums all slices of the parts; returns how long it took, ns.
+    fn sum(&self, standing: &mut Standing) -> f64 {
+        let Standing { parts, sums, image, .. } = standing;
+        let samples = samples_of(parts);
+        let began_ns = self.machine.now_ns();
+        // Every sample is overwritten.
+        sums.resize(samples, 0);
+        image.resize(samples, 0.0);
+        self.store.sum(parts, self.options.instructions, sums);
+        self.machine.now_ns().saturating_sub(began_ns) as f64
     }
 
     /// Sharpens the sums of all parts and warps them to the detector.

@@ -19,7 +19,7 @@ pub(crate) struct Images {
 }
 
 impl SliceOrdered {
-    /// Prepares for [`SliceOrdered::project_together`] from these C-arms, of which so many are rendered at a time: applies pending changes
+    /// Prepares for [`SliceOrdered::project_once`] from these C-arms, of which so many are rendered at a time: applies pending changes
     /// and creates the copies. The current C-arm's sums stay. Runs on the threads of the caller's pool.
     ///
     /// # Errors
@@ -48,25 +48,15 @@ impl SliceOrdered {
         self.check_memory(samples.saturating_mul(at_a_time))
     }
 
-    /// Line integrals of C-arms that [`SliceOrdered::ready`] has prepared for: the bits of [`SliceOrdered::project`]. They are summed
-    /// together, so that what one reads of the volume is in the cache for the others. Keeps nothing. Runs on the threads of the caller's
-    /// pool, as far as they have nothing else to do.
-    pub(crate) fn project_together<'a>(
-        &self,
-        frames: impl Iterator<Item = (&'a CArm, &'a mut Images, &'a mut [f64])>,
-    ) {
-        let (mut standings, mut memories) = (Vec::new(), Vec::new());
-        for (c_arm, images, out) in frames {
-            let fan = RayFan::new(&self.store_grid, c_arm);
-            let parts = self.parts(&fan, c_arm);
-            let Images { sums, image } = core::mem::take(images);
-            standings.push(Standing { c_arm: *c_arm, fan, parts, sums, image });
-            memories.push((images, out));
-        }
-        self.sum(&mut standings);
-        for (mut standing, (images, out)) in standings.into_iter().zip(memories) {
-            self.develop(&mut standing, out);
-            *images = Images { sums: standing.sums, image: standing.image };
-        }
+    /// Line integrals of a C-arm that [`SliceOrdered::ready`] has prepared for: the bits of [`SliceOrdered::project`]. Keeps nothing.
+    /// Runs on the threads of the caller's pool, as far as they have nothing else to do.
+    pub(crate) fn project_once(&self, c_arm: &CArm, images: &mut Images, image: &mut [f64]) {
+        let fan = RayFan::new(&self.store_grid, c_arm);
+        let parts = self.parts(&fan, c_arm);
+        let Images { sums, image: floats } = core::mem::take(images);
+        let mut standing = Standing { c_arm: *c_arm, fan, parts, sums, image: floats };
+        self.sum(&mut standing);
+        self.develop(&mut standing, image);
+        *images = Images { sums: standing.sums, image: standing.image };
     }
 }

@@ -9,7 +9,8 @@ use super::copies::{Copy3, Voxel, copy_elements};
 use super::instructions::Instructions;
 use super::kernel::{TILES, Work};
 use super::options::CellShares;
-use super::plan::{Axes, Plan, TILE_ROWS};
+use super::parts::Part;
+use super::plan::{Axes, TILE_ROWS};
 use super::splat::{Splatter, slices_until_flush};
 use super::standing::Standing;
 use crate::attenuation::MuTable;
@@ -156,9 +157,9 @@ impl Store {
         }
     }
 
-    /// Sums all slices of all images of all frames, into their sums.
-    pub fn sum(&self, frames: &mut [Standing], instructions: Instructions) {
-        with_copies!(self, copies => copies.sum(frames, instructions));
+    /// Sums all slices of all images; `sums` holds these one after the other.
+    pub fn sum(&self, parts: &[Part], instructions: Instructions, sums: &mut [i64]) {
+        with_copies!(self, copies => copies.sum(parts, instructions, sums));
     }
 
     /// Applies changes to the current C-arm's sums, if there are any, and to the copies.
@@ -285,23 +286,17 @@ impl<T: Voxel> Copies<T> {
         Ok(())
     }
 
-    fn sum(&self, frames: &mut [Standing], instructions: Instructions) {
+    fn sum(&self, parts: &[Part], instructions: Instructions, sums: &mut [i64]) {
         let flush_after = slices_until_flush(self.largest * T::UNIT);
-        let (several, mut jobs) = (frames.len() > 1, Vec::new());
-        for Standing { parts, sums, .. } in frames.iter_mut() {
-            let mut rest = &mut sums[..];
-            for part in parts.iter() {
-                let (own, others) =
-                    core::mem::take(&mut rest).split_at_mut_checked(part.plan.pixels()).unwrap_or_default();
-                rest = others;
-                let Some(copy) = self.copy(part.plan.axes.slow) else { continue };
-                let lines = (TILES * TILE_ROWS * part.plan.columns).max(1);
-                jobs.extend(own.chunks_mut(lines).enumerate().map(|(n, out)| (copy, &part.plan, n, out)));
-            }
-        }
-        if several {
-            // What one frame has read is then still in the cache for the next.
-            jobs.sort_by_key(|(_, plan, tiles, _)| (plan.axes.slow, middle_line(plan, *tiles)));
+        let mut rest = sums;
+        let mut jobs = Vec::new();
+        for part in parts {
+            let (own, others) =
+                core::mem::take(&mut rest).split_at_mut_checked(part.plan.pixels()).unwrap_or_default();
+            rest = others;
+            let Some(copy) = self.copy(part.plan.axes.slow) else { continue };
+            let lines = (TILES * TILE_ROWS * part.plan.columns).max(1);
+            jobs.extend(own.chunks_mut(lines).enumerate().map(|(n, out)| (copy, &part.plan, n, out)));
         }
         // One group of tiles at a time, because those in the middle of an image take longest; finished ones pass on their workspace.
         let spare = Mutex::new(Vec::new());
@@ -318,12 +313,6 @@ impl<T: Voxel> Copies<T> {
     fn each<U>(&self, of: impl Fn(&Copy3<T>) -> U) -> [Option<U>; 3] {
         self.by_slow.each_ref().map(|copy| copy.as_ref().map(&of))
     }
-}
-
-/// The line of voxels that the middle of a group of tiles reads in the middle slice of an image.
-fn middle_line(plan: &Plan, tiles: usize) -> i64 {
-    let slice = plan.slices.get(plan.slices.len() / 2);
-    slice.map_or(0, |slice| slice.row((2 * tiles + 1) * TILES * TILE_ROWS / 2).0)
 }
 
 /// Sums over cubes of voxels, from which a preview's values derive.
