@@ -37,6 +37,8 @@ struct Pose {
     times: Times,
     /// Those of the frontal frame just before each.
     frontal: Times,
+    /// Intermediate images, and their samples.
+    images: (usize, usize),
 }
 
 impl Pose {
@@ -84,7 +86,7 @@ fn poses(count: usize) -> Result<Vec<Pose>, DrrError> {
         let degrees = (360.0 * (n as f64 * golden).fract() - 180.0, height.asin().to_degrees());
         let distances_m = C_ARMS[n % C_ARMS.len()];
         let (c_arm, times) = (c_arm(degrees, distances_m)?, Times::default());
-        Ok(Pose { c_arm, distances_m, degrees, frontal: times.clone(), times })
+        Ok(Pose { c_arm, distances_m, degrees, frontal: times.clone(), times, images: (0, 0) })
     };
     (0..count).map(pose).collect()
 }
@@ -109,21 +111,23 @@ fn from_all_sides(
     }
     // As in the running hub, the image memory has been written before.
     let mut image = vec![1.0; frontal.pixels()];
-    let mut project = |c_arm: &CArm, times: &mut Times| -> Result<(), Failure> {
+    let mut project = |c_arm: &CArm, times: &mut Times| -> Result<(usize, usize), Failure> {
         let update = times.add(|| pool.install(|| slices.project(view, &removed, c_arm, &mut image)));
         match update.map_err(failed)? {
-            Update::Full => Ok(()),
+            Update::Full => Ok((slices.sums().images, slices.sums().values.len())),
             other => Err(Failure::failed(format!("not a full frame: {other:?}"))),
         }
     };
+    let mut of_frontal = (0, 0);
     for _ in 0..rounds {
         for pose in &mut poses {
-            project(&frontal, &mut pose.frontal)?;
-            project(&pose.c_arm, &mut pose.times)?;
+            of_frontal = project(&frontal, &mut pose.frontal)?;
+            pose.images = project(&pose.c_arm, &mut pose.times)?;
         }
     }
     let frontal = &poses[0].frontal;
-    sheet.row("frontal", &frontal.text(), "frontal", frontal.figures());
+    let text = format!("{}; {}", frontal.text(), images_text(of_frontal));
+    sheet.row("frontal", &text, "frontal", frontal.figures());
     for distances_m in C_ARMS {
         tell_ratios(&poses, distances_m, sheet);
     }
@@ -140,10 +144,11 @@ fn tell_ratios(poses: &[Pose], distances_m: (f64, f64), sheet: &mut Sheet) {
     let (primary, secondary) = worst.degrees;
     let median = of[of.len() / 2].ratio();
     let text = format!(
-        "{:.2} least, {median:.2} median, {:.2} worst (at {primary:.0}, {secondary:.0} degrees: {})",
+        "{:.2} least, {median:.2} median, {:.2} worst (at {primary:.0}, {secondary:.0} degrees: {}; {})",
         least.ratio(),
         worst.ratio(),
-        worst.times.text()
+        worst.times.text(),
+        images_text(worst.images)
     );
     let name = format!("{} poses, source {source_mm} mm, detector {detector_mm} mm", of.len());
     sheet.line(&format!("{name:<46} {text}"));
@@ -152,8 +157,13 @@ fn tell_ratios(poses: &[Pose], distances_m: (f64, f64), sheet: &mut Sheet) {
         json!({
             "poses": of.len(), "source_mm": source_mm, "detector_mm": detector_mm, "least": least.ratio(),
             "median": median, "worst": worst.ratio(), "worst_angles_deg": [primary, secondary],
+            "worst_images": worst.images.0, "worst_samples": worst.images.1,
         }),
     );
+}
+
+fn images_text((images, samples): (usize, usize)) -> String {
+    format!("{images} images, {:.2} M samples", samples as f64 * 1e-6)
 }
 
 /// The same frame by the projector `joseph`.

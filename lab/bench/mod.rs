@@ -3,6 +3,7 @@
 pub mod bridge;
 mod callgrind;
 pub mod drr;
+pub mod drr_batch;
 mod drr_layers;
 pub mod drr_poses;
 mod growth;
@@ -21,6 +22,7 @@ pub mod soak;
 pub mod start;
 pub mod step;
 pub mod tools;
+mod turning;
 pub mod viewer;
 pub mod xray;
 

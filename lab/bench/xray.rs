@@ -1,13 +1,27 @@
 //! What X-ray frames cost the physics: the same real-time run with and without them, alternating.
 
+use std::sync::mpsc::channel;
+
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Feedback, Scene};
 use serde_json::json;
 
-use super::recorder::{Physics, in_turn, one};
+use super::failed;
+use super::recorder::{Physics, in_turn, one, one_seen};
+use super::samples::Samples;
+use super::turning::turn;
 use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::scenes::SceneSource;
+
+/// What the C-arm does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CArmMoves {
+    /// It stands: after the first frame only what has changed is computed.
+    Stands,
+    /// It turns: every frame is of another angle, and computed whole.
+    Turns,
+}
 
 /// Runs the scene in real time for `seconds`, `rounds` times, alternately without and with its X-ray, at `rate_hz`
 /// frames per second if given. A controller that steers by frames steers by the measured shape in all runs, because
@@ -20,6 +34,7 @@ pub fn run(
     seconds: f64,
     rounds: usize,
     rate_hz: Option<f64>,
+    c_arm: CArmMoves,
     sheet: &mut Sheet,
 ) -> Result<(), Failure> {
     let mut with = scene.load()?;
@@ -35,10 +50,55 @@ pub fn run(
     };
     drr.rate_hz = rate_hz.unwrap_or(drr.rate_hz);
     let wanted_hz = drr.rate_hz;
-    let x_rayed = |scene: &Scene, end: &EndRequest, with: &mut Physics| one(scene, None, None, end, with);
-    let frames = in_turn("X-ray", [without, with], seconds, rounds, x_rayed, sheet)?;
+    let mut waits = Samples::default();
+    let frames = match c_arm {
+        CArmMoves::Stands => {
+            let x_rayed =
+                |scene: &Scene, end: &EndRequest, with: &mut Physics| one(scene, None, None, end, with);
+            in_turn("X-ray", [without, with], seconds, rounds, x_rayed, sheet)?
+        }
+        CArmMoves::Turns => {
+            // Frames come on request only.
+            drr.rate_hz = 0.0;
+            let turned = |scene: &Scene, end: &EndRequest, with: &mut Physics| {
+                let (frames, taken) = one_turned(scene, wanted_hz, end, with)?;
+                waits.append(&taken);
+                Ok(frames)
+            };
+            in_turn("X-ray of a turning C-arm", [without, with], seconds, rounds, turned, sheet)?
+        }
+    };
+    if waits.count() > 0 {
+        sheet.samples("from a request to its frame", "request_to_frame", &waits);
+    }
     let rate_hz = frames / seconds;
     let figures = json!({"frames_per_s": rate_hz, "wanted_hz": wanted_hz});
     sheet.row("frames a second", &format!("{rate_hz:.1} of {wanted_hz} wanted"), "frames", figures);
     Ok(())
+}
+
+/// One run in which a program turns the C-arm; the number of frames, and how long each took from its request on.
+fn one_turned(
+    scene: &Scene,
+    rate_hz: f64,
+    end: &EndRequest,
+    with: &mut Physics,
+) -> Result<(u64, Samples), Failure> {
+    let (found, sessions) = channel();
+    std::thread::scope(|scope| {
+        let turning = scope.spawn(move || turn(&sessions, rate_hz));
+        let mut found = Some(found);
+        let made = one_seen(scene, None, None, end, with, |snapshot| {
+            // The first state says that all parts are there.
+            if snapshot.state.is_some()
+                && let Some(found) = found.take()
+            {
+                // It ends with an error of its own if nobody listens.
+                let _ = found.send(snapshot.session.to_owned());
+            }
+        });
+        drop(found);
+        let taken = turning.join().map_err(|_| failed("the program that turns the C-arm has panicked"))?;
+        Ok((made?, taken?))
+    })
 }

@@ -8,8 +8,8 @@ use ipc_types::scene::Policy;
 use crate::bench::ping_pong::Wait;
 use crate::bench::start::CacheState;
 use crate::bench::{
-    bridge, drr, drr_poses, instructions, latency, lateness, log, memory, overhead, ping_pong, readings,
-    recorder, soak, start, step, tools, viewer, xray,
+    bridge, drr, drr_batch, drr_poses, instructions, latency, lateness, log, memory, overhead, ping_pong,
+    readings, recorder, soak, start, step, tools, viewer, xray,
 };
 use crate::commands::stress::refuse_cores;
 use crate::sheet::Sheet;
@@ -176,6 +176,9 @@ pub enum BenchCommand {
         /// Instead, time this many poses about a field of 500 mm in turn with the frontal one, 4 to 10000.
         #[arg(long, value_parser = clap::value_parser!(u64).range(4..=10_000))]
         poses: Option<u64>,
+        /// Instead, render this many poses one after the other and as one batch, in turn, 2 to 10000.
+        #[arg(long, conflicts_with = "poses", value_parser = clap::value_parser!(u64).range(2..=10_000))]
+        batch: Option<u64>,
         #[command(flatten)]
         figures: Figures,
     },
@@ -238,6 +241,9 @@ pub enum BenchCommand {
         /// Frame rate, 1 to 200 Hz; overrides the scene.
         #[arg(long)]
         rate_hz: Option<f64>,
+        /// A program asks for every frame from another angle, so that each is computed whole.
+        #[arg(long)]
+        turning: bool,
     },
     /// Run in real time for long: missed ticks by cause, memory of each process over time, and a replay that verifies the log.
     Soak {
@@ -335,6 +341,9 @@ fn measure(command: &BenchCommand, sheet: &mut Sheet) -> Result<(), Failure> {
         BenchCommand::Memory { scene, dimensions, ticks, .. } => {
             memory::run(&femur_or(scene.as_deref()), *dimensions, *ticks, sheet)
         }
+        BenchCommand::Drr { dimensions, rounds, batch: Some(count), .. } => {
+            drr_batch::run(*dimensions, *count as usize, *rounds as usize, sheet)
+        }
         BenchCommand::Drr { dimensions, rounds, poses: None, .. } => {
             drr::run(*dimensions, *rounds as usize, sheet)
         }
@@ -362,12 +371,13 @@ fn measure(command: &BenchCommand, sheet: &mut Sheet) -> Result<(), Failure> {
             let (scene, seconds, rounds) = in_turn.checked()?;
             bridge::run(kind, &scene, seconds, rounds, sheet)
         }
-        BenchCommand::Xray { in_turn, rate_hz } => {
+        BenchCommand::Xray { in_turn, rate_hz, turning } => {
             let (scene, seconds, rounds) = in_turn.checked()?;
             if let Some(rate_hz) = rate_hz {
                 in_range("--rate-hz", *rate_hz, 1.0, 200.0)?;
             }
-            xray::run(&scene, seconds, rounds, *rate_hz, sheet)
+            let c_arm = if *turning { xray::CArmMoves::Turns } else { xray::CArmMoves::Stands };
+            xray::run(&scene, seconds, rounds, *rate_hz, c_arm, sheet)
         }
         BenchCommand::Soak { scene, minutes, policy, output, .. } => {
             in_range("--minutes", *minutes, 0.05, 60.0)?;

@@ -5,10 +5,10 @@ use std::sync::Arc;
 use drr_proc::{ThisMachine, arm_model};
 use messages::{CArmGeometry, Restores, State};
 use xray::arm_model::ArmModel;
-use xray::frame::{Cache, Job, Rendered, label_job, render_job};
+use xray::frame::{Cache, Job, Rendered, label_job, render_job, render_poses};
 use xray::from_scene::{renderer_parameters, scene_c_arm, scene_isocentre_m};
 use xray::message::{c_arm_of, volume_view};
-use xray::{CArm, DetectorFormat, DrrRenderer, Labels, PositionerAngles, VolumeView};
+use xray::{CArm, DetectorFormat, DrrError, DrrRenderer, Labels, PositionerAngles, VolumeView};
 use zerocopy::IntoBytes;
 
 use crate::error::SimError;
@@ -64,6 +64,29 @@ impl XRay {
     ) -> Result<Rendered, SimError> {
         let job = self.job(shared, state, drilled, from, sequence)?;
         self.render_job(shared, &job, drilled.len())
+    }
+
+    /// A frame from each of these, numbered from `sequence` on.
+    pub(crate) fn render_many(
+        &mut self,
+        shared: &SharedScene,
+        state: &State,
+        drilled: &[u32],
+        from: &[View],
+        sequence: u64,
+    ) -> Result<Vec<Rendered>, SimError> {
+        let c_arm = |(frame, view): (usize, &View)| match view.c_arm(shared) {
+            Ok(c_arm) => Ok(c_arm.unwrap_or(self.c_arm)),
+            Err(SimError::XRay(cause)) => Err(DrrError::Frame { frame, cause: Box::new(cause) }.into()),
+            Err(other) => Err(other),
+        };
+        let c_arms = from.iter().enumerate().map(c_arm).collect::<Result<Vec<CArm>, SimError>>()?;
+        let job = self.job(shared, state, drilled, View::Scene, sequence)?;
+        // Frames that fail leave the renderer between two states.
+        self.told = None;
+        let rendered = render_poses(&mut self.renderer, &volume(shared)?, &job, &c_arms)?;
+        self.told = Some(drilled.len());
+        Ok(rendered)
     }
 
     /// The frame, and what it shows; voxels at or above `bone_from_hu`, or else the scene's threshold, are bone.

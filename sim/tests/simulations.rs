@@ -318,6 +318,35 @@ fn a_picture_after_a_jump_is_that_of_a_simulation_that_never_jumped() {
 }
 
 #[test]
+fn pictures_from_many_c_arms_are_those_from_each_and_change_nothing() {
+    let place = Place::with(DRILL);
+    let shared = place.scene();
+    let mut sim = Sim::new(&shared, &Drive::Nothing).unwrap();
+    let angles = |primary_deg: f64, secondary_deg: f64| View::Angles { primary_deg, secondary_deg };
+    let from =
+        [angles(30.0, -10.0), View::Scene, angles(-75.0, 5.0), angles(30.0, -10.0), angles(160.0, 40.0)];
+    for _ in 0..2 {
+        // Drilled on between the two.
+        sim.step(&[], 400).unwrap();
+        let (state, scenes) = (*sim.state(), sim.render(View::Scene).unwrap());
+        let many = sim.render_many(&from).unwrap();
+        let sequences: Vec<u64> = many.iter().map(|one| one.frame.sequence).collect();
+        let next = scenes.frame.sequence + 1;
+        assert_eq!(sequences, (next..next + 5).collect::<Vec<u64>>());
+        for (view, got) in from.iter().zip(&many) {
+            let want = sim.render(*view).unwrap();
+            assert!(got.pixels == want.pixels, "{view:?}");
+            assert_eq!(got.frame.pixel_hash, want.frame.pixel_hash);
+            assert_eq!(got.frame.geometry, want.frame.geometry);
+        }
+        assert!(*sim.state() == state && sim.render(View::Scene).unwrap().pixels == scenes.pixels);
+    }
+    let refused = sim.render_many(&[View::Scene, angles(f64::NAN, 0.0)]).unwrap_err().to_string();
+    assert!(refused.contains("frame 1 of the batch"), "{refused}");
+    assert!(sim.render_many(&[]).unwrap().is_empty());
+}
+
+#[test]
 fn scenes_of_the_same_synthetic_volume_share_it() {
     let place = Place::with(DRILL);
     let (one, other) = (place.scene(), place.scene());

@@ -1,15 +1,15 @@
 //! `trabecula drr`: renders X-ray frames of a volume from any pose to files.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::sync::{Mutex, PoisonError};
 
 use clap::{Args, ValueEnum};
 use drr_proc::ThisMachine;
 use volume_io::Volume;
-use xray::display::WindowLimits;
 use xray::{
-    DetectorParameters, DisplayMode, DisplayParameters, DrrParameters, DrrRenderer, FrameSeed, Grid, Output,
-    Projector, Spectrum, Tool, VolumeView,
+    DetectorParameters, DisplayMode, DisplayParameters, DrrParameters, DrrRenderer, Grid, Projector,
+    Spectrum, VolumeView,
 };
 
 use crate::failure::Failure;
@@ -19,6 +19,7 @@ use crate::say::Figures;
 use crate::x_ray::dicom::{Series, write_dicom};
 use crate::x_ray::files::{Picture, write_nrrd, write_png};
 use crate::x_ray::poses::{self, Placed, Pose};
+use crate::x_ray::series::{Look, render_and_write};
 use inputs::suspicions;
 
 /// Arguments of `drr`.
@@ -165,30 +166,38 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
     let mut renderer =
         DrrRenderer::new(&view, parameters(arguments), &ThisMachine).map_err(Failure::bad_input)?;
     let series = Series::new(volume_io::volume_hash(&volume), &placed, arguments.tube_kv);
-    let mut animation = Vec::new();
-    let mut slowest_ms = 0.0_f64;
-    for (number, placed) in placed.iter().enumerate() {
-        let began = Instant::now();
-        let picture = render(&mut renderer, &view, placed, arguments, kind)?;
-        slowest_ms = slowest_ms.max(began.elapsed().as_secs_f64() * 1e3);
+    let look = Look {
+        as_values: kind == Kind::Nrrd,
+        linear: matches!(arguments.display, DisplayName::Linear),
+        dense_is_dark: matches!(arguments.display, DisplayName::BoneDark),
+        seed: arguments.seed,
+    };
+    let animation = Mutex::new(BTreeMap::new());
+    let seconds = render_and_write(&mut renderer, &view, &placed, look, |number, picture| {
         if arguments.animate {
-            animation.push(picture);
-            continue;
+            animation.lock().unwrap_or_else(PoisonError::into_inner).insert(number, picture);
+            return Ok(());
         }
         let path = &paths[number];
         match kind {
             Kind::Png => write_png(path, std::slice::from_ref(&picture)),
             Kind::Nrrd => write_nrrd(path, &picture),
             Kind::Dicom => write_dicom(path, &picture, &series, number + 1),
-        }?;
-    }
+        }
+    })?;
     if arguments.animate {
-        write_png(&arguments.output, &animation)?;
+        let pictures = animation.into_inner().unwrap_or_else(PoisonError::into_inner);
+        write_png(&arguments.output, &pictures.into_values().collect::<Vec<Picture>>())?;
     }
     let (count, output) = (placed.len(), arguments.output.display());
+    let (all_ms, frames_per_s) = (seconds * 1e3, count as f64 / seconds);
     arguments.figures.say(
-        || format!("{output}: {count} frame(s), the slowest took {slowest_ms:.1} ms"),
-        || serde_json::json!({"output": arguments.output, "frames": count, "slowest_ms": slowest_ms}),
+        || format!("{output}: {count} frame(s), rendered in {all_ms:.1} ms ({frames_per_s:.1} a second)"),
+        || {
+            serde_json::json!({
+                "output": arguments.output, "frames": count, "render_ms": all_ms, "frames_per_s": frames_per_s,
+            })
+        },
     );
     Ok(())
 }
@@ -282,37 +291,6 @@ fn parameters(arguments: &DrrArguments) -> DrrParameters {
         },
         ..DrrParameters::default()
     }
-}
-
-fn render(
-    renderer: &mut DrrRenderer,
-    view: &VolumeView<'_>,
-    placed: &Placed,
-    arguments: &DrrArguments,
-    kind: Kind,
-) -> Result<Picture, Failure> {
-    let pixels = placed.c_arm.pixels();
-    let mut picture = Picture {
-        placed: *placed,
-        linear: matches!(arguments.display, DisplayName::Linear),
-        dense_is_dark: matches!(arguments.display, DisplayName::BoneDark),
-        window: WindowLimits { low: 0.0, high: 1.0 },
-        greys: Vec::new(),
-        values: Vec::new(),
-    };
-    let output = if kind == Kind::Nrrd {
-        picture.values.resize(pixels, 0.0);
-        Output::Float32(&mut picture.values)
-    } else {
-        picture.greys.resize(pixels, 0);
-        Output::Mono16(&mut picture.greys)
-    };
-    let seed = FrameSeed { seed: arguments.seed, frame: 0 };
-    let report = renderer
-        .render_to(view, &placed.c_arm, &Tool::default(), seed, output)
-        .map_err(|cause| Failure::failed(cause.to_string()))?;
-    picture.window = report.window;
-    Ok(picture)
 }
 
 /// `name.png` becomes `name_0007.png`.

@@ -3,3 +3,4 @@
 pub mod dicom;
 pub mod files;
 pub mod poses;
+pub mod series;

@@ -42,7 +42,7 @@ fn every_command_with_figures_prints_them_as_one_json_object() {
         ("phantom sphere -o @s.nrrd --spacing-mm 2 --json", "/dimensions/2"),
         ("volume probe @s.nrrd --at 0,0,0 --json", "/places/0/hu"),
         ("scene show @scene.toml -o @show.png --json", "/target_depth_mm"),
-        ("drr @s.nrrd -o @x.png --json", "/slowest_ms"),
+        ("drr @s.nrrd -o @x.png --json", "/frames_per_s"),
         ("scene check @scene.toml --json", "/ticks"),
         ("plan @scene.toml --json", "/scene"),
         ("plan --list --json", "/table_csv"),

@@ -105,6 +105,15 @@ pub enum DrrError {
         /// Bytes free.
         available_bytes: u64,
     },
+    /// A frame of a batch is refused, and with it the batch.
+    #[error("frame {frame} of the batch, counted from 0: {cause}")]
+    Frame {
+        /// Position of the frame in the batch.
+        frame: usize,
+        /// Why.
+        #[source]
+        cause: Box<DrrError>,
+    },
     /// The worker threads could not be started.
     #[error("cannot start {threads} render threads ({reason}): lower `threads` or raise the process limit")]
     Threads {

@@ -1,27 +1,30 @@
 //! From line integrals to pixels: tool and arm, Beer-Lambert, noise, blur, readout and display, in two passes over the image.
 //!
 //! Pass 1, row by row: tool and arm over anatomy, transmission, noise, blur along the row. Pass 2: blur along columns, readout, display.
-//! Disabled stages cost nothing; without noise and blur the second pass does everything. The loops ([`crate::lane_math`]) compile to the
+//! Disabled stages cost nothing; without blur the second pass does everything. The loops ([`crate::lane_math`]) compile to the
 //! CPU's vector instructions, with the same bits on every CPU.
+
+use std::sync::Arc;
 
 use pulp::Arch;
 use rayon::prelude::*;
 
 use crate::attenuation::Material;
 use crate::detector::{
-    DetectorParameters, EXACT_POISSON_BELOW, FrameSeed, Readout, add_scaled_row, blur_row, gaussian_weights,
-    photon_number,
+    DetectorParameters, EXACT_POISSON_BELOW, FrameSeed, blur_row, gaussian_weights, photon_number,
 };
 use crate::display::{DisplayMode, DisplayParameters, Scale, WindowLimits};
+use crate::exposure_loops::{
+    BlurColumns, BlurRow, Detect, ReadOut, ReadThrough, Tabulate, ToGreys, Transmit, column_blur,
+};
 use crate::lane_math;
-use crate::lanes::lanes;
 use crate::solids::SolidLayer;
 use crate::spectrum::SpectrumTable;
 use crate::tool_layer::{PlacedTool, ToolCell, ToolMaterials};
 use counter_random::Key;
 
 /// Pixels processed at once; several such buffers fit into the L1 cache.
-const CHUNK: usize = 64;
+pub(crate) const CHUNK: usize = 64;
 
 /// Destination of the pixels.
 #[derive(Debug)]
@@ -71,7 +74,7 @@ pub struct Exposure {
     detector: DetectorParameters,
     display: DisplayParameters,
     weights: Vec<f32>,
-    spectrum: Option<SpectrumTable>,
+    spectrum: Option<Arc<SpectrumTable>>,
     arch: Arch,
     detected: Vec<f32>,
     blurred: Vec<f32>,
@@ -96,6 +99,19 @@ impl Exposure {
         display: DisplayParameters,
         spectrum: Option<SpectrumTable>,
     ) -> Self {
+        Self::of(detector, display, spectrum.map(Arc::new))
+    }
+
+    /// The same stage with an empty workspace of its own.
+    pub(crate) fn anew(&self) -> Self {
+        Self::of(self.detector, self.display, self.spectrum.clone())
+    }
+
+    fn of(
+        detector: DetectorParameters,
+        display: DisplayParameters,
+        spectrum: Option<Arc<SpectrumTable>>,
+    ) -> Self {
         let weights = gaussian_weights(detector.blur_sigma_px).into_iter().map(|w| w as f32).collect();
         Self {
             detector,
@@ -110,9 +126,17 @@ impl Exposure {
         }
     }
 
+    /// Writes once to the workspace of so many pixels.
+    pub(crate) fn prepare(&mut self, pixels: usize) {
+        if self.weights.len() > 1 {
+            self.detected.resize(pixels, 1.0);
+            self.blurred.resize(pixels, 1.0);
+        }
+    }
+
     /// The spectrum's table, if one is used.
     pub fn spectrum(&self) -> Option<&SpectrumTable> {
-        self.spectrum.as_ref()
+        self.spectrum.as_deref()
     }
 
     /// Fills the output on the threads of the current pool.
@@ -127,7 +151,7 @@ impl Exposure {
     ) {
         let scale = Scale::new(self.display.mode, window);
         let frame = Frame { anatomy, metal, width, scale, key: seed.key() };
-        let passes = self.detector.quantum_noise || self.weights.len() > 1;
+        let passes = self.weights.len() > 1;
         if passes {
             self.first_pass(&frame);
         }
@@ -192,29 +216,21 @@ impl Exposure {
         }
     }
 
-    /// Tool, transmission, noise and blur along rows, into `blurred` (into `detected` without blur).
+    /// Tool, transmission, noise and blur along rows, into `blurred`.
     fn first_pass(&mut self, frame: &Frame<'_>) {
         let (width, pixels) = (frame.width, frame.anatomy.total.len());
-        let with_blur = self.weights.len() > 1;
         self.detected.resize(pixels, 0.0);
-        self.blurred.resize(if with_blur { pixels } else { 0 }, 0.0);
+        self.blurred.resize(pixels, 0.0);
         let mut detected = core::mem::take(&mut self.detected);
         let mut blurred = core::mem::take(&mut self.blurred);
         let this: &Self = self;
-        let expose_row = |row: usize, line: &mut [f32]| {
-            for (i, out) in line.chunks_mut(CHUNK).enumerate() {
-                this.expose_chunk(frame, row, i * CHUNK, out);
+        let rows = detected.par_chunks_mut(width).zip(blurred.par_chunks_mut(width)).enumerate();
+        rows.for_each(|(row, (line, out))| {
+            for (i, some) in line.chunks_mut(CHUNK).enumerate() {
+                this.expose_chunk(frame, row, i * CHUNK, some);
             }
-        };
-        let rows = detected.par_chunks_mut(width).enumerate();
-        if with_blur {
-            rows.zip(blurred.par_chunks_mut(width)).for_each(|((row, line), out)| {
-                expose_row(row, line);
-                this.arch.dispatch(BlurRow { line, weights: &this.weights, out });
-            });
-        } else {
-            rows.for_each(|(row, line)| expose_row(row, line));
-        }
+            this.arch.dispatch(BlurRow { line, weights: &this.weights, out });
+        });
         self.detected = detected;
         self.blurred = blurred;
     }
@@ -279,10 +295,16 @@ impl Exposure {
         }
     }
 
-    /// The second pass without noise and blur: passes the attenuation on, unless the readout changes it.
+    /// The second pass without blur. Without noise it passes the attenuation on, unless the readout changes it.
     fn directly(&self, frame: &Frame<'_>, row: usize, from: usize, count: usize, values: &mut [f64; CHUNK]) {
-        self.attenuation(frame, row, from, count, values);
         let (readout, mode) = (self.detector.readout(), self.display.mode);
+        if self.detector.quantum_noise {
+            let mut detected = [0.0; CHUNK];
+            self.expose_chunk(frame, row, from, &mut detected[..count]);
+            self.arch.dispatch(ReadOut { readout, mode, detected: &detected, values });
+            return;
+        }
+        self.attenuation(frame, row, from, count, values);
         if mode == DisplayMode::Linear || !readout.is_plain() {
             self.arch.dispatch(ReadThrough { readout, mode, values });
         }
@@ -290,10 +312,12 @@ impl Exposure {
 
     /// The blur along columns, and the readout.
     fn read_out(&self, row: usize, width: usize, from: usize, count: usize, values: &mut [f64; CHUNK]) {
-        let (readout, mode) = (self.detector.readout(), self.display.mode);
-        let source = if self.weights.len() > 1 { &self.blurred } else { &self.detected };
+        let mut detected = [0.0; CHUNK];
         let weights = &self.weights[..];
-        self.arch.dispatch(ReadBlurred { readout, mode, source, weights, width, row, from, count, values });
+        let out = &mut detected[..count];
+        self.arch.dispatch(BlurColumns { source: &self.blurred, weights, width, row, from, out });
+        let (readout, mode) = (self.detector.readout(), self.display.mode);
+        self.arch.dispatch(ReadOut { readout, mode, detected: &detected, values });
     }
 
     /// Blurred transmission of the metal alone.
@@ -317,115 +341,5 @@ impl Exposure {
         for ((o, &v), &m) in out.iter_mut().zip(values).zip(&metal) {
             *o = frame.scale.under_metal(v, f64::from(m));
         }
-    }
-}
-
-lanes! {
-    /// Grey levels of a chunk of a row.
-    ToGreys { scale: Scale, values: &'a [f64; CHUNK], out: &'a mut [u16] } -> () {
-        scale.to_greys(values, out);
-    }
-}
-
-lanes! {
-    /// Blurs a row along itself.
-    BlurRow { line: &'a [f32], weights: &'a [f32], out: &'a mut [f32] } -> () {
-        blur_row(line, weights, out);
-    }
-}
-
-lanes! {
-    /// Fraction of photons transmitted.
-    Transmit { values: &'a [f64; CHUNK], out: &'a mut [f32] } -> () {
-        for (o, v) in out.iter_mut().zip(values) {
-            *o = lane_math::exp(-v) as f32;
-        }
-    }
-}
-
-lanes! {
-    /// Fraction of photons detected, with noise; `values` become mean photon counts. Returns the smallest of them.
-    Detect {
-        photons: f64,
-        key: Key,
-        first_pixel: u64,
-        values: &'a mut [f64; CHUNK],
-        out: &'a mut [f32],
-    } -> f64 {
-        for v in values.iter_mut() {
-            *v = photons * lane_math::exp(-*v);
-        }
-        for (i, (o, mean)) in out.iter_mut().zip(values.iter()).enumerate() {
-            let normal = lane_math::normal(key.word(first_pixel + i as u64));
-            *o = (lane_math::round(mean + mean.sqrt() * normal).max(0.0) / photons) as f32;
-        }
-        let mut least = [f64::INFINITY; 8];
-        for some in values.chunks_exact(8) {
-            for (l, v) in least.iter_mut().zip(some) {
-                *l = l.min(*v);
-            }
-        }
-        least.into_iter().fold(f64::INFINITY, f64::min)
-    }
-}
-
-lanes! {
-    /// The attenuation of tissue and bone.
-    Tabulate { table: &'a SpectrumTable, tissue_m: &'a mut [f64], bone_m: &'a [f64] } -> () {
-        table.attenuation_of_row(tissue_m, bone_m);
-    }
-}
-
-lanes! {
-    /// The readout of attenuations without noise and blur.
-    ReadThrough { readout: Readout, mode: DisplayMode, values: &'a mut [f64; CHUNK] } -> () {
-        for v in values.iter_mut() {
-            *v = readout.apply(lane_math::exp(-*v));
-        }
-        if mode != DisplayMode::Linear {
-            to_attenuation(values);
-        }
-    }
-}
-
-lanes! {
-    /// The blur along columns, and the readout.
-    ReadBlurred {
-        readout: Readout,
-        mode: DisplayMode,
-        source: &'a [f32],
-        weights: &'a [f32],
-        width: usize,
-        row: usize,
-        from: usize,
-        count: usize,
-        values: &'a mut [f64; CHUNK],
-    } -> () {
-        let mut sums = [0.0_f32; CHUNK];
-        column_blur(source, width, row, from, weights, &mut sums[..count]);
-        for (v, s) in values.iter_mut().zip(&sums) {
-            *v = readout.apply(f64::from(*s));
-        }
-        if mode != DisplayMode::Linear {
-            to_attenuation(values);
-        }
-    }
-}
-
-/// Blurs the pixels `from..` of a row along the columns, with edge rows repeated outside the image.
-#[inline(always)]
-fn column_blur(image: &[f32], width: usize, row: usize, from: usize, weights: &[f32], out: &mut [f32]) {
-    let (reach, last) = (weights.len() / 2, image.len() / width - 1);
-    for (i, w) in weights.iter().enumerate() {
-        let start = (row + i).saturating_sub(reach).min(last) * width + from;
-        add_scaled_row(out, *w, &image[start..]);
-    }
-}
-
-/// -ln of the readout. The readout is clamped to half a photon in 1e6, so that no signal is black rather than infinite.
-#[inline(always)]
-fn to_attenuation(values: &mut [f64; CHUNK]) {
-    for v in values.iter_mut() {
-        *v = -lane_math::log(v.max(5e-7));
     }
 }

@@ -199,6 +199,11 @@ def runs(folder: Path) -> None:
     assert image.pixels.shape == (64, 64) and image.pixels.dtype == np.uint16 and not image.pixels.flags.writeable
     assert np.array_equal(sim.render(image.frame.geometry).pixels, image.pixels)
     assert not np.array_equal(sim.render().pixels, image.pixels)
+    c_arms = [(30.0, -10.0), None, image.frame.geometry, (-60.0, 20.0)]
+    for c_arm, one in zip(c_arms, sim.render_many(c_arms)):
+        assert np.array_equal(one.pixels, sim.render(c_arm).pixels), c_arm
+    assert sim.render_many([]) == []
+    raises(trabecula.ArgumentError, "frame 1 of the batch", lambda: sim.render_many([None, (float("nan"), 0.0)]))
     raises(trabecula.ArgumentError, "expected a CArmGeometry", lambda: sim.render("ap"))  # type: ignore[arg-type]
     raises(trabecula.ArgumentError, "X-ray", lambda: sim.render((float("nan"), 0.0)))
 

@@ -248,6 +248,21 @@ class Sim:
         frame_bytes, pixels = self._native.render(*_seen_from(c_arm))
         return _image(frame_bytes, pixels)
 
+    def render_many(self, c_arms: Sequence[CArm]) -> list[Image]:
+        """The X-rays of the present state from several C-arms, with the pixels of `render` of each, in less time than one after the other.
+
+            images = sim.render_many([(angle, 0.0) for angle in range(-90, 90)])
+
+        Args:
+            c_arms: Each as in `render`. All images are in memory at the end: 2 bytes a pixel.
+
+        Raises:
+            ArgumentError: A C-arm is refused, and named by its position; nothing is rendered.
+            Error: The scene has no X-ray.
+        """
+        rendered = self._native.render_many([_seen_from(c_arm) for c_arm in c_arms])
+        return [_image(frame_bytes, pixels) for frame_bytes, pixels in rendered]
+
     def labels(self, c_arm: CArm = None, *, bone_from_hu: Optional[int] = None) -> Labels:
         """The X-ray of the present state as `render` gives it, and what it shows: masks, line integrals apart, lengths, depths, keypoints.
 

@@ -1,12 +1,16 @@
 //! The renderer: the cached anatomy of a stationary C-arm, the tool of the frame, and the exposure of both.
 
+mod batch;
 mod labelling;
 mod layer;
 mod parameters;
 mod standing;
 mod trace;
 
+pub use batch::Shot;
 pub use parameters::{DrrParameters, FrameReport, Projector, RenderKind};
+
+use std::sync::Mutex;
 
 use crate::attenuation::{ENERGY_RANGE_KEV, Material, MuTable};
 use crate::carm::CArm;
@@ -22,6 +26,7 @@ use crate::solids::SolidLayer;
 use crate::spectrum::SpectrumTable;
 use crate::tool::Tool;
 use crate::tool_layer::{DisplacedBy, PlacedTool};
+use batch::Lane;
 use layer::{Computed, Layer};
 use standing::{DirtyMarker, Standing};
 
@@ -40,6 +45,10 @@ pub struct DrrRenderer {
     aluminium_per_m: f64,
     pool: rayon::ThreadPool,
     standing: Option<Standing>,
+    /// Memory for the next one-off frame; during that, the picture that is kept.
+    aside: Option<Standing>,
+    /// One for each thread, from the first batch on.
+    lanes: Vec<Mutex<Lane>>,
 }
 
 impl DrrRenderer {
@@ -87,10 +96,13 @@ impl DrrRenderer {
             aluminium_per_m: Material::Aluminium.mu_per_m(parameters.energy_kev)?,
             pool,
             standing: None,
+            aside: None,
+            lanes: Vec::new(),
         })
     }
 
-    /// Creates the reordered copy of the volume that this C-arm needs, so that the first frame does not wait for it.
+    /// Creates the reordered copy of the volume that this C-arm needs, and the memory of its images, so that the first frame does not wait
+    /// for them: the system gives a page of memory only when it is first written to.
     ///
     /// # Errors
     /// The view has another grid, the C-arm is invalid, or the copy does not fit into free memory.
@@ -98,9 +110,14 @@ impl DrrRenderer {
         self.check_view(view)?;
         c_arm.validate()?;
         let Self { tissue, bone, removed, pool, .. } = self;
+        let with_bone = bone.is_some();
         for slices in core::iter::once(tissue).chain(bone).filter_map(|layer| layer.slices.as_mut()) {
             pool.install(|| slices.prepare(view, removed, c_arm))?;
         }
+        if self.standing.is_none() {
+            self.standing = Some(Standing::written_to(&self.grid, c_arm, with_bone));
+        }
+        self.exposure.prepare(c_arm.pixels());
         Ok(())
     }
 
@@ -141,7 +158,7 @@ impl DrrRenderer {
     pub fn remove(&mut self, view: &VolumeView<'_>, batch: &[u32]) -> Result<usize, DrrError> {
         self.check_view(view)?;
         self.removed.check(batch)?;
-        let traced = self.standing.as_mut().filter(|s| s.traced);
+        let traced = self.standing.as_mut().filter(|s| s.traced && !s.anatomy.is_empty());
         let mut marker = traced.map(|s| DirtyMarker::new(s, &self.grid, self.parameters.projector));
         let mut new = 0;
         for &index in batch {
@@ -212,7 +229,8 @@ impl DrrRenderer {
         self.tool.place(tool, c_arm, self.parameters.energy_kev)?;
         let mut standing = match self.standing.take() {
             Some(s) if s.c_arm == *c_arm => s,
-            _ => Standing::new(&self.grid, c_arm),
+            Some(s) => s.of_another(&self.grid, c_arm),
+            None => Standing::new(&self.grid, c_arm),
         };
         let Computed { kind, pixels: rays_traced } = self.update_anatomy(view, &mut standing)?;
         if kind != RenderKind::Cached {
@@ -254,11 +272,15 @@ impl DrrRenderer {
         if self.standing.as_ref().is_some_and(|standing| standing.c_arm == *c_arm) {
             return self.render(view, c_arm, tool, seed, image);
         }
-        let standing = self.standing.take();
+        core::mem::swap(&mut self.standing, &mut self.aside);
         self.layers_slices().for_each(SliceOrdered::step_aside);
         let report = self.render(view, c_arm, tool, seed, image);
         self.layers_slices().for_each(SliceOrdered::step_back);
-        self.standing = standing;
+        core::mem::swap(&mut self.standing, &mut self.aside);
+        // Its picture misses what is removed from now on. With zero columns it matches no C-arm.
+        if let Some(aside) = &mut self.aside {
+            aside.c_arm.columns = 0;
+        }
         report
     }
 

@@ -124,3 +124,13 @@ pub struct FrameReport {
     /// Attenuation at the two ends of the display scale.
     pub window: WindowLimits,
 }
+
+impl FrameReport {
+    /// Of a frame that is not yet rendered.
+    pub(super) const NONE: Self = Self {
+        kind: RenderKind::Cached,
+        rays_traced: 0,
+        tool_pixels: 0,
+        window: WindowLimits { low: 0.0, high: 1.0 },
+    };
+}

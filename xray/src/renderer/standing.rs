@@ -46,6 +46,29 @@ impl Standing {
             window: WindowLimits { low: 0.0, high: 1.0 },
         }
     }
+
+    /// For another C-arm, in the same memory.
+    pub fn of_another(mut self, grid: &Grid, c_arm: &CArm) -> Self {
+        self.anatomy.clear();
+        self.bone_m.clear();
+        self.dirty.clear();
+        self.dirty_list.clear();
+        self.dirty.resize(c_arm.pixels(), false);
+        Self { c_arm: *c_arm, fan: RayFan::new(grid, c_arm), traced: true, ..self }
+    }
+
+    /// Without a frame, and with its memory written to once.
+    pub fn written_to(grid: &Grid, c_arm: &CArm, with_bone: bool) -> Self {
+        let mut standing = Self::new(grid, c_arm);
+        let pixels = c_arm.pixels();
+        standing.dirty.fill(true);
+        standing.dirty.fill(false);
+        standing.anatomy.resize(pixels, 1.0);
+        standing.bone_m.resize(if with_bone { pixels } else { 0 }, 1.0);
+        standing.anatomy.clear();
+        standing.bone_m.clear();
+        standing
+    }
 }
 
 /// Marks the pixels that removed voxels affect.

@@ -53,7 +53,13 @@ impl DrrRenderer {
         Computed { kind: RenderKind::Incremental, pixels: traced }
     }
 
-    fn trace_all(&self, field: &AttenuationField<'_>, c_arm: CArm, fan: &RayFan, image: &mut Vec<f64>) {
+    pub(super) fn trace_all(
+        &self,
+        field: &AttenuationField<'_>,
+        c_arm: CArm,
+        fan: &RayFan,
+        image: &mut Vec<f64>,
+    ) {
         image.resize(c_arm.pixels(), 0.0);
         let rows = image.par_chunks_mut(c_arm.columns as usize).zip(0_u32..c_arm.rows);
         self.pool.install(|| {

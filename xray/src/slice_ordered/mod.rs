@@ -21,6 +21,7 @@ mod copies;
 mod footprint;
 mod instructions;
 mod kernel;
+mod once;
 mod options;
 mod parts;
 mod plan;
@@ -33,6 +34,7 @@ mod warp;
 mod x86;
 
 pub use instructions::Instructions;
+pub(crate) use once::Images;
 pub use options::{CellShares, SliceOrderedMemory, SliceOrderedOptions, Sums, Update, UpdateCost};
 
 use crate::attenuation::MuTable;
@@ -42,7 +44,7 @@ use crate::grid::{Grid, VolumeView};
 use crate::machine::Machine;
 use crate::ray::RayFan;
 use crate::removal::RemovedVoxels;
-use parts::{Part, parts_of};
+use parts::{Part, parts_of, samples_of};
 use plan::{MAX_PIXELS, Rays, WEIGHT_BITS};
 use standing::{Show, Standing, Threads};
 use store::{Change, Source, Store, Values};
@@ -206,7 +208,7 @@ impl SliceOrdered {
         let parts = self.parts(&fan, c_arm);
         parts.iter().try_for_each(|part| self.ensure(view, removed, part.plan.axes.slow))?;
         if self.standing.is_none() {
-            let samples = parts.last().map_or(0, |last| last.samples().end);
+            let samples = samples_of(&parts);
             self.check_memory(samples)?;
             // Not zeros: the system would only promise these.
             self.fresh = (vec![1; samples], vec![1.0; samples]);
@@ -265,30 +267,41 @@ impl SliceOrdered {
         }
         let fan = RayFan::new(&self.store_grid, c_arm);
         // Reuse the old sums' memory.
-        let (mut sums, mut floats) =
+        let (sums, image_floats) =
             self.standing.take().map_or_else(|| core::mem::take(&mut self.fresh), |s| (s.sums, s.image));
         self.settle();
         let parts = self.parts(&fan, c_arm);
         parts.iter().try_for_each(|part| self.ensure(view, removed, part.plan.axes.slow))?;
-        let samples = parts.last().map_or(0, |last| last.samples().end);
-        self.check_memory(samples)?;
+        self.check_memory(samples_of(&parts))?;
+        let mut standing = Standing { c_arm: *c_arm, fan, parts, sums, image: image_floats };
+        self.cost.full_ns = self.sum(&mut standing);
+        self.develop(&mut standing, image);
+        self.standing = Some(standing);
+        Ok(Update::Full)
+    }
+
+    /// Sums all slices of the parts; returns how long it took, ns.
+    fn sum(&self, standing: &mut Standing) -> f64 {
+        let Standing { parts, sums, image, .. } = standing;
+        let samples = samples_of(parts);
         let began_ns = self.machine.now_ns();
         // Every sample is overwritten.
         sums.resize(samples, 0);
-        floats.resize(samples, 0.0);
-        self.store.sum(&parts, self.options.instructions, &mut sums);
-        self.cost.full_ns = self.machine.now_ns().saturating_sub(began_ns) as f64;
-        let mut standing = Standing { c_arm: *c_arm, fan, parts, sums, image: floats };
+        image.resize(samples, 0.0);
+        self.store.sum(parts, self.options.instructions, sums);
+        self.machine.now_ns().saturating_sub(began_ns) as f64
+    }
+
+    /// Sharpens the sums of all parts and warps them to the detector.
+    fn develop(&self, standing: &mut Standing, image: &mut [f64]) {
         let show = self.show(Threads::Pool);
         for part in 0..standing.parts.len() {
             let plan = &standing.parts[part].plan;
             let all = Rect { columns: (0, plan.columns), rows: (0, plan.rows) };
-            show.sharpen(&mut standing, part, &all);
+            show.sharpen(standing, part, &all);
         }
-        let detector = PixelBox { columns: (0, c_arm.columns), rows: (0, c_arm.rows) };
-        show.draw(&standing, &detector, image);
-        self.standing = Some(standing);
-        Ok(Update::Full)
+        let CArm { columns, rows, .. } = standing.c_arm;
+        show.draw(standing, &PixelBox { columns: (0, columns), rows: (0, rows) }, image);
     }
 
     /// Refuses intermediate images of more than 1 GiB that the memory cannot hold.

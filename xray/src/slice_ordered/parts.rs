@@ -39,6 +39,11 @@ impl Part {
     }
 }
 
+/// Samples of all parts together.
+pub(crate) fn samples_of(parts: &[Part]) -> usize {
+    parts.last().map_or(0, |last| last.samples().end)
+}
+
 /// The parts of a frame. Images of one rectangle follow one another.
 pub(crate) fn parts_of(all: &Rays<'_>) -> Vec<Part> {
     let mut parts = Vec::new();
@@ -82,7 +87,7 @@ fn cheaper(rays: &Rays<'_>, plans: &[Plan], halves: [PixelBox; 2]) -> Option<[(P
 fn add(parts: &mut Vec<Part>, pixels: PixelBox, plans: Vec<Plan>) {
     for (n, plan) in plans.into_iter().enumerate() {
         let blend = if n == 0 { Blend::Replace } else { Blend::Add };
-        let start = parts.last().map_or(0, |last| last.samples().end);
+        let start = samples_of(parts);
         parts.push(Part { pixels, blend, plan, start, dirty: Dirty::default() });
     }
 }

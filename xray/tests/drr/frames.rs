@@ -10,7 +10,7 @@ use crate::machine::Desk;
 const PIXELS: u32 = 72;
 
 /// An oblique, anisotropic volume with structure everywhere but in some empty blocks.
-fn volume() -> (Grid, Vec<i16>) {
+pub fn volume() -> (Grid, Vec<i16>) {
     let (s, c) = 0.4_f64.sin_cos();
     let direction = [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]];
     let grid =
@@ -28,11 +28,11 @@ fn random(i: u64) -> u64 {
     FrameSeed { seed: 99, frame: 0 }.hash(i)
 }
 
-fn batch(grid: &Grid, from: u64, count: u64) -> Vec<u32> {
+pub fn batch(grid: &Grid, from: u64, count: u64) -> Vec<u32> {
     (from..from + count).map(|i| (random(i + 1_000_000) % grid.voxels() as u64) as u32).collect()
 }
 
-fn tool(step: u64) -> Tool {
+pub fn tool(step: u64) -> Tool {
     let x = step as f64 * 1e-3 - 0.02;
     Tool {
         parts: vec![
@@ -64,7 +64,7 @@ fn parameters(projector: Projector, threads: usize) -> DrrParameters {
 }
 
 /// A detector close to the volume, so that its pixels are a third of a voxel and many rays graze the border.
-fn close_up(primary_deg: f64, secondary_deg: f64) -> CArm {
+pub fn close_up(primary_deg: f64, secondary_deg: f64) -> CArm {
     let format = DetectorFormat { columns: PIXELS, rows: PIXELS, pixel_pitch_m: [0.9e-3, 0.8e-3] };
     let angles = PositionerAngles::from_degrees(primary_deg, secondary_deg);
     CArm::from_positioner_angles([0.0; 3], angles, 0.12, 0.16, format).unwrap()

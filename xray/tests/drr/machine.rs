@@ -52,9 +52,9 @@ impl Machine for NoClock {
 }
 
 /// A machine that reports this much free memory, and gives at most this many bytes.
-struct Small {
-    free_bytes: Option<u64>,
-    given_bytes: usize,
+pub struct Small {
+    pub free_bytes: Option<u64>,
+    pub given_bytes: usize,
 }
 
 impl Machine for Small {

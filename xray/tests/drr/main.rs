@@ -7,6 +7,8 @@ mod attenuation;
 #[cfg(test)]
 mod bad_input;
 #[cfg(test)]
+mod batches;
+#[cfg(test)]
 mod camera;
 #[cfg(test)]
 mod coefficients;

@@ -165,6 +165,20 @@ impl Sim {
         Ok((PyBytes::new(py, rendered.frame.as_bytes()), PyBytes::new(py, rendered.pixels.as_bytes())))
     }
 
+    /// As `render` for each of several: a C-arm by its bytes or angles, or the scene's.
+    fn render_many<'py>(
+        &self,
+        py: Python<'py>,
+        given: Vec<(Option<Vec<u8>>, Option<(f64, f64)>)>,
+    ) -> PyResult<Vec<(Bound<'py, PyBytes>, Bound<'py, PyBytes>)>> {
+        let view =
+            |(geometry, angles_deg): &(Option<Vec<u8>>, _)| view_of(py, geometry.as_deref(), *angles_deg);
+        let views = given.iter().map(view).collect::<PyResult<Vec<View>>>()?;
+        let rendered = self.with(py, move |sim| sim.render_many(&views))?;
+        let bytes = |bytes: &[u8]| PyBytes::new(py, bytes);
+        Ok(rendered.iter().map(|one| (bytes(one.frame.as_bytes()), bytes(one.pixels.as_bytes()))).collect())
+    }
+
     /// As `render`; then of its labels the mask, six images of float32 one after the other in the order of `xray::Labels`, and column, row,
     /// depth and visibility of each keypoint as float64.
     #[pyo3(signature = (geometry, angles_deg, bone_from_hu))]

@@ -1,0 +1,92 @@
+//! Renders the frames of many poses, and writes their files: both on all threads, one frame on each.
+
+use std::time::Instant;
+
+use rayon::prelude::*;
+use xray::display::WindowLimits;
+use xray::{DrrRenderer, FrameSeed, Machine, Output, Shot, Tool, VolumeView};
+
+use super::files::Picture;
+use super::poses::Placed;
+use crate::failure::Failure;
+
+/// Bytes of pixels that are in memory at a time, about.
+const GROUP_BYTES: usize = 64 << 20;
+
+/// What a picture is made of.
+#[derive(Debug, Clone, Copy)]
+pub struct Look {
+    /// Values before windowing and rounding in place of greys.
+    pub as_values: bool,
+    /// As in [`Picture`].
+    pub linear: bool,
+    /// As in [`Picture`].
+    pub dense_is_dark: bool,
+    /// Seed of the noise, the same for every frame.
+    pub seed: u64,
+}
+
+impl Look {
+    fn empty(&self, placed: &Placed) -> Picture {
+        let pixels = placed.c_arm.pixels();
+        let (greys, values) = if self.as_values { (0, pixels) } else { (pixels, 0) };
+        Picture {
+            placed: *placed,
+            linear: self.linear,
+            dense_is_dark: self.dense_is_dark,
+            window: WindowLimits { low: 0.0, high: 1.0 },
+            greys: vec![0; greys],
+            values: vec![0.0; values],
+        }
+    }
+}
+
+/// Renders a frame of each pose, and has each written under its number, from 0 on. Returns how long rendering took, s.
+///
+/// # Errors
+/// The renderer's, and those of `write`.
+pub fn render_and_write(
+    renderer: &mut DrrRenderer,
+    view: &VolumeView<'_>,
+    poses: &[Placed],
+    look: Look,
+    write: impl Fn(usize, Picture) -> Result<(), Failure> + Sync,
+) -> Result<f64, Failure> {
+    let threads = renderer.parameters().threads;
+    let pool = drr_proc::ThisMachine.workers(threads).map_err(Failure::failed)?;
+    let most = poses.iter().map(|placed| placed.c_arm.pixels()).max().unwrap_or(1);
+    let at_a_time = (GROUP_BYTES / (most * if look.as_values { 4 } else { 2 })).max(threads);
+    let mut seconds = 0.0;
+    for (group, poses) in poses.chunks(at_a_time).enumerate() {
+        let began = Instant::now();
+        let pictures = render(renderer, view, poses, look)?;
+        seconds += began.elapsed().as_secs_f64();
+        let numbered = pictures.into_par_iter().enumerate();
+        pool.install(|| numbered.try_for_each(|(n, picture)| write(group * at_a_time + n, picture)))?;
+    }
+    Ok(seconds)
+}
+
+fn render(
+    renderer: &mut DrrRenderer,
+    view: &VolumeView<'_>,
+    poses: &[Placed],
+    look: Look,
+) -> Result<Vec<Picture>, Failure> {
+    let mut pictures: Vec<Picture> = poses.iter().map(|placed| look.empty(placed)).collect();
+    let (tool, seed) = (Tool::default(), FrameSeed { seed: look.seed, frame: 0 });
+    let mut shots: Vec<Shot<'_>> = pictures
+        .iter_mut()
+        .map(|Picture { placed, greys, values, .. }| {
+            let output = if look.as_values { Output::Float32(values) } else { Output::Mono16(greys) };
+            Shot { c_arm: placed.c_arm, tool: &tool, seed, output }
+        })
+        .collect();
+    let reports =
+        renderer.render_batch(view, &mut shots).map_err(|cause| Failure::failed(cause.to_string()))?;
+    drop(shots);
+    for (picture, report) in pictures.iter_mut().zip(reports) {
+        picture.window = report.window;
+    }
+    Ok(pictures)
+}
