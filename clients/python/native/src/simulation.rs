@@ -47,6 +47,9 @@ pub(crate) fn commands(py: Python<'_>, bytes: &[u8]) -> PyResult<Vec<Command>> {
     Ok(bytes.chunks_exact(size).filter_map(|bytes| Command::read_from_bytes(bytes).ok()).collect())
 }
 
+/// A C-arm as Python gives it: its bytes or its angles, or neither for the scene's.
+type Given = (Option<Vec<u8>>, Option<(f64, f64)>);
+
 /// From where a picture is taken: from a C-arm by its bytes or angles, or from the scene's.
 fn view_of(py: Python<'_>, geometry: Option<&[u8]>, angles_deg: Option<(f64, f64)>) -> PyResult<View> {
     match (geometry.map(CArmGeometry::read_from_bytes), angles_deg) {
@@ -169,7 +172,7 @@ impl Sim {
     fn render_many<'py>(
         &self,
         py: Python<'py>,
-        given: Vec<(Option<Vec<u8>>, Option<(f64, f64)>)>,
+        given: Vec<Given>,
     ) -> PyResult<Vec<(Bound<'py, PyBytes>, Bound<'py, PyBytes>)>> {
         let view =
             |(geometry, angles_deg): &(Option<Vec<u8>>, _)| view_of(py, geometry.as_deref(), *angles_deg);
