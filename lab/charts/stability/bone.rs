@@ -13,11 +13,13 @@ use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 
 const MODELS: [&str; 3] = ["planar", "spatial", "full"];
-/// Steps, ms; the first is what the others are compared with.
+/// Steps, ms.
 const DT_MS: [f64; 5] = [0.2, 1.0, 2.0, 5.0, 10.0];
+/// Step of the runs that they are compared with, ms; it divides all of them.
+const REFERENCE_MS: f64 = 0.1;
 /// How long a case rests under its last command, s; its second half is judged.
 const REST_S: f64 = 0.3;
-/// How far the burr may end from where it ends at the smallest step, m.
+/// How far the burr may end from where it ends at the reference's step, m.
 const MOVED_M: f64 = 0.2e-3;
 /// Most share of a contact's strength, and the farthest that a flexure may be past its stop, rad.
 const MOST_SHARE: f64 = 1.05;
@@ -25,7 +27,8 @@ const MOST_PAST_STOP_RAD: f64 = 0.1 * core::f64::consts::PI / 180.0;
 /// A tick converged if its residual is at most this, m/s; and the least share of the ticks that must.
 const RESIDUAL_M_PER_S: f64 = 1e-6;
 const LEAST_CONVERGED: f64 = 0.999;
-/// A jump of the flange's force by more than this share of itself, above this force, N; and the most share of the ticks in contact with one.
+/// A jump of the flange's force by more than this share of itself, above this force, N; and the most share of the ticks in contact with one,
+/// beyond the share in the reference between the same instants: where the command itself jumps, a right solution does so too.
 const JUMP: f64 = 0.5;
 const JUMP_FROM_N: f64 = 0.5;
 const MOST_JUMPS: f64 = 0.01;
@@ -42,9 +45,8 @@ struct Seen {
     past_stop_rad: f64,
     ticks: u64,
     converged: u64,
-    in_contact: u64,
-    jumps: u64,
-    flange_n: f64,
+    /// The flange's force after each tick, N, and whether the tool was in contact.
+    flange: Vec<(f64, bool)>,
     greatest_tension_n: f64,
 }
 
@@ -57,16 +59,24 @@ impl Seen {
         self.ticks += 1;
         self.converged += u64::from(state.contact_residual_m_per_s <= RESIDUAL_M_PER_S);
         let flange_n = Vector3::from(state.flange_wrench.force_n).norm();
-        if state.contact_count > 0 {
-            let larger = flange_n.max(self.flange_n);
-            self.in_contact += 1;
-            self.jumps += u64::from(larger > JUMP_FROM_N && (flange_n - self.flange_n).abs() > JUMP * larger);
-        }
-        self.flange_n = flange_n;
+        self.flange.push((flange_n, state.contact_count > 0));
     }
 
-    /// What is not as it should be, compared with the end at the smallest step.
-    fn faults(&self, reference_m: Option<Vector3<f64>>) -> Vec<String> {
+    /// Share of the ticks in contact in which the flange's force jumps, seen every so many ticks.
+    fn jump_share(&self, every: usize) -> f64 {
+        let (mut last_n, mut jumps, mut in_contact) = (0.0, 0u32, 0u32);
+        for (flange_n, touches) in self.flange.iter().skip(every - 1).step_by(every) {
+            let larger_n = flange_n.max(last_n);
+            let jumped = larger_n > JUMP_FROM_N && (flange_n - last_n).abs() > JUMP * larger_n;
+            in_contact += u32::from(*touches);
+            jumps += u32::from(*touches && jumped);
+            last_n = *flange_n;
+        }
+        f64::from(jumps) / f64::from(in_contact.max(1))
+    }
+
+    /// What is not as it should be, compared with a reference that takes so many ticks for each of these.
+    fn faults(&self, reference: Option<(&Seen, usize)>) -> Vec<String> {
         if let Some(cause) = &self.ended {
             return vec![cause.clone()];
         }
@@ -91,11 +101,12 @@ impl Seen {
         if converged < LEAST_CONVERGED {
             faults.push(format!("{:.1} % converged", converged * 100.0));
         }
-        let jumps = self.jumps as f64 / self.in_contact.max(1) as f64;
-        if jumps > MOST_JUMPS {
-            faults.push(format!("force jumps in {:.1} %", jumps * 100.0));
+        let jumps = [self.jump_share(1), reference.map_or(0.0, |(seen, every)| seen.jump_share(every))];
+        if jumps[0] - jumps[1] > MOST_JUMPS {
+            let [own, right] = jumps.map(|share| share * 100.0);
+            faults.push(format!("force jumps in {own:.1} %, {right:.1} in the reference"));
         }
-        let moved_m = reference_m.map_or(0.0, |reference_m| (self.burr_m - reference_m).norm());
+        let moved_m = reference.map_or(0.0, |(seen, _)| (self.burr_m - seen.burr_m).norm());
         if moved_m > MOVED_M {
             faults.push(format!("ends {:.2} mm off", moved_m * 1e3));
         }
@@ -110,9 +121,13 @@ impl Seen {
 pub fn run(sheet: &mut Sheet) -> Result<usize, Failure> {
     let of_models: Vec<(usize, &str)> =
         (0..CASES.len()).flat_map(|case| MODELS.map(|model| (case, model))).collect();
+    // Each with its reference first.
     let seen: Vec<Vec<Seen>> = of_models
         .par_iter()
-        .map(|(case, model)| DT_MS.iter().map(|dt_ms| play(&CASES[*case], model, *dt_ms)).collect())
+        .map(|(case, model)| {
+            let all_ms = core::iter::once(REFERENCE_MS).chain(DT_MS);
+            all_ms.map(|dt_ms| play(&CASES[*case], model, dt_ms)).collect()
+        })
         .collect::<Result<_, Failure>>()?;
     let mut right_at = [0; DT_MS.len()];
     for ((case, model), seen) in of_models.iter().zip(&seen) {
@@ -120,10 +135,12 @@ pub fn run(sheet: &mut Sheet) -> Result<usize, Failure> {
         if *model == MODELS[0] {
             sheet.line(&format!("{}: {}", case.name, case.what));
         }
-        let reference_m = seen.first().filter(|seen| seen.ended.is_none()).map(|seen| seen.burr_m);
+        let Some((reference, seen)) = seen.split_first() else { continue };
         let mut cells = Vec::new();
         for ((dt_ms, seen), right) in DT_MS.iter().zip(seen).zip(&mut right_at) {
-            let faults = seen.faults(reference_m);
+            let every = (dt_ms / REFERENCE_MS).round() as usize;
+            let of_reference = reference.ended.is_none().then_some((reference, every));
+            let faults = seen.faults(of_reference);
             *right += usize::from(faults.is_empty());
             let said = if faults.is_empty() { "ok".to_owned() } else { faults.join(", ") };
             cells.push(format!("{dt_ms} ms {said}"));
@@ -131,6 +148,8 @@ pub fn run(sheet: &mut Sheet) -> Result<usize, Failure> {
                 "runs",
                 json!({"case": case.name, "model": model, "dt_ms": dt_ms, "faults": faults, "burr_mm": (seen.burr_m * 1e3).as_slice(),
                        "share_of_strength": seen.most_share, "stop_excess_rad": seen.past_stop_rad,
+                       "jump_share": seen.jump_share(1), "jump_share_of_reference": reference.jump_share(every),
+                       "off_mm": (seen.burr_m - reference.burr_m).norm() * 1e3,
                        "converged": seen.converged as f64 / seen.ticks.max(1) as f64}),
             );
         }
@@ -188,10 +207,30 @@ mod tests {
     fn a_case_is_right_at_a_millisecond_and_a_run_that_is_not_says_what() {
         let case = CASES.iter().find(|case| case.name == "shell of one voxel").unwrap();
         let mut seen = play(case, "planar", 1.0).unwrap();
-        assert_eq!(seen.faults(Some(seen.burr_m)), Vec::<String>::new());
-        assert_eq!(seen.faults(Some(seen.burr_m + Vector3::x() * 0.3e-3)), ["ends 0.30 mm off"]);
+        let end_at = |burr_m| Seen { burr_m, flange: seen.flange.clone(), ..Seen::default() };
+        let [same, other] = [Vector3::zeros(), Vector3::x() * 0.3e-3].map(|by_m| end_at(seen.burr_m + by_m));
+        assert_eq!(seen.faults(Some((&same, 1))), Vec::<String>::new());
+        assert_eq!(seen.faults(Some((&other, 1))), ["ends 0.30 mm off"]);
         (seen.most_share, seen.past_stop_rad, seen.converged) = (1.2, 0.01, 0);
         let said = ["1.20 of the strength", "0.57 deg past a stop", "0.0 % converged"];
         assert_eq!(seen.faults(None), said);
+    }
+
+    /// A force that alternates between 1 and 4 N jumps in every tick, and is a fault unless the reference, seen every second tick, does so too.
+    #[test]
+    fn a_jump_is_a_fault_unless_the_reference_jumps_as_well() {
+        let of = |forces_n: &[f64]| Seen {
+            flange: forces_n.iter().map(|force_n| (*force_n, true)).collect(),
+            ticks: 1,
+            converged: 1,
+            ..Seen::default()
+        };
+        let jumpy = of(&[1.0, 4.0, 1.0, 4.0]);
+        assert_eq!([jumpy.jump_share(1), jumpy.jump_share(2)], [1.0, 0.5]);
+        let explains = of(&[1.0, 1.0, 2.0, 4.0, 2.0, 1.0, 3.0, 4.0]);
+        assert_eq!(jumpy.faults(Some((&explains, 2))), Vec::<String>::new());
+        let steady = of(&[1.0; 8]);
+        assert_eq!(jumpy.faults(Some((&steady, 2))), ["force jumps in 100.0 %, 25.0 in the reference"]);
+        assert_eq!(jumpy.faults(None), ["force jumps in 100.0 %, 0.0 in the reference"]);
     }
 }
