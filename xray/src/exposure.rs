@@ -10,10 +10,12 @@ use pulp::Arch;
 use rayon::prelude::*;
 
 use crate::attenuation::Material;
+use crate::carm::CArm;
 use crate::detector::{
     DetectorParameters, EXACT_POISSON_BELOW, FrameSeed, blur_row, gaussian_weights, photon_number,
 };
 use crate::display::{DisplayMode, DisplayParameters, Scale, WindowLimits};
+use crate::error::DrrError;
 use crate::exposure_loops::{
     BlurColumns, BlurRow, Detect, ReadOut, ReadThrough, Tabulate, ToGreys, Transmit, column_blur,
 };
@@ -47,6 +49,13 @@ impl Output<'_> {
     /// True if there are none.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
+    }
+
+    /// Checks the C-arm, and that there is a pixel for each of its own.
+    pub(crate) fn check(&self, c_arm: &CArm) -> Result<(), DrrError> {
+        c_arm.validate()?;
+        let (given, expected) = (self.len(), c_arm.pixels());
+        if given == expected { Ok(()) } else { Err(DrrError::Length { field: "image", given, expected }) }
     }
 }
 

@@ -96,9 +96,8 @@ impl PlacedTool {
         self.parts.clear();
         self.unsorted.clear();
         let pinhole = c_arm.pinhole();
-        for (number, part) in tool.parts.iter().enumerate() {
-            let refused = |reason| DrrError::ToolPart { part: number, reason };
-            let prepared = PreparedPart::new(part).map_err(refused)?;
+        for prepared in tool.prepared() {
+            let prepared = prepared?;
             let mu_per_m = prepared.material().mu_per_m(energy_kev)?;
             let before = self.unsorted.len();
             self.outline.draw(&prepared, c_arm, &pinhole, self.parts.len() as u32, &mut self.unsorted);

@@ -17,7 +17,7 @@ use crate::grid::VolumeView;
 use crate::ray::RayFan;
 use crate::slice_ordered::Images;
 use crate::solids::SolidLayer;
-use crate::tool::{PreparedPart, Tool};
+use crate::tool::Tool;
 use crate::tool_layer::{DisplacedBy, PlacedTool};
 
 /// One frame of a batch.
@@ -35,15 +35,8 @@ pub struct Shot<'a> {
 
 impl Shot<'_> {
     fn check(&self) -> Result<(), DrrError> {
-        self.c_arm.validate()?;
-        let (given, expected) = (self.output.len(), self.c_arm.pixels());
-        if given != expected {
-            return Err(DrrError::Length { field: "image", given, expected });
-        }
-        for (part, given) in self.tool.parts.iter().enumerate() {
-            PreparedPart::new(given).map_err(|reason| DrrError::ToolPart { part, reason })?;
-        }
-        Ok(())
+        self.output.check(&self.c_arm)?;
+        self.tool.prepared().try_for_each(|part| part.map(drop))
     }
 }
 

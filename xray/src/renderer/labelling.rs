@@ -32,11 +32,7 @@ impl DrrRenderer {
     ) -> Result<Labels, DrrError> {
         self.check_view(view)?;
         c_arm.validate()?;
-        let mut prepared = Vec::with_capacity(request.tool.parts.len());
-        for (number, part) in request.tool.parts.iter().enumerate() {
-            let refused = |reason| DrrError::ToolPart { part: number, reason };
-            prepared.push(PreparedPart::new(part).map_err(refused)?);
-        }
+        let prepared = request.tool.prepared().collect::<Result<Vec<PreparedPart>, DrrError>>()?;
         let fan = RayFan::new(&self.grid, c_arm);
         let mut arm = SolidLayer::default();
         self.pool.install(|| arm.draw(request.tool.arm.as_ref(), c_arm, &fan));

@@ -222,10 +222,7 @@ impl DrrRenderer {
         mut output: Output<'_>,
     ) -> Result<FrameReport, DrrError> {
         self.check_view(view)?;
-        c_arm.validate()?;
-        if output.len() != c_arm.pixels() {
-            return Err(DrrError::Length { field: "image", given: output.len(), expected: c_arm.pixels() });
-        }
+        output.check(c_arm)?;
         self.tool.place(tool, c_arm, self.parameters.energy_kev)?;
         let mut standing = match self.standing.take() {
             Some(s) if s.c_arm == *c_arm => s,

@@ -162,15 +162,20 @@ impl SliceOrdered {
     /// Keeps the sums of the current C-arm while frames of other C-arms are rendered, until [`SliceOrdered::step_back`]. No voxel may be
     /// removed in between, because the kept sums would miss it.
     pub fn step_aside(&mut self) {
-        if self.cost.prefers_full(self.waiting.len()) {
-            self.standing = None;
-        }
-        self.settle();
+        self.settle_or_drop();
         core::mem::swap(&mut self.standing, &mut self.aside);
         // Its sums lack the voxels removed since. With zero columns it matches no C-arm.
         if let Some(standing) = &mut self.standing {
             standing.c_arm.columns = 0;
         }
+    }
+
+    /// Applies pending changes; drops the current C-arm's sums first if a full frame costs less than to change them.
+    fn settle_or_drop(&mut self) {
+        if self.cost.prefers_full(self.waiting.len()) {
+            self.standing = None;
+        }
+        self.settle();
     }
 
     /// Returns to the C-arm in use before [`SliceOrdered::step_aside`].

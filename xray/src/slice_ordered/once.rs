@@ -31,10 +31,7 @@ impl SliceOrdered {
         c_arms: impl IndexedParallelIterator<Item = &'a CArm>,
         at_a_time: usize,
     ) -> Result<(), DrrError> {
-        if self.cost.prefers_full(self.waiting.len()) {
-            self.standing = None;
-        }
-        self.settle();
+        self.settle_or_drop();
         let needs = |c_arm: &CArm| {
             let parts = self.parts(&RayFan::new(&self.store_grid, c_arm), c_arm);
             let across = |slow: usize| parts.iter().any(|part| part.plan.axes.slow == slow);

@@ -8,6 +8,7 @@ mod crossing;
 mod part;
 
 use crate::attenuation::Material;
+use crate::error::DrrError;
 use crate::solids::PlacedSolids;
 
 pub use crossing::{Crossing, join_intervals};
@@ -132,4 +133,13 @@ pub struct Tool {
     pub parts: Vec<ToolPart>,
     /// The arm, if X-ray frames show it. It displaces no anatomy, and labels leave it out.
     pub arm: Option<PlacedSolids>,
+}
+
+impl Tool {
+    /// The parts, checked, in their order.
+    pub(crate) fn prepared(&self) -> impl Iterator<Item = Result<PreparedPart, DrrError>> {
+        let prepare =
+            |(part, given)| PreparedPart::new(given).map_err(|reason| DrrError::ToolPart { part, reason });
+        self.parts.iter().enumerate().map(prepare)
+    }
 }
