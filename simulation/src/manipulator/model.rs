@@ -336,6 +336,15 @@ impl AnyManipulator {
             Self::Full(_) => Rung::Full,
         }
     }
+
+    /// False while a flexure of a tool in moment modes is beyond its stop ([`MomentModes::is_valid`]); the other models hold there.
+    pub fn is_valid(&self) -> bool {
+        match self {
+            Self::FewModes(tool) => tool.is_valid(),
+            Self::MoreModes(tool) => tool.is_valid(),
+            _ => true,
+        }
+    }
 }
 
 macro_rules! each {

@@ -3,7 +3,7 @@
 use messages::PastStop;
 
 use super::Simulation;
-use crate::manipulator::{AnyManipulator, ManipulatorModel, Rung};
+use crate::manipulator::{AnyManipulator, ManipulatorModel};
 
 /// How far each flexure is past its stop, rad; below zero short of it.
 pub(super) fn past_stops(tool: &AnyManipulator) -> impl Iterator<Item = f64> {
@@ -13,11 +13,10 @@ pub(super) fn past_stops(tool: &AnyManipulator) -> impl Iterator<Item = f64> {
 }
 
 impl Simulation<'_> {
-    /// The flexure farthest past its stop, of a tool in moment modes: its bending moment jumps there, which they do not follow. The other
-    /// models hold there.
+    /// The flexure farthest past its stop, if the tool's model is not valid because of it.
     pub fn invalid_flexure(&self) -> Option<PastStop> {
         let tool = &self.manipulator;
-        if self.state.stop_excess_rad <= 0.0 || tool.rung() != Rung::Modal {
+        if tool.is_valid() {
             return None;
         }
         let (flexure, excess_rad) = past_stops(tool).enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
