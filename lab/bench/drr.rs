@@ -71,6 +71,13 @@ pub(super) fn pose(primary: f64, secondary: f64, side: u32) -> Result<CArm, DrrE
     CArm::from_positioner_angles([0.0; 3], angles, 0.7, 1.0, format)
 }
 
+/// A thigh as wide as the volume: at size 1 it fills 240 x 200 x 320 mm; it extends beyond the ends of a shorter volume.
+pub(super) fn thigh(grid: &Grid, dimensions: [usize; 3], spacing_m: f64) -> Vec<i16> {
+    let size = dimensions[0].min(dimensions[1]) as f64 * spacing_m / 0.24;
+    let solids = reference::thigh(size).into_iter().map(Solid::Ellipsoid).collect();
+    Phantom { solids }.voxelise(grid, 2)
+}
+
 /// Renders a phantom of these dimensions `rounds` times from three sides.
 ///
 /// # Errors
@@ -79,10 +86,7 @@ pub fn run(dimensions: [usize; 3], rounds: usize, sheet: &mut Sheet) -> Result<(
     let longest = dimensions.into_iter().max().unwrap_or(1);
     let spacing_m = SPACING_M * (512.0 / longest as f64).min(1.0);
     let grid = Grid::centred(dimensions, [spacing_m; 3]).map_err(Failure::bad_input)?;
-    // At size 1 the thigh fills 240 x 200 x 320 mm; it extends beyond the ends of a shorter volume.
-    let size = dimensions[0].min(dimensions[1]) as f64 * spacing_m / 0.24;
-    let solids = reference::thigh(size).into_iter().map(Solid::Ellipsoid).collect();
-    let hu = Phantom { solids }.voxelise(&grid, 2);
+    let hu = thigh(&grid, dimensions, spacing_m);
     let view = VolumeView::new(grid, &hu).map_err(failed)?;
     let machine = Machine::watch();
     sheet.line(&format!(

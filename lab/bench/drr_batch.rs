@@ -5,12 +5,12 @@ use std::time::Instant;
 
 use drr_proc::ThisMachine;
 use serde_json::json;
-use xray::reference::{self, Phantom, Solid};
 use xray::{
     CArm, DetectorFormat, DetectorParameters, DrrParameters, DrrRenderer, FrameSeed, Grid, Output,
     PositionerAngles, Shot, Tool, VolumeView,
 };
 
+use super::drr::thigh;
 use super::failed;
 use super::samples::median;
 use crate::sheet::Sheet;
@@ -24,6 +24,8 @@ const SHARED_DATA: &str = "../shared/data";
 const SIDE: u32 = 512;
 const PITCH_M: f64 = 0.6e-3;
 const THREADS: usize = 2;
+/// Voxel size of the thigh.
+const SPACING_M: f64 = 0.5e-3;
 
 /// Poses about a point.
 struct Poses {
@@ -42,10 +44,8 @@ pub fn run(dimensions: [usize; 3], count: usize, rounds: usize, sheet: &mut Shee
         "{count} poses, {SIDE} x {SIDE} pixels, {THREADS} threads; frames a second as best (median) of {rounds} rounds in turn, \
          ratio as median of the rounds\n"
     ));
-    let grid = Grid::centred(dimensions, [0.5e-3; 3]).map_err(Failure::bad_input)?;
-    let size = dimensions[0].min(dimensions[1]) as f64 * 0.5e-3 / 0.24;
-    let solids = reference::thigh(size).into_iter().map(Solid::Ellipsoid).collect();
-    let hu = Phantom { solids }.voxelise(&grid, 2);
+    let grid = Grid::centred(dimensions, [SPACING_M; 3]).map_err(Failure::bad_input)?;
+    let hu = thigh(&grid, dimensions, SPACING_M);
     let view = VolumeView::new(grid, &hu).map_err(failed)?;
     sheet.line(&format!("thigh, {dimensions:?} voxels of 0.5 mm:"));
     sheet.within("thigh", |sheet| in_turn(&view, [0.0; 3], count, rounds, sheet))?;
@@ -105,15 +105,14 @@ fn in_turn(
     let detector =
         DetectorParameters { quantum_noise: false, blur_sigma_px: 0.0, ..DetectorParameters::default() };
     let parameters = DrrParameters { threads: THREADS, detector, ..DrrParameters::default() };
-    let mut renderer = DrrRenderer::new(view, parameters, &ThisMachine).map_err(failed)?;
+    let renderer = DrrRenderer::new(view, parameters, &ThisMachine).map_err(failed)?;
+    let mut renders = Renders { renderer, view, tool: Tool::default() };
     for Poses { name, key, c_arms } in poses(centre_m, count)? {
         let (mut single, mut batch) = (Vec::new(), Vec::new());
         // The first round finds its memory written to.
         for round in 0..=rounds {
-            let (one, alone) =
-                timed(c_arms.len(), |images| one_by_one(&mut renderer, view, &c_arms, images))?;
-            let (many, together) =
-                timed(c_arms.len(), |images| at_once(&mut renderer, view, &c_arms, images))?;
+            let (one, alone) = timed(c_arms.len(), |images| renders.one_by_one(&c_arms, images))?;
+            let (many, together) = timed(c_arms.len(), |images| renders.at_once(&c_arms, images))?;
             if alone != together {
                 return Err(Failure::failed("a frame of a batch differs from the frame alone"));
             }
@@ -146,32 +145,27 @@ fn timed(
     Ok((count as f64 / began.elapsed().as_secs_f64(), images))
 }
 
-fn one_by_one(
-    renderer: &mut DrrRenderer,
-    view: &VolumeView<'_>,
-    c_arms: &[CArm],
-    images: &mut [Vec<u16>],
-) -> Result<(), Failure> {
-    let tool = Tool::default();
-    c_arms.iter().zip(images).try_for_each(|(c_arm, image)| {
-        renderer.render(view, c_arm, &tool, FrameSeed::default(), image).map(drop).map_err(failed)
-    })
+/// Renders frames of a volume in both ways.
+struct Renders<'a> {
+    renderer: DrrRenderer,
+    view: &'a VolumeView<'a>,
+    tool: Tool,
 }
 
-fn at_once(
-    renderer: &mut DrrRenderer,
-    view: &VolumeView<'_>,
-    c_arms: &[CArm],
-    images: &mut [Vec<u16>],
-) -> Result<(), Failure> {
-    let tool = Tool::default();
-    let shot = |(c_arm, image)| Shot {
-        c_arm,
-        tool: &tool,
-        seed: FrameSeed::default(),
-        output: Output::Mono16(image),
-    };
-    let images = images.iter_mut().map(|image| &mut image[..]);
-    let mut shots: Vec<Shot<'_>> = c_arms.iter().copied().zip(images).map(shot).collect();
-    renderer.render_batch(view, &mut shots).map(drop).map_err(failed)
+impl Renders<'_> {
+    fn one_by_one(&mut self, c_arms: &[CArm], images: &mut [Vec<u16>]) -> Result<(), Failure> {
+        let Self { renderer, view, tool } = self;
+        c_arms.iter().zip(images).try_for_each(|(c_arm, image)| {
+            renderer.render(view, c_arm, tool, FrameSeed::default(), image).map(drop).map_err(failed)
+        })
+    }
+
+    fn at_once(&mut self, c_arms: &[CArm], images: &mut [Vec<u16>]) -> Result<(), Failure> {
+        let Self { renderer, view, tool } = self;
+        let seed = FrameSeed::default();
+        let shot = |(c_arm, image)| Shot { c_arm, tool, seed, output: Output::Mono16(image) };
+        let images = images.iter_mut().map(|image| &mut image[..]);
+        let mut shots: Vec<Shot<'_>> = c_arms.iter().copied().zip(images).map(shot).collect();
+        renderer.render_batch(view, &mut shots).map(drop).map_err(failed)
+    }
 }
