@@ -144,15 +144,12 @@ impl RayFan {
         add_scaled(in_row, f64::from(row), self.row_step_index)
     }
 
-    /// True if a volume with a margin of one voxel lies entirely on the source's side of the detector plane.
-    pub(crate) fn is_before_detector(&self, dims: [usize; 3]) -> bool {
+    /// True if these points, in index coordinates, lie on the source's side of the detector plane.
+    pub(crate) fn is_before_detector(&self, points: &[Vec3]) -> bool {
         let normal = cross(self.column_step_index, self.row_step_index);
         let plane = dot(self.first_index, normal);
-        (0..8_u32).all(|corner| {
-            let p = [0, 1, 2].map(|a| if corner >> a & 1 == 1 { dims[a] as f64 } else { -1.0 });
-            // The quotient is the ray parameter of the plane through the corner parallel to the detector.
-            dot(sub(p, self.source_index), normal) / plane <= 1.0
-        })
+        // The quotient is the ray parameter of the plane through the point parallel to the detector.
+        points.iter().all(|p| dot(sub(*p, self.source_index), normal) / plane <= 1.0)
     }
 
     /// The rays of one detector row.

@@ -1,6 +1,6 @@
 //! Line integrals in the volume's memory order (shear-warp): all slices, as seen from the source, are summed into an intermediate image
-//! of integers, which is then warped once onto the detector. Every frame is computed so: where the volume extends behind the detector, a
-//! ray's samples end there; where no axis suits all rays, parts of the detector have images of their own.
+//! of integers, which is then warped once onto the detector. Every frame is computed so: where what attenuates extends behind the
+//! detector, a ray's samples end there; where no axis suits all rays, parts of the detector have images of their own.
 //!
 //! - Every sample is Joseph's (bilinear in a slice): two voxel rows are blended into one row of 16-bit integers, with rounding, and two
 //!   neighbours in it are added with 14-bit weights whose sum is exactly 2^14. All arithmetic is integer, so instruction set, number of
@@ -21,6 +21,7 @@ mod copies;
 mod footprint;
 mod instructions;
 mod kernel;
+mod occupied;
 mod once;
 mod options;
 mod parts;
@@ -44,6 +45,7 @@ use crate::grid::{Grid, VolumeView};
 use crate::machine::Machine;
 use crate::ray::RayFan;
 use crate::removal::RemovedVoxels;
+use occupied::Occupied;
 use parts::{Part, parts_of, samples_of};
 use plan::{MAX_PIXELS, Rays, WEIGHT_BITS};
 use standing::{Show, Standing, Threads};
@@ -66,6 +68,8 @@ pub struct SliceOrdered {
     /// Attenuation of one unit, 1/m.
     unit_per_m: f64,
     store: Store,
+    /// Of the stored voxels.
+    occupied: Occupied,
     standing: Option<Standing>,
     /// After [`SliceOrdered::step_aside`] the previous cache; otherwise memory for the next one-off frame.
     aside: Option<Standing>,
@@ -100,6 +104,7 @@ impl SliceOrdered {
             machine,
             grid,
             store_grid: store.grid(&grid)?,
+            occupied: store.occupied(view, &values),
             values,
             fill: Values::rounded(fill_mu_per_m, unit_per_m),
             unit_per_m: unit_per_m * f64::from(store.step()),
@@ -149,6 +154,7 @@ impl SliceOrdered {
     /// Restores all voxels; copies and sums are rebuilt.
     pub fn restore_all(&mut self, view: &VolumeView<'_>) {
         self.store.restore(view, &self.values);
+        self.occupied = self.store.occupied(view, &self.values);
         self.standing = None;
         self.aside = None;
         self.waiting.clear();
@@ -195,6 +201,11 @@ impl SliceOrdered {
         let old = self.values.of(hu);
         if old != self.fill {
             self.waiting.extend(self.store.change(&self.grid, linear, old, self.fill));
+            // Of air that is filled with something else, the images that stand know nothing.
+            if self.occupied.include(self.store.voxel_of(&self.grid, linear)) {
+                self.standing = None;
+                self.aside = None;
+            }
         }
         Ok(())
     }
@@ -223,7 +234,7 @@ impl SliceOrdered {
 
     fn parts(&self, fan: &RayFan, c_arm: &CArm) -> Vec<Part> {
         let pixels = PixelBox { columns: (0, c_arm.columns), rows: (0, c_arm.rows) };
-        parts_of(&Rays { grid: &self.store_grid, fan, pixels, oversampling: self.options.oversampling })
+        parts_of(&Rays { occupied: &self.occupied, fan, pixels, oversampling: self.options.oversampling })
     }
 
     fn ensure(

@@ -5,7 +5,9 @@
 //! `r_k` is the ratio of the two depths. The step is constant, so no ray needs its own arithmetic. (P. Lacroute and M. Levoy, "Fast
 //! volume rendering using a shear-warp factorization", SIGGRAPH 1994, here with a point source.)
 //!
-//! One image serves all rays and all slices if the volume lies before the detector and no ray passes more than four voxels per slice.
+//! Only the box of the voxels that attenuate counts: slices beside it are left out, and images reach no further.
+//!
+//! One image serves all rays and all slices if that box lies before the detector and no ray passes more than four voxels per slice.
 //! Otherwise [`parts`](super::parts) splits the detector into rectangles; each has its own axes, and an image for each range of depths,
 //! so that near slices are not sampled as densely as the farthest requires.
 //!
@@ -15,8 +17,8 @@
 use super::before::BeforeDetector;
 use super::copies::CELL;
 use super::footprint::visible_groups;
+use super::occupied::Occupied;
 use crate::carm::PixelBox;
-use crate::grid::Grid;
 use crate::ray::RayFan;
 use crate::vector::Vec3;
 
@@ -94,9 +96,9 @@ pub(crate) struct Slice {
     pub step: i64,
     /// Inverse of the step: pixels per 2^-32 voxel, rounded.
     pub samples_per_position: f64,
-    /// Groups that can intersect the volume, half-open.
+    /// Groups that can read an occupied voxel, half-open.
     pub groups: (usize, usize),
-    /// Rows that can intersect the volume, half-open.
+    /// Rows that can read an occupied voxel, half-open.
     pub rows: (usize, usize),
     /// Depth of the image's plane over this slice's.
     pub inverse_ratio: f64,
@@ -166,7 +168,7 @@ impl Slice {
 /// The rays that share intermediate images: those to a rectangle of the detector.
 #[derive(Clone, Copy)]
 pub(crate) struct Rays<'a> {
-    pub grid: &'a Grid,
+    pub occupied: &'a Occupied,
     pub fan: &'a RayFan,
     pub pixels: PixelBox,
     pub oversampling: f64,
@@ -203,6 +205,13 @@ struct Range {
 }
 
 impl Range {
+    /// All occupied slices.
+    fn of(rays: &Rays<'_>, corners: &[Vec3; 4], axes: Axes) -> Self {
+        let slices = rays.occupied.along(axes.slow);
+        let ends = (slices.start, slices.end.max(slices.start + 1) - 1);
+        Self { axes, forward: corners[0][axes.slow] > 0.0, ends }
+    }
+
     fn last(&self) -> usize {
         if self.forward { self.ends.1 } else { self.ends.0 }
     }
@@ -213,17 +222,16 @@ impl Range {
 }
 
 impl Plan {
-    /// One image for all rays and slices. `None` if no axis suits all rays, or if the volume extends behind the detector's plane.
+    /// One image for all rays and slices. `None` if no axis suits all rays, or if the occupied box extends behind the detector's plane.
     pub fn whole(rays: &Rays<'_>) -> Option<Self> {
         let corners = rays.fan.corner_directions(&rays.pixels);
-        let dims = rays.grid.dims();
         let axes = best_axes(&corners, MAX_SLOPE)?;
-        if !rays.fan.is_before_detector(dims) {
+        if !rays.fan.is_before_detector(&rays.occupied.corners()) {
             return None;
         }
-        let mut range = Range { axes, forward: corners[0][axes.slow] > 0.0, ends: (0, dims[axes.slow] - 1) };
+        let mut range = Range::of(rays, &corners, axes);
         let (source, last) = (rays.fan.source_index(), range.last());
-        let seen = (0..dims[axes.slow]).filter(|&k| range.depth(source, k) >= MIN_DEPTH);
+        let seen = rays.occupied.along(axes.slow).filter(|&k| range.depth(source, k) >= MIN_DEPTH);
         let Some(ends) = ends(seen) else { return Some(Self::empty(rays, axes, last)) };
         range.ends = ends;
         Self::of(rays, &range)
@@ -234,10 +242,10 @@ impl Plan {
     pub fn layers(rays: &Rays<'_>) -> Option<Vec<Self>> {
         let corners = rays.fan.corner_directions(&rays.pixels);
         let axes = best_axes(&corners, MAX_PART_SLOPE)?;
-        let count = rays.grid.dims()[axes.slow];
-        let mut range = Range { axes, forward: corners[0][axes.slow] > 0.0, ends: (0, count - 1) };
+        let mut range = Range::of(rays, &corners, axes);
         let source = rays.fan.source_index();
-        let seen = (0..count).filter(|&k| is_met(rays.grid, source, &corners, axes, range.depth(source, k)));
+        let is_met = |&k: &usize| is_met(rays.occupied, source, &corners, axes, range.depth(source, k));
+        let seen = rays.occupied.along(axes.slow).filter(is_met);
         let Some((a, b)) = ends(seen) else { return Some(vec![Self::empty(rays, axes, range.last())]) };
         let mut best: Option<(f64, Vec<Self>)> = None;
         for layers in 1..=MAX_LAYERS {
@@ -295,7 +303,7 @@ impl Plan {
     /// `None` if the image would be too large.
     fn of(rays: &Rays<'_>, range: &Range) -> Option<Self> {
         let Range { axes, ends: (a, b), .. } = *range;
-        let (corners, dims) = (rays.fan.corner_directions(&rays.pixels), rays.grid.dims());
+        let (corners, occupied) = (rays.fan.corner_directions(&rays.pixels), rays.occupied);
         let (source, oversampling) = (rays.fan.source_index(), rays.oversampling);
         let far_depth = range.depth(source, range.last());
         let mut plan = Self::empty(rays, axes, range.last());
@@ -308,8 +316,9 @@ impl Plan {
             let hull = |x: f64| ratios.map(|r| (source[axis] + (x - source[axis]) / r) * oversampling);
             let least = |values: &[f64]| values.iter().copied().fold(f64::INFINITY, f64::min);
             let most = |values: &[f64]| values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-            let low = least(&detector).max(least(&hull(-1.0))) - MARGIN;
-            let high = most(&detector).min(most(&hull(dims[axis] as f64))) + MARGIN;
+            let [first, end] = occupied.reach(axis);
+            let low = least(&detector).max(least(&hull(first))) - MARGIN;
+            let high = most(&detector).min(most(&hull(end))) + MARGIN;
             let unit = [GROUP, TILE_ROWS][m] as i64;
             if high < low || low.is_nan() || high.is_nan() {
                 return Some(Self::empty(rays, axes, range.last()));
@@ -328,20 +337,21 @@ impl Plan {
         }
         [plan.columns, plan.rows] = size;
         plan.visible = visible_groups(footprint, size);
-        plan.before = (!rays.fan.is_before_detector(dims)).then(|| BeforeDetector::new(rays.fan, &plan));
-        plan.slices = (a..=b).map(|k| plan.slice(k, range.depth(source, k) / far_depth, dims)).collect();
+        let is_before = rays.fan.is_before_detector(&occupied.corners());
+        plan.before = (!is_before).then(|| BeforeDetector::new(rays.fan, &plan));
+        plan.slices = (a..=b).map(|k| plan.slice(k, range.depth(source, k) / far_depth, occupied)).collect();
         Some(plan)
     }
 
-    fn slice(&self, index: usize, ratio: f64, dims: [usize; 3]) -> Slice {
+    fn slice(&self, index: usize, ratio: f64, occupied: &Occupied) -> Slice {
         let step = fixed(ratio / self.oversampling).min(MAX_STEP);
         let axes = [self.axes.u, self.axes.v];
         let start = [0, 1].map(|m| fixed(self.source[axes[m]] * (1.0 - ratio)) + self.first[m] * step);
         // A sample reads its voxel and the next one.
         let range = |m: usize, unit: i64, reach: i64, count: usize| {
-            let stride = unit * step;
-            let low = (-(reach * ONE) - start[m]).div_euclid(stride);
-            let high = (dims[axes[m]] as i64 * ONE - 1 - start[m]).div_euclid(stride) + 1;
+            let (stride, along) = (unit * step, occupied.along(axes[m]));
+            let low = ((along.start as i64 - reach) * ONE - start[m]).div_euclid(stride);
+            let high = (along.end as i64 * ONE - 1 - start[m]).div_euclid(stride) + 1;
             let clamp = |x: i64| x.clamp(0, count as i64) as usize;
             (clamp(low), clamp(high))
         };
@@ -361,10 +371,11 @@ impl Plan {
                 .is_some_and(|b| b.cuts(inverse_ratio, (0, self.columns), (0, self.rows))),
         };
         // `div_euclid` rounds down: the first group or row may lie just outside.
-        while slice.groups.0 < slice.groups.1 && slice.group(slice.groups.0).voxel < -GROUP_REACH {
+        let [u, v] = axes.map(|axis| occupied.along(axis).start as i64);
+        while slice.groups.0 < slice.groups.1 && slice.group(slice.groups.0).voxel < u - GROUP_REACH {
             slice.groups.0 += 1;
         }
-        while slice.rows.0 < slice.rows.1 && slice.row(slice.rows.0).0 < -1 {
+        while slice.rows.0 < slice.rows.1 && slice.row(slice.rows.0).0 < v - 1 {
             slice.rows.0 += 1;
         }
         slice
@@ -406,8 +417,8 @@ fn ends(mut of: impl Iterator<Item = usize>) -> Option<(usize, usize)> {
     Some((first, of.last().unwrap_or(first)))
 }
 
-/// True if rays between the corners meet the volume at a depth, in slices, before the detector's plane.
-fn is_met(grid: &Grid, source: Vec3, corners: &[Vec3; 4], axes: Axes, depth: f64) -> bool {
+/// True if rays between the corners meet the occupied box at a depth, in slices, before the detector's plane.
+fn is_met(occupied: &Occupied, source: Vec3, corners: &[Vec3; 4], axes: Axes, depth: f64) -> bool {
     // At most five samples beside a ray are read, each at most 1.25 voxels from the next.
     const BESIDE: f64 = 8.0;
     let farthest = corners.iter().map(|d| d[axes.slow].abs()).fold(0.0, f64::max);
@@ -415,7 +426,8 @@ fn is_met(grid: &Grid, source: Vec3, corners: &[Vec3; 4], axes: Axes, depth: f64
         let at = corners.map(|d| source[axis] + depth * d[axis] / d[axes.slow].abs());
         let least = at.into_iter().fold(f64::INFINITY, f64::min);
         let most = at.into_iter().fold(f64::NEG_INFINITY, f64::max);
-        least - BESIDE <= grid.dims()[axis] as f64 && most + BESIDE >= -1.0
+        let [first, end] = occupied.reach(axis);
+        least - BESIDE <= end && most + BESIDE >= first
     };
     (MIN_PART_DEPTH..=farthest).contains(&depth) && meets(axes.u) && meets(axes.v)
 }

@@ -8,6 +8,7 @@ use super::Machine;
 use super::copies::{Copy3, Voxel, copy_elements};
 use super::instructions::Instructions;
 use super::kernel::{TILES, Work};
+use super::occupied::Occupied;
 use super::options::CellShares;
 use super::parts::Part;
 use super::plan::{Axes, TILE_ROWS};
@@ -115,15 +116,38 @@ impl Store {
 
     /// The change in the store when a voxel of the volume changes from one value to another; `None` if the stored values stay the same.
     pub fn change(&mut self, grid: &Grid, linear: usize, from: i16, to: i16) -> Option<Change> {
+        let [i, j, k] = self.voxel_of(grid, linear);
         match self {
             Self::Whole(_) => Some(Change { linear: linear as u32, value: to }),
             Self::Preview { blocks, .. } => {
-                let block = grid.voxel_of(linear).map(|v| v / blocks.side);
-                let at = block[0] + blocks.dims[0] * (block[1] + blocks.dims[1] * block[2]);
+                let at = i + blocks.dims[0] * (j + blocks.dims[1] * k);
                 let before = blocks.value(blocks.sums[at]);
                 blocks.sums[at] = blocks.sums[at] + u32::from(to as u16) - u32::from(from as u16);
                 let after = blocks.value(blocks.sums[at]);
                 (before != after).then_some(Change { linear: at as u32, value: after })
+            }
+        }
+    }
+
+    /// The stored voxel that a voxel of the volume is part of.
+    pub fn voxel_of(&self, grid: &Grid, linear: usize) -> [usize; 3] {
+        let voxel = grid.voxel_of(linear);
+        match self {
+            Self::Whole(_) => voxel,
+            Self::Preview { blocks, .. } => voxel.map(|v| v / blocks.side),
+        }
+    }
+
+    /// The box of the stored voxels that attenuate.
+    pub fn occupied(&self, view: &VolumeView<'_>, values: &Values) -> Occupied {
+        match self {
+            Self::Whole(_) => {
+                let attenuates = |hu: i16| values.of(hu) > 0;
+                let least = (i16::MIN..i16::MAX).find(|hu| attenuates(*hu)).unwrap_or(i16::MAX);
+                Occupied::of(view.grid().dims(), view.hu(), least, attenuates)
+            }
+            Self::Preview { blocks, .. } => {
+                Occupied::of(blocks.dims, &blocks.sums, 1, |sum| blocks.value(sum) > 0)
             }
         }
     }

@@ -90,6 +90,49 @@ fn blocks_of_equal_voxels_hold_exactly_what_their_voxels_take_away_one_by_one() 
     }
 }
 
+/// Sums know the box of what attenuates. Irrigation also fills air beyond it.
+#[test]
+fn air_beyond_the_bone_that_is_filled_is_summed() {
+    let dims = [60, 50, 40];
+    let grid = Grid::centred(dims, [1e-3; 3]).unwrap();
+    let is_bone =
+        |[x, y, z]: [usize; 3]| (20..30).contains(&x) && (22..35).contains(&y) && (9..30).contains(&z);
+    let hu: Vec<i16> =
+        (0..grid.voxels()).map(|n| if is_bone(grid.voxel_of(n)) { 900 } else { -1000 }).collect();
+    let view = VolumeView::new(grid, &hu).unwrap();
+    let c_arm = c_arm(40.0, 20.0, 64);
+    // Through the bone, beside it, and in the volume's corners.
+    let filled: Vec<u32> = [[25, 30, 20], [21, 22, 9], [19, 30, 20], [0, 0, 0], [59, 49, 39], [40, 2, 30]]
+        .map(|voxel| grid.linear_of(voxel).unwrap() as u32)
+        .to_vec();
+    for reduction in [1, 2] {
+        let options = SliceOrderedOptions { reduction, ..SliceOrderedOptions::default() };
+        let new = || SliceOrdered::new(&view, &table(), water() / 1000.0, water(), options, &Desk).unwrap();
+        let all_at_once = |order: &[u32]| {
+            let (mut slices, mut set) = (new(), RemovedVoxels::new(&grid));
+            remove(&mut slices, &view, &mut set, order);
+            let mut image = vec![f64::NAN; c_arm.pixels()];
+            slices.project(&view, &set, &c_arm, &mut image).unwrap();
+            image
+        };
+        let (mut kept, mut set) = (new(), RemovedVoxels::new(&grid));
+        let mut image = vec![0.0; c_arm.pixels()];
+        kept.project(&view, &set, &c_arm, &mut image).unwrap();
+        for (n, voxel) in filled.iter().enumerate() {
+            let before = image.clone();
+            remove(&mut kept, &view, &mut set, &[*voxel]);
+            kept.project(&view, &set, &c_arm, &mut image).unwrap();
+            assert!(image != before, "voxel {n} does not show");
+            let reversed: Vec<u32> = filled[..=n].iter().rev().copied().collect();
+            assert!(hash(&image) == hash(&all_at_once(&reversed)), "after {} voxels", n + 1);
+        }
+        kept.restore_all(&view);
+        let set = RemovedVoxels::new(&grid);
+        kept.project(&view, &set, &c_arm, &mut image).unwrap();
+        assert!(hash(&image) == hash(&all_at_once(&[])), "restored");
+    }
+}
+
 #[test]
 fn a_single_voxel_changes_a_small_rectangle_only() {
     let (grid, hu) = volume(2500);

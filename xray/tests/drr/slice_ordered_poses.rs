@@ -168,6 +168,22 @@ fn every_pose_has_the_error_of_ordinary_poses() {
 }
 
 #[test]
+fn a_detector_that_cuts_only_air_takes_one_image() {
+    let thigh = Thigh::new([90, 76, 116], [1e-3; 3]);
+    let empty = Grid::centred([20, 30, 10], [1e-3; 3]).unwrap();
+    let nothing = vec![-1000; empty.voxels()];
+    for pose in CORNERS_BEHIND {
+        let (images, _) = thigh.errors(&pose.c_arm(96), SliceOrderedOptions::default());
+        assert_eq!(images, 1, "{pose:?}");
+    }
+    for pose in ORDINARY.into_iter().chain(unordinary()) {
+        let view = VolumeView::new(empty, &nothing).unwrap();
+        let (image, _) = full(&view, SliceOrderedOptions::default(), &[], &pose.c_arm(40));
+        assert!(image.iter().all(|pixel| *pixel == 0.0), "{pose:?} of nothing");
+    }
+}
+
+#[test]
 fn thick_slices_seen_along_an_edge_have_the_error_of_joseph() {
     // Slices eight times as thick as wide: a few degrees turn the best axis.
     let thigh = Thigh::new([180, 152, 29], [0.5e-3, 0.5e-3, 4e-3]);

@@ -1,0 +1,76 @@
+//! The box of the stored voxels that attenuate. Air around a body is most of many CTs: no image has to reach into it, and a detector's
+//! plane that cuts nothing but air cuts no ray short.
+
+use rayon::prelude::*;
+
+use crate::vector::Vec3;
+
+/// Voxels of a row that are compared at a time.
+const PIECE: usize = 64;
+
+/// Voxels `low..end` along each axis; those outside attenuate nothing. Empty if nothing does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Occupied {
+    low: [usize; 3],
+    end: [usize; 3],
+}
+
+impl Occupied {
+    const NOTHING: Self = Self { low: [usize::MAX; 3], end: [0; 3] };
+
+    /// Of the voxels for which `attenuates` is true, x fastest: none that is less than `least`.
+    pub fn of<T>(dims: [usize; 3], voxels: &[T], least: T, attenuates: impl Fn(T) -> bool + Sync) -> Self
+    where
+        T: Copy + Sync + PartialOrd,
+    {
+        let [nx, ny, _] = dims;
+        // Compares many voxels at a time, before any of them is looked up.
+        let may_attenuate = |voxels: &&[T]| voxels.iter().fold(false, |may, voxel| may | (*voxel >= least));
+        let row = |(n, row): (usize, &[T])| {
+            let first_of = |(start, voxels): (usize, &[T])| {
+                voxels.iter().position(|voxel| attenuates(*voxel)).map(|x| start + x)
+            };
+            let last_of = |(start, voxels): (usize, &[T])| {
+                voxels.iter().rposition(|voxel| attenuates(*voxel)).map(|x| start + x)
+            };
+            let pieces =
+                || (0..nx).step_by(PIECE).zip(row.chunks(PIECE)).filter(|(_, voxels)| may_attenuate(voxels));
+            let Some(first) = pieces().find_map(first_of) else { return Self::NOTHING };
+            let last = pieces().rev().find_map(last_of).unwrap_or(first);
+            let (y, z) = (n % ny, n / ny);
+            Self { low: [first, y, z], end: [last + 1, y + 1, z + 1] }
+        };
+        voxels.par_chunks(nx).enumerate().map(row).reduce(|| Self::NOTHING, |a, b| a.hull(&b))
+    }
+
+    /// The smallest box that holds both.
+    fn hull(&self, other: &Self) -> Self {
+        Self {
+            low: core::array::from_fn(|axis| self.low[axis].min(other.low[axis])),
+            end: core::array::from_fn(|axis| self.end[axis].max(other.end[axis])),
+        }
+    }
+
+    /// Includes a voxel; returns true if it lay outside.
+    pub fn include(&mut self, voxel: [usize; 3]) -> bool {
+        let grown = self.hull(&Self { low: voxel, end: voxel.map(|x| x + 1) });
+        core::mem::replace(self, grown) != grown
+    }
+
+    /// Its voxels along an axis.
+    pub fn along(&self, axis: usize) -> core::ops::Range<usize> {
+        self.low[axis].min(self.end[axis])..self.end[axis]
+    }
+
+    /// Where samples read one of its voxels, along an axis: more than the first of these, less than the second.
+    #[inline(always)]
+    pub fn reach(&self, axis: usize) -> [f64; 2] {
+        let along = self.along(axis);
+        [along.start as f64 - 1.0, along.end as f64]
+    }
+
+    /// The corners of all that samples read.
+    pub fn corners(&self) -> [Vec3; 8] {
+        core::array::from_fn(|corner| [0, 1, 2].map(|axis| self.reach(axis)[corner >> axis & 1]))
+    }
+}
