@@ -89,6 +89,14 @@ pub fn volume(largest: i16) -> (Grid, Vec<i16>) {
     (grid, hu)
 }
 
+/// The same within air, of another width on each side.
+pub fn volume_in_air(largest: i16) -> (Grid, Vec<i16>) {
+    let (grid, mut hu) = volume(largest);
+    let is_air = |[x, y, z]: [usize; 3]| x < 21 || x > 61 || y < 5 || y > 50 || z < 9 || z > 47;
+    (0..grid.voxels()).filter(|n| is_air(grid.voxel_of(*n))).for_each(|n| hu[n] = -1000);
+    (grid, hu)
+}
+
 pub fn c_arm(primary: f64, secondary: f64, side: u32) -> CArm {
     let format = DetectorFormat { columns: side, rows: side - 7, pixel_pitch_m: [0.13 / f64::from(side); 2] };
     let angles = PositionerAngles::from_degrees(primary, secondary);
