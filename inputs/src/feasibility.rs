@@ -3,6 +3,7 @@
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
+use controllers::Calibration;
 use ipc_types::arm_meshes;
 use ipc_types::scene::Scene;
 use simulation::{Verdict, findings};
@@ -21,15 +22,18 @@ pub fn check(
     source: &dyn std::fmt::Display,
     volume: Option<&(Volume, [u8; 32])>,
 ) -> Result<Vec<String>, Failure> {
-    let refused = |cause| Failure::bad_input(format!("{source}: {cause}"));
+    let refused = |cause: &dyn std::fmt::Display| Failure::bad_input(format!("{source}: {cause}"));
     match scene.arm.xray_density_g_per_cm3 {
         Some(_) => arm_meshes::solids(&scene.arm).map(drop),
         None => arm_meshes::load(&scene.arm).map(drop),
     }
-    .map_err(refused)?;
+    .map_err(|cause| refused(&cause))?;
+    let drillings = scene.controller.iter().filter_map(|controller| controller.curved_drilling.as_ref());
+    for path in drillings.filter_map(|drilling| drilling.calibration.as_ref()) {
+        Calibration::load(path, &ipc_types::text_file::read).map_err(|cause| refused(&cause))?;
+    }
     let ct = volume.map(volume_source::ct_view);
-    let found =
-        findings(scene, ct, &is_program).map_err(|cause| Failure::bad_input(format!("{source}: {cause}")))?;
+    let found = findings(scene, ct, &is_program).map_err(|cause| refused(&cause))?;
     let of = |verdict| found.iter().filter(move |finding| finding.verdict == verdict);
     let impossible: Vec<String> =
         of(Verdict::Impossible).map(|finding| format!("{source}: {finding}")).collect();

@@ -131,6 +131,25 @@ fn repair_and_compress_take_what_another_program_wrote() {
     }
 }
 
+/// Bug: `compress` and `cat-files` passed over such messages, and said that what they wrote held the same.
+#[test]
+fn messages_outside_of_chunks_in_a_file_that_says_it_is_ours_are_damage() {
+    let log = write_log(&run_messages(200, None));
+    let library = mcap::read::ChunkFlattener::new(&log).unwrap().find_map(|record| match record.unwrap() {
+        Record::Header(header) => Some(header.library),
+        _ => None,
+    });
+    let options = WriteOptions::new().compression(None).use_chunks(false).library(library.unwrap());
+    let source = LogBytes::new("l.mcap", written_again(&log, options, Beside::WhereTheyStood));
+    let compressed = join::compress(&source, Vec::new(), Path::new("p.mcap"), Packing::RECORDED).unwrap_err();
+    let joined = join::cat_files(&[&source], Vec::new(), Path::new("p.mcap")).unwrap_err();
+    for error in [compressed, joined] {
+        assert!(error.to_string().contains("outside of a chunk"), "{error}");
+    }
+    let (_, report) = repair::Repair::of(&source).unwrap().write(Vec::new(), Path::new("r.mcap")).unwrap();
+    assert!(report.left_out_bytes > 200 * 1000, "{report:?}");
+}
+
 #[test]
 fn a_chunk_without_a_checksum_is_still_checked_for_its_lengths() {
     let log = write_log(&run_messages(200, None));

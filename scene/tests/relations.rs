@@ -60,6 +60,11 @@ fn a_range_that_another_key_narrows_is_said_as_it_holds_in_this_scene() {
             "drr.source_detector_mm` is 800, allowed is 900 to 3000",
         ),
         (
+            format!("{DRR}photons_per_pixel = 1\n"),
+            format!("{DRR}photons_per_pixel = 0.5\n"),
+            "drr.photons_per_pixel` is 0.5, allowed is 1 to 100000000",
+        ),
+        (
             format!("{DRR}labels = {{ bone_from_hu = 3000 }}\n"),
             format!("{DRR}labels = {{ bone_from_hu = 3001 }}\n"),
             "drr.labels.bone_from_hu` is 3001, allowed is -1000 to 3000",

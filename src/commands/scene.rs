@@ -4,7 +4,6 @@
 use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
-use controllers::Calibration;
 use ipc_types::scene::{Mode, Scene};
 
 use super::from_markups::{self, FromMarkupsArguments};
@@ -15,6 +14,7 @@ use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::output::refuse_existing;
 use crate::say::{self, Figures};
 use crate::scenes::{BuiltIn, SceneSource};
+use crate::x_ray::poses::check_c_arm;
 
 /// What to do with a scene.
 #[derive(Debug, Subcommand)]
@@ -84,17 +84,13 @@ fn check(file: &Path, volume_files: VolumeFiles, figures: Figures) -> Result<(),
     let mut notes = Vec::new();
     let (scene, _) = crate::plan::load_scene(&SceneSource::File(file.to_owned()))?;
     volume_source::refuse_missing(&file.display(), &scene)?;
+    check_c_arm(&scene, &file.display())?;
     let loaded = volume_source::load_with_notes(&scene, volume_files)?;
     notes.extend(loaded.iter().flat_map(|loaded| loaded.notes.clone()));
     let volume = loaded.map(|loaded| (loaded.volume, loaded.sha256));
     let warnings = feasibility::check(&scene, &file.display(), volume.as_ref())
         .inspect_err(|_| notes.iter().for_each(|note| tell!("{note}")))?;
     notes.extend(warnings);
-    let calibrations = scene.controller.iter().filter_map(|controller| controller.curved_drilling.as_ref());
-    for path in calibrations.filter_map(|drilling| drilling.calibration.as_ref()) {
-        Calibration::load(path, &ipc_types::text_file::read)
-            .map_err(|cause| Failure::bad_input(format!("{}: {cause}", file.display())))?;
-    }
     notes.extend(xray::from_scene::tolerance_text(&scene));
     figures.say(
         || [notes.join("\n"), text_of(file, &scene)].join("\n").trim_start().to_owned(),

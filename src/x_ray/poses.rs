@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use foreign_text::number;
-use ipc_types::scene::{CArm as CameraOrPoints, Display, Drr, PixelCentre, Projector};
+use ipc_types::scene::{CArm as CameraOrPoints, Display, Drr, PixelCentre, Projector, Scene};
 use serde::Deserialize;
 use xray::from_scene::scene_c_arm;
 use xray::{CArm, DrrError};
@@ -203,6 +203,17 @@ fn in_millimetres(cause: DrrError) -> String {
         }
         other => other.to_string(),
     }
+}
+
+/// Refuses a scene whose C-arm cannot be: whether its axes, source and detector fit each other is seen only where they become one.
+///
+/// # Errors
+/// Bad input (2).
+pub fn check_c_arm(scene: &Scene, source: &dyn std::fmt::Display) -> Result<(), Failure> {
+    let Some(drr) = &scene.drr else { return Ok(()) };
+    let key = if drr.carm.is_some() { "drr.carm" } else { "drr" };
+    let refused = |cause| Failure::bad_input(format!("{source}: `{key}`: {}", in_millimetres(cause)));
+    scene_c_arm(drr).map(drop).map_err(refused)
 }
 
 /// Reads the poses of a file: TOML or JSON (one table, or a list `pose`), or CSV with a header of keys that hold one

@@ -181,6 +181,23 @@ fn image_feedback_on_bright_frames_is_refused() {
     );
 }
 
+/// Bug: `run` began, made its folder, and a part died with 1.
+#[test]
+fn a_c_arm_that_cannot_be_is_refused_before_anything_starts() {
+    let source = "\n[drr.carm]\nsource_mm = [0.0, -700.0, 0.0]\ndetector_centre_mm = [0.0, 300.0, 0.0]\n";
+    let axes = [
+        ("[0.0, 0.0, 0.0]", "perpendicular"),
+        ("[0.0, 0.0, 1.0]", "perpendicular"),
+        ("[nan, 0.0, 0.0]", "row_axis"),
+    ];
+    for (row_axis, word) in axes {
+        assert_refused(
+            |scene| scene + source + &format!("row_axis = {row_axis}\ncolumn_axis = [0.0, 0.0, 1.0]\n"),
+            &["scene.toml", "`drr.carm`", word],
+        );
+    }
+}
+
 #[test]
 fn a_missing_scene_file_is_named() {
     let place = Place::new();

@@ -293,6 +293,9 @@ def errors(folder: Path) -> None:
     raises(trabecula.ArgumentError, "`drive` is", lambda: Sim(drill, drive=[3]))
     raises(trabecula.ArgumentError, "`seed` is -1", lambda: Sim(drill, seed=-1))
     raises(trabecula.Error, "nowhere", lambda: Sim("/nowhere/scene.toml"))
+    # NumPy 2 writes a number as `np.float64(-1.0)`.
+    of_numpy = {"run.duration_s": np.float64(-1.0), "controller.0.drives": np.array(["burr"])}
+    raises(trabecula.ArgumentError, "`run.duration_s` is -1, allowed is", lambda: Sim(drill, overrides=of_numpy))
     raises(trabecula.Error, "nowhere", lambda: Sim.from_log("/nowhere"))
     sim = Sim(drill, drive=True)
     command = pushing(0)

@@ -105,14 +105,15 @@ def _toml(key: str, value: Any) -> str:
     """A value as it is written in a scene."""
     if isinstance(value, bool):
         return "true" if value else "false"
+    # NumPy's numbers first: some are floats as well, but none is written as one.
+    if hasattr(value, "tolist"):
+        return _toml(key, value.tolist())
     if isinstance(value, (int, float)):
         return repr(value)
     if isinstance(value, (str, Path)):
         return json.dumps(str(value), ensure_ascii=False)
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{name} = {_toml(f'{key}.{name}', inner)}" for name, inner in value.items()) + "}"
-    if hasattr(value, "tolist"):
-        return _toml(key, value.tolist())
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(_toml(key, inner) for inner in value) + "]"
     raise ArgumentError(f"the override `{key}` is {value!r}, expected a number, a text, a truth value, or a list or table of them")

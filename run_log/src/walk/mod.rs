@@ -297,9 +297,7 @@ impl<R: Read + Seek> Walker<R> {
             }
             // These records have no checksum, and a wrong length would skip whole chunks.
             _ => match self.leads_on(next) {
-                Ok(true) if self.in_data && self.bare.are_expected() && is_bare(opcode) => {
-                    self.bare(path, opcode, next, visit)
-                }
+                Ok(true) if self.in_data && is_bare(opcode) => self.bare(path, opcode, next, visit),
                 Ok(true) => Ok(Ok(())),
                 Ok(false) => Ok(Err("a record whose length leads to no other".to_string())),
                 Err(source) => Err(LogError::Read { path: path.into(), offset: next, source }),

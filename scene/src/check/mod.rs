@@ -189,6 +189,9 @@ fn check_tendons(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
 
 fn check_drr(drr: &Drr, checker: &Checker) -> Result<(), SceneError> {
     checker.at_least("drr.source_detector_mm", drr.source_detector_mm, drr.source_isocentre_mm)?;
+    if drr.photons_per_pixel > 0.0 {
+        checker.at_least("drr.photons_per_pixel", drr.photons_per_pixel, 1.0)?;
+    }
     drr.carm.as_ref().map_or(Ok(()), |carm| check_c_arm(carm, checker))
 }
 

@@ -202,7 +202,7 @@ pub struct Drr {
     #[serde(default = "Drr::default_energy_kev")]
     #[schemars(range(min = 30.0, max = 120.0))]
     pub energy_kev: f64,
-    /// Photons per unattenuated pixel; 0 is without noise.
+    /// Photons per unattenuated pixel, at least 1; 0 is without noise.
     #[serde(default)]
     #[schemars(range(min = 0.0, max = 1e8))]
     pub photons_per_pixel: f64,
