@@ -92,7 +92,8 @@ pub fn volume(largest: i16) -> (Grid, Vec<i16>) {
 /// The same within air, of another width on each side.
 pub fn volume_in_air(largest: i16) -> (Grid, Vec<i16>) {
     let (grid, mut hu) = volume(largest);
-    let is_air = |[x, y, z]: [usize; 3]| x < 21 || x > 61 || y < 5 || y > 50 || z < 9 || z > 47;
+    let is_air =
+        |[x, y, z]: [usize; 3]| !((21..=61).contains(&x) && (5..=50).contains(&y) && (9..=47).contains(&z));
     (0..grid.voxels()).filter(|n| is_air(grid.voxel_of(*n))).for_each(|n| hu[n] = -1000);
     (grid, hu)
 }
