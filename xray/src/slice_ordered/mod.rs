@@ -201,8 +201,8 @@ impl SliceOrdered {
         let old = self.values.of(hu);
         if old != self.fill {
             self.waiting.extend(self.store.change(&self.grid, linear, old, self.fill));
-            // Of air that is filled with something else, the images that stand know nothing.
-            if self.occupied.include(self.store.voxel_of(&self.grid, linear)) {
+            // Of air that is filled with what attenuates, the images that stand know nothing.
+            if self.fill > 0 && self.occupied.include(self.store.voxel_of(&self.grid, linear)) {
                 self.standing = None;
                 self.aside = None;
             }

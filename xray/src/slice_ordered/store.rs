@@ -116,10 +116,10 @@ impl Store {
 
     /// The change in the store when a voxel of the volume changes from one value to another; `None` if the stored values stay the same.
     pub fn change(&mut self, grid: &Grid, linear: usize, from: i16, to: i16) -> Option<Change> {
-        let [i, j, k] = self.voxel_of(grid, linear);
         match self {
             Self::Whole(_) => Some(Change { linear: linear as u32, value: to }),
             Self::Preview { blocks, .. } => {
+                let [i, j, k] = blocks.block_of(grid, linear);
                 let at = i + blocks.dims[0] * (j + blocks.dims[1] * k);
                 let before = blocks.value(blocks.sums[at]);
                 blocks.sums[at] = blocks.sums[at] + u32::from(to as u16) - u32::from(from as u16);
@@ -131,10 +131,9 @@ impl Store {
 
     /// The stored voxel that a voxel of the volume is part of.
     pub fn voxel_of(&self, grid: &Grid, linear: usize) -> [usize; 3] {
-        let voxel = grid.voxel_of(linear);
         match self {
-            Self::Whole(_) => voxel,
-            Self::Preview { blocks, .. } => voxel.map(|v| v / blocks.side),
+            Self::Whole(_) => grid.voxel_of(linear),
+            Self::Preview { blocks, .. } => blocks.block_of(grid, linear),
         }
     }
 
@@ -367,6 +366,11 @@ impl Blocks {
         let count = (side * side * side) as u32;
         let largest = sums.par_iter().copied().max().unwrap_or(0).div_ceil(count);
         Self { side, dims, sums, step: largest.div_ceil(255).max(1) }
+    }
+
+    /// The block that a voxel is part of.
+    fn block_of(&self, grid: &Grid, linear: usize) -> [usize; 3] {
+        grid.voxel_of(linear).map(|v| v / self.side)
     }
 
     /// Value of a block in steps: the rounded mean. Voxels outside the volume count as air.
