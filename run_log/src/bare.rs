@@ -45,7 +45,7 @@ impl BareRecords {
     }
 
     /// Whether records may stand outside of chunks.
-    pub fn are_expected(&self) -> bool {
+    fn are_expected(&self) -> bool {
         self.is_by_another && !self.has_chunks
     }
 
