@@ -4,10 +4,13 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
 use controllers::Calibration;
+use foreign_text::number;
 use ipc_types::arm_meshes;
-use ipc_types::scene::Scene;
+use ipc_types::scene::{CurvedDrilling, Scene};
 use simulation::{Verdict, findings};
 use volume_io::Volume;
+use xray::DrrError;
+use xray::from_scene::scene_c_arm;
 
 use crate::failure::Failure;
 use crate::volume_source;
@@ -28,8 +31,11 @@ pub fn check(
         None => arm_meshes::load(&scene.arm).map(drop),
     }
     .map_err(|cause| refused(&cause))?;
-    let drillings = scene.controller.iter().filter_map(|controller| controller.curved_drilling.as_ref());
-    for path in drillings.filter_map(|drilling| drilling.calibration.as_ref()) {
+    if let Some(drr) = &scene.drr {
+        let key = if drr.carm.is_some() { "drr.carm" } else { "drr" };
+        scene_c_arm(drr).map_err(|cause| refused(&format!("`{key}`: {}", in_millimetres(cause))))?;
+    }
+    for path in drillings(scene).filter_map(|drilling| drilling.calibration.as_ref()) {
         Calibration::load(path, &ipc_types::text_file::read).map_err(|cause| refused(&cause))?;
     }
     let ct = volume.map(volume_source::ct_view);
@@ -50,14 +56,32 @@ pub fn check(
 
 /// Refuses a target beside the volume: nothing is there to drill, and a plan was made in another CT or says the wrong frame.
 fn refuse_outside(scene: &Scene, source: &dyn std::fmt::Display, volume: &Volume) -> Result<(), Failure> {
-    let drillings = scene.controller.iter().filter_map(|controller| controller.curved_drilling.as_ref());
-    let mut targets = drillings.filter_map(|drilling| drilling.target_mm);
+    let mut targets = drillings(scene).filter_map(|drilling| drilling.target_mm);
     match targets.find(|target_mm| !volume.holds(target_mm.map(|x| x * 1e-3))) {
         None => Ok(()),
         Some([x, y, z]) => Err(Failure::bad_input(format!(
             "{source}: `controller.curved_drilling.target_mm` is [{x:.1}, {y:.1}, {z:.1}], expected a place within the volume"
         ))),
     }
+}
+
+/// The renderer's error; of a length in metres, in millimetres.
+pub fn in_millimetres(cause: DrrError) -> String {
+    match cause {
+        DrrError::OutOfRange {
+            field: "distance of the source from the detector plane, m", given, ..
+        } => {
+            format!(
+                "the source is {} mm from the detector's plane; expected 1 to 10000 mm",
+                number(given * 1e3)
+            )
+        }
+        other => other.to_string(),
+    }
+}
+
+fn drillings(scene: &Scene) -> impl Iterator<Item = &CurvedDrilling> {
+    scene.controller.iter().filter_map(|controller| controller.curved_drilling.as_ref())
 }
 
 /// Whether a program's name is that of an executable file: a path, or a name in one of the folders of `PATH`.

@@ -23,7 +23,6 @@ use crate::printer;
 use crate::redirect_file;
 use crate::report::{self, ReportError};
 use crate::scenes::{BuiltIn, SceneSource};
-use crate::x_ray::poses::check_c_arm;
 
 /// Time between two looks for the end of the viewer.
 const VIEWER_LOOK: Duration = Duration::from_millis(100);
@@ -232,7 +231,6 @@ fn show_on(mut viewer: Part, arguments: &RunArguments) {
 
 /// The scene's volume, after a check of the scene as a whole; says what is noteworthy about both.
 fn volume_of(plan: &RunPlan, source: &SceneSource) -> Result<Option<(Volume, [u8; 32])>, Failure> {
-    check_c_arm(&plan.scene, source)?;
     let loaded =
         volume_source::load_with_notes(&plan.scene, plan.volume_files).map_err(Failure::bad_input)?;
     loaded.iter().flat_map(|loaded| &loaded.notes).for_each(|note| tell!("{note}"));

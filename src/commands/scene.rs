@@ -14,7 +14,6 @@ use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::output::refuse_existing;
 use crate::say::{self, Figures};
 use crate::scenes::{BuiltIn, SceneSource};
-use crate::x_ray::poses::check_c_arm;
 
 /// What to do with a scene.
 #[derive(Debug, Subcommand)]
@@ -84,7 +83,6 @@ fn check(file: &Path, volume_files: VolumeFiles, figures: Figures) -> Result<(),
     let mut notes = Vec::new();
     let (scene, _) = crate::plan::load_scene(&SceneSource::File(file.to_owned()))?;
     volume_source::refuse_missing(&file.display(), &scene)?;
-    check_c_arm(&scene, &file.display())?;
     let loaded = volume_source::load_with_notes(&scene, volume_files)?;
     notes.extend(loaded.iter().flat_map(|loaded| loaded.notes.clone()));
     let volume = loaded.map(|loaded| (loaded.volume, loaded.sha256));

@@ -3,12 +3,13 @@
 use std::path::Path;
 
 use foreign_text::number;
-use ipc_types::scene::{CArm as CameraOrPoints, Display, Drr, PixelCentre, Projector, Scene};
+use ipc_types::scene::{CArm as CameraOrPoints, Display, Drr, PixelCentre, Projector};
 use serde::Deserialize;
+use xray::CArm;
 use xray::from_scene::scene_c_arm;
-use xray::{CArm, DrrError};
 
 use crate::failure::Failure;
+use crate::feasibility::in_millimetres;
 
 /// A pose. Missing values come from the command line.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
@@ -189,32 +190,6 @@ impl Pose {
 const SOURCE_ISOCENTRE_MM: f64 = 700.0;
 /// Largest coordinate.
 const FURTHEST_MM: f64 = 1e5;
-
-/// The renderer's error; of a length in metres, in millimetres.
-fn in_millimetres(cause: DrrError) -> String {
-    match cause {
-        DrrError::OutOfRange {
-            field: "distance of the source from the detector plane, m", given, ..
-        } => {
-            format!(
-                "the source is {} mm from the detector's plane; expected 1 to 10000 mm",
-                number(given * 1e3)
-            )
-        }
-        other => other.to_string(),
-    }
-}
-
-/// Refuses a scene whose C-arm cannot be: whether its axes, source and detector fit each other is seen only where they become one.
-///
-/// # Errors
-/// Bad input (2).
-pub fn check_c_arm(scene: &Scene, source: &dyn std::fmt::Display) -> Result<(), Failure> {
-    let Some(drr) = &scene.drr else { return Ok(()) };
-    let key = if drr.carm.is_some() { "drr.carm" } else { "drr" };
-    let refused = |cause| Failure::bad_input(format!("{source}: `{key}`: {}", in_millimetres(cause)));
-    scene_c_arm(drr).map(drop).map_err(refused)
-}
 
 /// Reads the poses of a file: TOML or JSON (one table, or a list `pose`), or CSV with a header of keys that hold one
 /// number.

@@ -198,6 +198,20 @@ fn a_c_arm_that_cannot_be_is_refused_before_anything_starts() {
     }
 }
 
+/// Bug: `scene check` refused it, and `run` began.
+#[test]
+fn a_calibration_that_is_none_is_refused_before_anything_starts() {
+    for text in [None, Some("milk, bread\n")] {
+        let place = Place::new();
+        let scene = scenes::drill("lockstep", 1.0);
+        let named = scene.replace("tension_n = 6.0", "calibration = \"tension.csv\"");
+        assert_ne!(scene, named);
+        place.scene(&named);
+        text.iter().for_each(|text| fs::write(place.path("tension.csv"), text).unwrap());
+        assert_refused_in(&place, &["scene.toml", "tension.csv"]);
+    }
+}
+
 #[test]
 fn a_missing_scene_file_is_named() {
     let place = Place::new();
