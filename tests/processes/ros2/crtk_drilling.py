@@ -72,6 +72,7 @@ until("subscriptions", lambda: all(p.get_subscription_count() == 1 for p in (ser
 start = newest["/UR5/measured_cp"]
 origin, along, begun_s = place(start.pose), axis(start.pose), seconds(start)
 tendons = len(newest["/CM/bend_motor/measured_js"].name)
+until("a node beside this one", lambda: len(node.get_node_names()) > 1)
 nodes = node.get_node_names()
 
 
