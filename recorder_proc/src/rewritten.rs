@@ -94,7 +94,7 @@ pub fn cat_files(inputs: &[PathBuf], output: &Path) -> Result<(), LogError> {
 /// their paths.
 ///
 /// # Errors
-/// [`LogError::NotWhole`], also if the file does not hold several runs; [`LogError::Exists`]; any disk error.
+/// [`LogError::NotWhole`], [`LogError::OneRun`], [`LogError::Exists`], any disk error.
 pub fn split(input: &Path, output: &Path) -> Result<Vec<PathBuf>, LogError> {
     let input = LogFile::at(input);
     join::check_holds_runs(&input)?;

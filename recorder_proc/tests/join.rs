@@ -91,7 +91,7 @@ fn joined_logs_split_into_what_they_were() {
     for (path, original) in paths.iter().zip(&runs) {
         assert!(std::fs::read(path).unwrap() == *original, "{}", path.display());
     }
-    assert!(matches!(split(&inputs[0], &out), Err(LogError::NotWhole { .. })));
+    assert!(matches!(split(&inputs[0], &out), Err(LogError::OneRun { .. })));
     // If one run cannot be written, none is, and existing files stay as they were.
     std::fs::remove_file(&paths[0]).unwrap();
     assert!(matches!(split(&joined, &out), Err(LogError::Exists { path }) if path == paths[1]));

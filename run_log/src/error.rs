@@ -89,6 +89,12 @@ pub enum LogError {
         /// How many.
         runs: String,
     },
+    /// The operation needs a file of several runs.
+    #[error("{}: is the log of one run; expected a file of several, as `trabecula log cat-files` writes it", path.display())]
+    OneRun {
+        /// The file.
+        path: PathBuf,
+    },
     /// The output file already exists.
     #[error("{}: already exists; choose another name", path.display())]
     Exists {

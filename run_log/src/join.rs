@@ -14,6 +14,8 @@ use crate::library;
 use crate::limits::Declared;
 use crate::rewrite::{Packing, Rewriter};
 use crate::source::LogSource;
+use crate::stream::ReadOptions;
+use crate::verdict::{Fault, verdict};
 use crate::walk::{Piece, walk};
 
 /// Calls `visit` for every piece of a log, which must be whole and one of ours.
@@ -39,6 +41,17 @@ fn walk_whole(
         // Whole or not, it is another program's, and a repair could make no log of it.
         (false, false) => Err(LogError::NoHeader { path: log.path().into(), offset: 0 }),
     }
+}
+
+/// Refuses the log of a run with a message that readers refuse, though each checksum is right: another program wrote it.
+fn refuse_unreadable(log: &dyn LogSource) -> Result<(), LogError> {
+    // What is no log of one run has no messages to check here.
+    let Ok(verdict) = verdict(log, ReadOptions { allow_other_layouts: true }) else { return Ok(()) };
+    let damage = verdict.faults.iter().find_map(|fault| match fault {
+        Fault::Damaged { offset, cause } => Some(format!("damaged at byte {offset}: {cause}")),
+        _ => None,
+    });
+    damage.map_or(Ok(()), |cause| Err(not_whole(log, &cause)))
 }
 
 /// Digest of all messages: topics, numbers, times and bytes in order.
@@ -73,6 +86,7 @@ pub fn compress<W: Write>(
     path: &Path,
     packing: Packing,
 ) -> Result<W, LogError> {
+    refuse_unreadable(input)?;
     let mut out = Rewriter::create(out, path, packing, library::of_rewritten(&[input]))?;
     walk_whole(input, &mut |piece| out.piece(piece))?;
     out.finish()
@@ -107,6 +121,7 @@ pub fn cat_files<W: Write>(inputs: &[&dyn LogSource], out: W, path: &Path) -> Re
     let runs = BTreeMap::from([("count".to_string(), inputs.len().to_string())]);
     out.metadata(RUNS_RECORD.to_string(), runs)?;
     for (index, input) in inputs.iter().enumerate() {
+        refuse_unreadable(*input)?;
         let prefix = prefix(index + 1);
         out.begin_source(&format!("/{}", prefix.trim_end_matches('/')));
         walk_whole(*input, &mut |piece| match piece {
@@ -152,14 +167,14 @@ pub trait RunOutputs {
 /// Refuses a log that is not whole or does not declare several runs.
 ///
 /// # Errors
-/// [`LogError::NotWhole`].
+/// [`LogError::NotWhole`], [`LogError::OneRun`].
 pub fn check_holds_runs(input: &dyn LogSource) -> Result<(), LogError> {
     let mut marked = false;
     walk_whole(input, &mut |piece| {
         marked |= matches!(piece, Piece::Metadata { name, .. } if name == RUNS_RECORD);
         Ok(())
     })?;
-    if marked { Ok(()) } else { Err(not_whole(input, "it holds one run, not several")) }
+    if marked { Ok(()) } else { Err(LogError::OneRun { path: input.path().into() }) }
 }
 
 /// Splits a log of several runs into one log per run. Returns the number of runs.

@@ -21,6 +21,17 @@ enum Beside {
 
 /// The log as the `mcap` crate's writer writes its records.
 fn written_again(log: &[u8], options: WriteOptions, beside: Beside) -> Vec<u8> {
+    edited_again(log, options, beside, |_, data| data)
+}
+
+/// The same with each message's bytes as `edit` makes them from its topic and its bytes.
+fn edited_again(
+    log: &[u8],
+    options: WriteOptions,
+    beside: Beside,
+    edit: impl for<'a> Fn(&str, &'a [u8]) -> &'a [u8],
+) -> Vec<u8> {
+    let mut topics = std::collections::BTreeMap::new();
     let mut out = Cursor::new(Vec::new());
     let mut writer: Writer<_> = options.profile("ros2").create(&mut out).unwrap();
     let mut channels = std::collections::BTreeMap::new();
@@ -37,10 +48,12 @@ fn written_again(log: &[u8], options: WriteOptions, beside: Beside) -> Vec<u8> {
                 let id =
                     writer.add_channel(schema, &channel.topic, &channel.message_encoding, &channel.metadata);
                 channels.insert(channel.id, id.unwrap());
+                topics.insert(channel.id, channel.topic);
             }
             Record::Message { mut header, data } => {
+                let data = edit(&topics[&header.channel_id], &data);
                 header.channel_id = channels[&header.channel_id];
-                writer.write_to_known_channel(&header, &data).unwrap();
+                writer.write_to_known_channel(&header, data).unwrap();
             }
             Record::Attachment { header, data, .. } => attachments.push(Attachment {
                 log_time: header.log_time,
@@ -148,6 +161,24 @@ fn messages_outside_of_chunks_in_a_file_that_says_it_is_ours_are_damage() {
     }
     let (_, report) = repair::Repair::of(&source).unwrap().write(Vec::new(), Path::new("r.mcap")).unwrap();
     assert!(report.left_out_bytes > 200 * 1000, "{report:?}");
+}
+
+/// Bug: `compress` and `cat-files` took states of 20 bytes that no reader takes.
+#[test]
+fn a_message_too_short_for_its_topic_is_damage_though_its_checksum_is_right() {
+    let log = write_log(&run_messages(200, None));
+    let again = edited_again(&log, WriteOptions::new(), Beside::WhereTheyStood, |topic, data| match topic {
+        // Of these, 4 are before the message.
+        "/state" => &data[..20],
+        _ => data,
+    });
+    let source = LogBytes::new("l.mcap", again);
+    let compressed = join::compress(&source, Vec::new(), Path::new("p.mcap"), Packing::RECORDED).unwrap_err();
+    let joined = join::cat_files(&[&source], Vec::new(), Path::new("p.mcap")).unwrap_err();
+    for error in [compressed, joined] {
+        assert!(matches!(error, LogError::NotWhole { .. }), "{error}");
+        assert!(error.to_string().contains("a message of /state of 16 bytes, expected"), "{error}");
+    }
 }
 
 #[test]

@@ -139,7 +139,7 @@ pub struct SplitArguments {
 /// Splits a file of several runs into one log per run.
 ///
 /// # Errors
-/// Not a log, an output that already exists (2); a file that is not whole or holds only one run (1).
+/// Not a log, the log of one run, an output that already exists (2); a file that is not whole (1).
 pub fn split_log(arguments: &SplitArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     for path in split(&log_path(&arguments.log), &arguments.output)? {
         let _ = writeln!(out, "{}", path.display());
