@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand, ValueEnum};
 use volume_io::{VolumeInfo, phantom, read_as, write_nifti, write_nrrd};
 
+use super::log::judged;
 use crate::failure::Failure;
 use crate::launcher::volume_source::{VolumeChoice, VolumeFiles};
 use crate::output::refuse_existing;
@@ -143,13 +144,13 @@ fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
         || format!("{output}: the CT after tick {tick}, {count} voxels removed"),
         || serde_json::json!({"output": arguments.output, "tick": tick, "removed_voxels": count}),
     );
-    Ok(())
+    judged(&log.path, &gone.verdict)
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// Not a volume, or not a log with one (2); a log that cannot be read to its end, a full disk (1).
+/// Not a volume, or not a log with one (2); a log that cannot be read to its end, a full disk (1); a log that is cut or was not ended (3).
 pub fn run(command: &VolumeCommand) -> Result<(), Failure> {
     let (file, choice, figures) = match command {
         VolumeCommand::Info { file, choice, figures } => (file, choice, figures),

@@ -2,6 +2,7 @@
 
 use crate::failure::Failure;
 use inputs::log::OpenedLog;
+use run_log::Verdict;
 
 /// What of the bone is gone after a tick: pilot holes and what was drilled.
 #[derive(Debug)]
@@ -10,6 +11,8 @@ pub struct Gone {
     pub tick: u64,
     /// The voxels.
     pub voxels: Vec<u32>,
+    /// What is wrong with the log; nothing if the tick asked for was reached.
+    pub verdict: Verdict,
 }
 
 impl Gone {
@@ -18,10 +21,14 @@ impl Gone {
     /// # Errors
     /// The log ends before the tick (2), or cannot be read that far.
     pub fn of(log: &OpenedLog, tick: Option<u64>) -> Result<Gone, Failure> {
-        let reader = log.reader()?;
+        let mut reader = log.reader()?;
         let wanted = tick.unwrap_or(u64::MAX);
-        let mut gone = Gone { tick: reader.initial().tick, voxels: reader.predrilled().to_vec() };
-        for record in reader {
+        let mut gone = Gone {
+            tick: reader.initial().tick,
+            voxels: reader.predrilled().to_vec(),
+            verdict: Verdict::default(),
+        };
+        for record in reader.by_ref() {
             let record = record.map_err(|cause| Failure::failed(cause.to_string()))?;
             if record.state.tick > wanted {
                 break;
@@ -37,6 +44,9 @@ impl Gone {
             return Err(Failure::bad_input(format!(
                 "tick {wanted} is asked for, but the log ends at tick {last}"
             )));
+        }
+        if tick.is_none() {
+            gone.verdict = reader.stream().verdict();
         }
         Ok(gone)
     }

@@ -67,6 +67,9 @@ fn logs_are_packed_joined_split_and_exported() {
     assert_eq!(fs::read(path("runs/run1.mcap")).unwrap(), fs::read(folder.join("run.mcap")).unwrap());
     let done = trabecula(&[&"log", &"info", &path("both.mcap")]);
     assert!(done.code == Some(2) && done.err.contains("holds 2 runs"), "{}", done.err);
+    let done = trabecula(&[&"log", &"split", &folder, &"-o", &path("runs of one")]);
+    assert!(done.code == Some(2) && done.err.contains("is the log of one run; expected"), "{}", done.err);
+    assert!(!path("runs of one").exists());
 
     let field: [&str; 2] = ["--field", "t_world_tip.position_m"];
     run(&[&"log", &"export", &folder, &"-o", &path("tip.csv"), &field[0], &field[1]]);
@@ -147,6 +150,34 @@ fn a_topic_that_a_log_has_not_is_no_empty_answer() {
     assert!(done.out.lines().all(|line| line.starts_with('{')) && !done.out.is_empty());
 }
 
+/// Bug: half a log gave a part of the tunnel, exit code 0, and no word.
+#[test]
+fn what_is_made_of_a_cut_log_is_made_up_to_the_cut_and_says_so() {
+    let place = Place::new();
+    let folder = place.complete(&scenes::drill("lockstep", 2.0)).folder;
+    let bytes = fs::read(folder.join("run.mcap")).unwrap();
+    fs::write(folder.join("run.mcap"), &bytes[..bytes.len() * 3 / 4]).unwrap();
+    let made = |name: &str, words: &[&dyn AsRef<std::ffi::OsStr>]| {
+        let file = place.path(name);
+        let done = trabecula(&[words, &[&folder, &"-o", &file]].concat());
+        (done.code, done.out + &done.err, file.exists())
+    };
+    let geometry = ["tunnel", "tool", "burr-path", "deviation"];
+    let endings = ["stl", "stl", "mrk.json", "csv"];
+    let mut all = vec![made("drilled.nrrd", &[&"volume", &"drilled"])];
+    for (what, ending) in geometry.iter().zip(endings) {
+        all.push(made(&format!("{what}.{ending}"), &[&"log", &"export", &"--geometry", what]));
+    }
+    for (code, said, exists) in all {
+        assert!(code == Some(3) && said.contains("cut after byte") && exists, "{code:?} {exists} {said}");
+    }
+    // What the log holds of the tick asked for is whole.
+    let (code, said, _) = made("early.nrrd", &[&"volume", &"drilled", &"--tick", &"100"]);
+    assert_eq!(code, Some(0), "{said}");
+    let (code, said, _) = made("early.stl", &[&"log", &"export", &"--geometry", &"tool", &"--to", &"100"]);
+    assert_eq!(code, Some(0), "{said}");
+}
+
 #[test]
 fn the_drilled_ct_is_written_while_the_run_goes_on() {
     let place = Place::new();
@@ -165,8 +196,9 @@ fn the_drilled_ct_is_written_while_the_run_goes_on() {
         let done = drilled(&[&"--tick", &"0"], &folder);
         let untouched = (done.code == Some(0)).then(gone_in)?;
         fs::remove_file(&file).unwrap();
+        // The log has no end yet.
         let done = drilled(&[], &folder);
-        (done.code == Some(0) && gone_in() > untouched).then(gone_in)
+        (done.code == Some(3) && gone_in() > untouched).then(gone_in)
     });
     assert!(trabecula(&[&"volume", &"info", &file]).code == Some(0));
     signal(run.pid(), Signal::INT);

@@ -7,7 +7,6 @@ use clap::Args;
 use foreign_text::foreign_path;
 use ipc_types::messages::{Tick, TickRange};
 use output_file::{OutputError, OutputFile};
-use recorder_proc::exit_code::exit_code;
 use recorder_proc::log_file::{LogFile, log_path};
 use recorder_proc::parquet_file::Parquet;
 use run_log::columns::{Rows, columns, description_of_topic, read_rows};
@@ -16,7 +15,7 @@ use run_log::fields::Scalar;
 use run_log::{FrameRecord, LogError, ReadOptions, Topic, Verdict, frames};
 
 use super::geometry::{self, Geometry};
-use super::{Out, concluded, dataset, foxglove, json};
+use super::{Out, dataset, foxglove, json, judged};
 use crate::dataset::{Format, Split, grey16};
 use crate::failure::Failure;
 use crate::launcher::volume_source::VolumeFiles;
@@ -126,10 +125,8 @@ pub fn run(arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Failure
         }
         false => writeln!(out, "{}: {what}\n{}", arguments.output.display(), verdict.ending.describe()),
     };
-    if !verdict.is_intact() {
-        tell!("trabecula: {}: {verdict}", log.display());
-    }
-    concluded(out, exit_code(&verdict))
+    let _ = out.flush();
+    judged(&log, &verdict)
 }
 
 /// A file name's extension, in lower case.

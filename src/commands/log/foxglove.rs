@@ -5,7 +5,6 @@ use std::io::{BufWriter, Write as _};
 use ipc_types::messages::{Pose, State, Tick};
 use ipc_types::scene::{Scene, planned_path_in_bone_mm};
 use output_file::{OutputError, OutputFile};
-use recorder_proc::exit_code::exit_code;
 use recorder_proc::log_file::{LogFile, log_path};
 use run_log::foxglove::ViewerLog;
 use run_log::{LogError, MessageStream, ReadOptions, Topic, Verdict};
@@ -15,7 +14,7 @@ use viewer_proc::scene_update::{Drawer, curve};
 use zerocopy::FromBytes;
 
 use super::export::{ExportArguments, ending_of};
-use super::{Out, concluded, json};
+use super::{Out, json, judged};
 use crate::commands::view::tool_shape;
 use crate::failure::Failure;
 use crate::geometry::path::Travelled;
@@ -67,10 +66,8 @@ pub fn export(arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Fail
         }
         false => writeln!(out, "{}: {said}\n{}", output.display(), verdict.ending.describe()),
     };
-    if !verdict.is_intact() {
-        tell!("trabecula: {}: {verdict}", log.display());
-    }
-    concluded(out, exit_code(&verdict))
+    let _ = out.flush();
+    judged(&log, &verdict)
 }
 
 /// The file being made.

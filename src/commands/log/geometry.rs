@@ -13,10 +13,11 @@ use recorder_proc::parquet_file::Parquet;
 use run_log::columns::{Column, Rows};
 use run_log::csv::Csv;
 use run_log::fields::Scalar;
-use run_log::{LogError, LogReader};
+use run_log::{LogError, LogReader, Verdict};
 use serde_json::{Value, json};
 
 use super::export::{ExportArguments, ending_of};
+use super::judged;
 use crate::failure::Failure;
 use crate::geometry::path::{Deviation, Place, Travelled, deviations};
 use crate::geometry::{Mesh, mesh_files, tool, tunnel};
@@ -72,21 +73,25 @@ impl Geometry {
 ///
 /// # Errors
 /// Not a log, an ending that says no format, an output that exists, nothing to export (2); a log that cannot be read to its end, a full
-/// disk (1).
+/// disk (1); a log that is cut or was not ended (3).
 pub fn export(what: Geometry, arguments: &ExportArguments) -> Result<(), Failure> {
     let format = what.format(&arguments.output)?;
     refuse_existing(&[&arguments.output])?;
-    let (said, figures) = match what {
+    let (said, figures, verdict) = match what {
         Geometry::Tunnel => of_tunnel(format, arguments)?,
         Geometry::Tool => of_tool(format, arguments)?,
         Geometry::BurrPath => {
-            let places = Seen::of(arguments, CURVE_STEP_MM)?.places;
-            curve("burr", format, arguments, &places.iter().map(|place| place.burr_mm).collect::<Vec<_>>())?
+            let seen = Seen::of(arguments, CURVE_STEP_MM)?;
+            let places: Vec<_> = seen.places.iter().map(|place| place.burr_mm).collect();
+            let (said, figures) = curve("burr", format, arguments, &places)?;
+            (said, figures, seen.verdict)
         }
         Geometry::PlannedPath => {
             let log = log_path(arguments.log());
             let reader = LogReader::open(&LogFile::at(&log))?;
-            curve("plan", format, arguments, &planned(&log, &scene_of(&reader, &log)?)?)?
+            let path_mm = planned(&log, &scene_of(&reader, &log)?)?;
+            let (said, figures) = curve("plan", format, arguments, &path_mm)?;
+            (said, figures, Verdict::default())
         }
         Geometry::Deviation => of_deviation(format, arguments)?,
     };
@@ -101,10 +106,13 @@ pub fn export(what: Geometry, arguments: &ExportArguments) -> Result<(), Failure
             all
         },
     );
-    Ok(())
+    judged(&log_path(arguments.log()), &verdict)
 }
 
-fn of_tunnel(format: &str, arguments: &ExportArguments) -> Result<(String, Value), Failure> {
+/// What was exported, in words and figures, and what is wrong with the log.
+type Exported = (String, Value, Verdict);
+
+fn of_tunnel(format: &str, arguments: &ExportArguments) -> Result<Exported, Failure> {
     let overrides = Overrides {
         volume: arguments.volume.clone(),
         volume_files: arguments.volume_files,
@@ -135,18 +143,19 @@ fn of_tunnel(format: &str, arguments: &ExportArguments) -> Result<(String, Value
     );
     let figures = json!({"tick": gone.tick, "triangles": mesh.triangles.len(), "surface_volume_mm3": surface_mm3,
         "removed_voxels": count, "removed_volume_mm3": voxels_mm3});
-    Ok((said, figures))
+    Ok((said, figures, gone.verdict))
 }
 
-fn of_tool(format: &str, arguments: &ExportArguments) -> Result<(String, Value), Failure> {
+fn of_tool(format: &str, arguments: &ExportArguments) -> Result<Exported, Failure> {
     let seen = Seen::of(arguments, f64::INFINITY)?;
     let mesh = tool::surface(&seen.last, &seen.scene.manipulator.radii());
     write_mesh(format, &arguments.output, &mesh)?;
     let (tick, count) = (seen.last.tick, mesh.triangles.len());
-    Ok((format!("the tool after tick {tick}: {count} triangles"), json!({"tick": tick, "triangles": count})))
+    let said = format!("the tool after tick {tick}: {count} triangles");
+    Ok((said, json!({"tick": tick, "triangles": count}), seen.verdict))
 }
 
-fn of_deviation(format: &str, arguments: &ExportArguments) -> Result<(String, Value), Failure> {
+fn of_deviation(format: &str, arguments: &ExportArguments) -> Result<Exported, Failure> {
     let log = log_path(arguments.log());
     let seen = Seen::of(arguments, TABLE_STEP_MM)?;
     let found = deviations(&planned(&log, &seen.scene)?, &seen.places);
@@ -173,25 +182,27 @@ fn of_deviation(format: &str, arguments: &ExportArguments) -> Result<(String, Va
     );
     let figures =
         json!({"rows": found.len(), "most_mm": most_mm, "rms_mm": rms_mm, "at_the_end_mm": last_mm});
-    Ok((said, figures))
+    Ok((said, figures, seen.verdict))
 }
 
-/// The states of a log up to the tick asked for: its scene, the burr's path and the last state.
+/// The states of a log up to the tick asked for: its scene, the burr's path, the last state, and what is wrong with the log if no tick
+/// was asked for.
 struct Seen {
     scene: Scene,
     places: Vec<Place>,
     last: State,
+    verdict: Verdict,
 }
 
 impl Seen {
     fn of(arguments: &ExportArguments, step_mm: f64) -> Result<Seen, Failure> {
         let log = log_path(arguments.log());
-        let reader = LogReader::open(&LogFile::at(&log))?;
+        let mut reader = LogReader::open(&LogFile::at(&log))?;
         let scene = scene_of(&reader, &log)?;
         let range = arguments.ticks();
         let (mut path, mut last) = (Travelled::new(step_mm), *reader.initial());
         path.see(&last);
-        for record in reader {
+        for record in reader.by_ref() {
             let record = record.map_err(|cause| Failure::failed(cause.to_string()))?;
             if !range.contains(Tick(record.state.tick)) {
                 break;
@@ -205,7 +216,8 @@ impl Seen {
                 last.tick
             )));
         }
-        Ok(Seen { scene, places: path.places(), last })
+        let verdict = if range.last.is_none() { reader.stream().verdict() } else { Verdict::default() };
+        Ok(Seen { scene, places: path.places(), last, verdict })
     }
 }
 

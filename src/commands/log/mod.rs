@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use clap::Subcommand;
 use recorder_proc::exit_code::exit_code;
 use recorder_proc::log_file::{LogFile, log_path};
-use run_log::{LogError, ReadOptions, diff, info};
+use run_log::{LogError, ReadOptions, Verdict, diff, info};
 
 use crate::failure::Failure;
 use crate::say::{self, Figures, Out};
@@ -130,9 +130,23 @@ fn concluded(out: &mut Out<'_>, code: u8) -> Result<(), Failure> {
     let _ = out.flush();
     match code {
         0 => Ok(()),
-        code => Err(Failure { message: "the log is not intact: see its verdict".to_owned(), code }),
+        code => Err(Failure { message: NOT_INTACT.to_owned(), code }),
     }
 }
+
+/// Ends a command that has done its work with what is wrong with the log, for standard error and as exit code.
+///
+/// # Errors
+/// The log is not intact: damaged (1), has a gap, is cut or was not ended (3).
+pub(super) fn judged(log: &Path, verdict: &Verdict) -> Result<(), Failure> {
+    if verdict.is_intact() {
+        return Ok(());
+    }
+    tell!("trabecula: {}: {verdict}", log.display());
+    Err(Failure { message: NOT_INTACT.to_owned(), code: exit_code(verdict) })
+}
+
+const NOT_INTACT: &str = "the log is not intact: see its verdict";
 
 /// Ignores an answer that could not be written: a closed pipe is fine, and any other output error is reported when the
 /// command ends.
