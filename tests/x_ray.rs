@@ -206,7 +206,7 @@ fn a_sweep_is_a_numbered_series_or_an_animation_and_a_csv_file_is_a_batch() {
     let animated = drr(&volume, &path("a.png"), &["--sweep", "-90", "--frames", "4", "--animate"]);
     assert_eq!(animated.code, Some(0), "{}", animated.err);
     assert_eq!(png(&path("a.png")).2, Some(4));
-    fs::write(path("batch.csv"), "primary_angle_deg, secondary_angle_deg\n0, 0\n90, 5\n").unwrap();
+    fs::write(path("batch.csv"), "\u{feff}primary_angle_deg, secondary_angle_deg\n0, 0\n90, 5\n").unwrap();
     assert_eq!(drr(&volume, &path("b.dcm"), &["--pose", text(&path("batch.csv"))]).code, Some(0));
     assert!(path("b_0000.dcm").exists() && path("b_0001.dcm").exists());
 }
@@ -225,6 +225,11 @@ fn bad_input_is_refused_with_code_2_and_nothing_is_written() {
         ("on_it.toml", zero_detector),
         ("bad.csv", "primary_angle_deg\n0\nsixty\n"),
         ("column.csv", "roll\n0\n"),
+        ("twice.csv", "primary_angle_deg, primary_angle_deg\n0, 30\n"),
+        (
+            "both.toml",
+            "primary_angle_deg = 30.0\nsource_mm = [0.0, 700.0, 0.0]\ndetector_centre_mm = [0.0, -300.0, 0.0]\nrow_axis = [1.0, 0.0, 0.0]\ncolumn_axis = [0.0, 0.0, -1.0]\n",
+        ),
         ("empty.csv", "primary_angle_deg\n"),
     ] {
         fs::write(path(name), content).unwrap();
@@ -240,7 +245,11 @@ fn bad_input_is_refused_with_code_2_and_nothing_is_written() {
         (pose("nan.toml"), "`primary_angle_deg`) is NaN degrees; expected -180 to 180 degrees"),
         (pose("on_it.toml"), "the source is 0 mm from the detector's plane; expected 1 to 10000 mm"),
         (pose("bad.csv"), "line 3"),
-        (pose("column.csv"), "no column `roll`"),
+        (pose("column.csv"), "line 1: no column `roll`"),
+        // The angle had no effect, and nothing said so; the last column of two counted.
+        (pose("twice.csv"), "line 1: column `primary_angle_deg` is given twice"),
+        (pose("both.toml"), "`primary_angle_deg` turns or moves a C-arm by its angles"),
+        (plain(&["--energy-kev", "70", "--tube-kv", "80"]), "--tube-kv"),
         (pose("empty.csv"), "no pose"),
         (pose("missing.toml"), "cannot be read"),
         (plain(&["--sweep", "0"]), "--sweep is 0"),

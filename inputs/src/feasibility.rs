@@ -50,7 +50,9 @@ pub fn check(
         refuse_outside(scene, source, volume)?;
     }
     let undrawn = arm_meshes::undrawn(&scene.arm);
-    let unlikely = of(Verdict::Unlikely).map(|finding| finding.to_string()).chain(undrawn);
+    let replaced = scene.drr.iter().flat_map(|drr| drr.replaced());
+    let replaced = replaced.map(|(key, by)| format!("`{key}` has no effect beside `{by}`"));
+    let unlikely = of(Verdict::Unlikely).map(|finding| finding.to_string()).chain(undrawn).chain(replaced);
     Ok(unlikely.map(|finding| format!("warning: {source}: {finding}")).collect())
 }
 
@@ -75,6 +77,10 @@ pub fn in_millimetres(cause: DrrError) -> String {
                 "the source is {} mm from the detector's plane; expected 1 to 10000 mm",
                 number(given * 1e3)
             )
+        }
+        DrrError::OutOfRange { field: field @ ("source_m" | "detector_centre_m"), given, .. } => {
+            let (place, mm) = (field.trim_end_matches("_m"), number(given * 1e3));
+            format!("`{place}_mm` is {mm}, expected -100000 to 100000 mm")
         }
         other => other.to_string(),
     }

@@ -77,7 +77,7 @@ pub struct DrrArguments {
     #[arg(long, value_enum, default_value = "bone-dark")]
     pub display: DisplayName,
     /// Photon energy, 30 to 120 keV.
-    #[arg(long, default_value_t = 60.0)]
+    #[arg(long, default_value_t = 60.0, conflicts_with = "tube_kv")]
     pub energy_kev: f64,
     /// Use the spectrum of this tube voltage, 50 to 120 kV, filtered by 3 mm of aluminium, instead of one energy.
     #[arg(long)]

@@ -81,6 +81,18 @@ impl Pose {
         }
     }
 
+    /// The first value that a C-arm by its angles alone uses.
+    fn turned_by(&self) -> Option<&'static str> {
+        [
+            ("primary_angle_deg", self.primary_angle_deg),
+            ("secondary_angle_deg", self.secondary_angle_deg),
+            ("source_isocentre_mm", self.source_isocentre_mm),
+            ("source_detector_mm", self.source_detector_mm),
+        ]
+        .into_iter()
+        .find_map(|(key, value)| value.map(|_| key))
+    }
+
     /// Whether the pose gives more than angles: a camera or points.
     pub fn is_given(&self) -> bool {
         let camera = self.intrinsics.is_some() || self.rotation.is_some() || self.translation_mm.is_some();
@@ -111,6 +123,11 @@ impl Pose {
                         row_axis and column_axis"
                     .to_owned(),
             );
+        }
+        if let Some(key) = self.turned_by().filter(|_| carm.is_some()) {
+            return Err(format!(
+                "`{key}` turns or moves a C-arm by its angles, but this pose is a camera or points; expected one of them"
+            ));
         }
         let drr = Drr {
             rate_hz: 0.0,
@@ -226,9 +243,19 @@ fn toml(text: &str) -> Result<Vec<Pose>, toml::de::Error> {
 }
 
 fn csv(text: &str) -> Result<Vec<Pose>, String> {
+    // Spreadsheets begin their files with a byte order mark.
+    let text = text.trim_start_matches('\u{feff}');
     let mut lines = text.lines().map(str::trim).enumerate().filter(|(_, line)| !line.is_empty());
-    let header: Vec<&str> =
-        lines.next().map(|(_, line)| line.split(',').map(str::trim).collect()).unwrap_or_default();
+    let (first, header) = lines.next().unwrap_or_default();
+    let header: Vec<&str> = header.split(',').map(str::trim).collect();
+    for (index, key) in header.iter().enumerate() {
+        let cause = match set(&mut Pose::default(), key, "0") {
+            Ok(()) if header[..index].contains(key) => format!("column `{key}` is given twice"),
+            Ok(()) => continue,
+            Err(cause) => cause,
+        };
+        return Err(format!("line {}: {cause}", first + 1));
+    }
     lines
         .map(|(number, line)| {
             let values: Vec<&str> = line.split(',').map(str::trim).collect();
