@@ -1,8 +1,10 @@
 //! Simulations on threads of their own.
 
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, RecvError, Sender, TryRecvError, channel};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvError, RecvTimeoutError, Sender, TryRecvError, channel};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 use messages::{Command, State};
 
@@ -119,15 +121,36 @@ impl Batch {
     /// Too few or too many commands: nothing has changed. Otherwise the error of the first simulation, in their order, that has one; the
     /// others have made their ticks.
     pub fn step(&self, commands: Option<Vec<Command>>, ticks: u64) -> Result<Vec<State>, SimError> {
+        self.step_watched(commands, ticks, &mut || false)
+    }
+
+    /// As [`Batch::step`]. While it waits it asks `is_to_end` every 50 ms, and if that is true, no simulation makes a further tick: each
+    /// stands at the tick to which it has come.
+    ///
+    /// # Errors
+    /// As [`Batch::step`].
+    pub fn step_watched(
+        &self,
+        commands: Option<Vec<Command>>,
+        ticks: u64,
+        is_to_end: &mut dyn FnMut() -> bool,
+    ) -> Result<Vec<State>, SimError> {
         let driven = self.driven.len();
         let (given, expected) = (commands.as_ref().map_or(0, Vec::len), driven * self.count);
         if commands.is_some() && given != expected {
             return Err(SimError::Count { what: "commands", given, expected });
         }
         let commands = Arc::new(commands.unwrap_or_else(|| vec![Command::zeroed(); expected]));
-        self.each(move |index, sim| {
-            sim.step(&commands[index * driven..(index + 1) * driven], ticks)?;
+        let ended = Arc::new(AtomicBool::new(false));
+        let is_ended = Arc::clone(&ended);
+        let work = move |index: usize, sim: &mut Sim| {
+            sim.step_until(&commands[index * driven..(index + 1) * driven], ticks, &is_ended)?;
             Ok(*sim.state())
+        };
+        self.each_watched(work, &mut || {
+            if is_to_end() {
+                ended.store(true, Ordering::Relaxed);
+            }
         })
     }
 
@@ -167,6 +190,15 @@ impl Batch {
         &self,
         work: impl Fn(usize, &mut Sim) -> Result<R, SimError> + Send + Sync + 'static,
     ) -> Result<Vec<R>, SimError> {
+        self.each_watched(work, &mut || ())
+    }
+
+    /// The same; calls `look` every 50 ms while it waits.
+    fn each_watched<R: Send + 'static>(
+        &self,
+        work: impl Fn(usize, &mut Sim) -> Result<R, SimError> + Send + Sync + 'static,
+        look: &mut dyn FnMut(),
+    ) -> Result<Vec<R>, SimError> {
         let work = Arc::new(work);
         let ask = |worker| {
             let work = Arc::clone(&work);
@@ -177,7 +209,7 @@ impl Batch {
         let asked: Vec<_> = (0..self.workers.len()).map(ask).collect::<Result<_, _>>()?;
         let mut done = Vec::with_capacity(self.count);
         for answer in asked {
-            done.extend(received(&answer).map_err(|_| SimError::Gone)?);
+            done.extend(received_watched(&answer, look).map_err(|_| SimError::Gone)?);
         }
         done.sort_by_key(|(index, _)| *index);
         done.into_iter().map(|(_, result)| result).collect()
@@ -203,16 +235,38 @@ impl Batch {
 /// longer for a sleeping thread to wake than for the tick.
 const LOOKS: u32 = 1000;
 
-/// What the other thread sends.
-fn received<T>(from: &Receiver<T>) -> Result<T, RecvError> {
+/// What the other thread has sent by then, if anything.
+fn received_soon<T>(from: &Receiver<T>) -> Result<Option<T>, RecvError> {
     for _ in 0..LOOKS {
         match from.try_recv() {
-            Ok(sent) => return Ok(sent),
+            Ok(sent) => return Ok(Some(sent)),
             Err(TryRecvError::Disconnected) => return Err(RecvError),
             Err(TryRecvError::Empty) => core::hint::spin_loop(),
         }
     }
-    from.recv()
+    Ok(None)
+}
+
+/// What the other thread sends.
+fn received<T>(from: &Receiver<T>) -> Result<T, RecvError> {
+    received_soon(from)?.map_or_else(|| from.recv(), Ok)
+}
+
+/// Time between two looks during a long wait.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+
+/// What the other thread sends; calls `look` while it waits.
+fn received_watched<T>(from: &Receiver<T>, look: &mut dyn FnMut()) -> Result<T, RecvError> {
+    if let Some(sent) = received_soon(from)? {
+        return Ok(sent);
+    }
+    loop {
+        match from.recv_timeout(LOOK_EVERY) {
+            Ok(sent) => return Ok(sent),
+            Err(RecvTimeoutError::Disconnected) => return Err(RecvError),
+            Err(RecvTimeoutError::Timeout) => look(),
+        }
+    }
 }
 
 impl Drop for Batch {

@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use controllers::{BuiltIn, Controller};
 use hub::command_check::check;
@@ -178,10 +179,23 @@ impl Sim {
     /// # Errors
     /// A command is refused: nothing has changed. The physics, the X-ray or the recording fails.
     pub fn step(&mut self, commands: &[Command], ticks: u64) -> Result<(), SimError> {
+        self.step_until(commands, ticks, &AtomicBool::new(false))
+    }
+
+    /// As [`Sim::step`], but makes no further tick once another thread has set `is_to_end`.
+    ///
+    /// # Errors
+    /// As [`Sim::step`].
+    pub fn step_until(
+        &mut self,
+        commands: &[Command],
+        ticks: u64,
+        is_to_end: &AtomicBool,
+    ) -> Result<(), SimError> {
         self.refusals.clear();
         self.readings.clear();
         self.check(commands)?;
-        (0..ticks).try_for_each(|_| self.tick(commands))
+        (0..ticks).take_while(|_| !is_to_end.load(Ordering::Relaxed)).try_for_each(|_| self.tick(commands))
     }
 
     fn check(&self, commands: &[Command]) -> Result<(), SimError> {

@@ -185,6 +185,15 @@ impl View {
                     rows: drr.rows,
                     pixel_pitch_m: [drr.pixel_pitch_mm * 1e-3; 2],
                 };
+                for (field, given) in
+                    [("primary_angle_deg", primary_deg), ("secondary_angle_deg", secondary_deg)]
+                {
+                    // Written so that NaN fails; the C-arm's own error speaks of radians.
+                    if !(-180.0..=180.0).contains(&given) {
+                        let expected = "-180 to 180 degrees";
+                        return Err(DrrError::OutOfRange { field, given, expected }.into());
+                    }
+                }
                 let angles = PositionerAngles::from_degrees(primary_deg, secondary_deg);
                 let [to_isocentre_m, to_detector_m] =
                     [drr.source_isocentre_mm, drr.source_detector_mm].map(|mm| mm * 1e-3);

@@ -76,6 +76,12 @@ fn a_scene_with_its_own_controllers_leads_to_the_hashes_and_frames_of_its_run() 
     case("runs");
 }
 
+/// Bug: a step of a million ticks could not be ended but by killing Python.
+#[test]
+fn ctrl_c_ends_a_long_step_at_a_tick() {
+    case("interrupted");
+}
+
 #[test]
 fn what_a_simulation_records_replays_identically() {
     case("records");

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -307,6 +308,8 @@ def errors(folder: Path) -> None:
     raises(trabecula.ArgumentError, "expected a Command", lambda: sim.step(3))
     raises(trabecula.ArgumentError, "expected a Command", lambda: sim.step({"mine": 3}))
     raises(trabecula.ArgumentError, "expected what `snapshot()` returns", lambda: sim.restore(b""))
+    raises(trabecula.ArgumentError, "primary_angle_deg is 400.0, expected -180 to 180 degrees", lambda: sim.render((400.0, 0.0)))
+    raises(trabecula.ArgumentError, "`bone_from_hu` is 200.9, expected a whole number", lambda: sim.labels(bone_from_hu=200.9))
     assert sim.hash == before and sim.tick == 0
     sim.step({"mine": pushing(0)})
     raises(trabecula.Error, "a recording begins at tick 0", lambda: sim.record("/nowhere/out"))
@@ -317,6 +320,33 @@ def errors(folder: Path) -> None:
     assert own.controllers == ["reference"] and own.driven == [] and own.dt_s == 0.001 and "femur" in own.scene_toml
     ct = own.volume()
     assert ct is not None and ct.hu.ndim == 3 and ct.hu.size == ct.volume.hu_length
+
+
+def interrupted(folder: Path) -> None:
+    """Ctrl-C ends a long step at a tick; from there on everything goes on as if it had been asked for that tick."""
+    drill = scene(folder, "scene.toml", EXTERNAL)
+    long = {"run.duration_s": 86400.0}
+    sim, same = (Sim(drill, overrides=long, drive=True) for _ in range(2))
+
+    def ended_early(step: Callable[[], Any]) -> None:
+        timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
+        timer.start()
+        try:
+            step()
+        except KeyboardInterrupt:
+            return
+        raise AssertionError("no KeyboardInterrupt")
+
+    ended_early(lambda: sim.step(pushing(0), ticks=80_000_000))
+    assert 0 < sim.tick < 80_000_000, sim.tick
+    same.step(pushing(0), ticks=sim.tick)
+    assert same.hash == sim.hash
+    assert sim.step(pushing(0), ticks=3).hash.tolist() == same.step(pushing(0), ticks=3).hash.tolist()
+    batch = Batch(drill, 3, overrides=long, drive=True, threads=2)
+    ended_early(lambda: batch.step(pushing(0), ticks=80_000_000))
+    assert all(0 <= tick < 80_000_000 for tick in batch.states["tick"]), batch.states["tick"]
+    batch.reset()
+    assert batch.step(pushing(0), ticks=2)["tick"].tolist() == [2, 2, 2]
 
 
 def memory(folder: Path) -> None:

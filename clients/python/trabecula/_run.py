@@ -199,6 +199,7 @@ class _Started:
         return Error(g.ERROR_HUB_GONE, f"the run {how}: {self._last_words()}")
 
     def _last_words(self) -> str:
-        complaints = [line for line in self._said if line.startswith("trabecula: ")]
-        last = (complaints or self._said or ["nothing"])[-1]
-        return last[len("trabecula: ") :] if last.startswith("trabecula: ") else last
+        """Its complaints: how it ended comes last, and why stands before it."""
+        own = "trabecula: "
+        complaints = [line[len(own) :] for line in self._said if line.startswith(own)]
+        return "; ".join(complaints[-3:]) or (self._said or ["nothing"])[-1]

@@ -181,6 +181,7 @@ class Sim:
         Raises:
             ArgumentError: A value out of its range, a part of the tool that is not the controller's, or no controller to command.
                 Nothing has changed then.
+            KeyboardInterrupt: Ctrl-C, or what another signal handler raises. The simulation stands at the tick to which it has come.
         """
         return g.State(self._native.step(self._packed(command), whole("ticks", ticks)))
 
@@ -276,9 +277,7 @@ class Sim:
             ArgumentError: The C-arm or `bone_from_hu` is refused.
             Error: The scene has no X-ray.
         """
-        threshold = None if bone_from_hu is None else int(bone_from_hu)
-        if threshold is not None and not -1000 <= threshold <= 32767:
-            raise ArgumentError(f"`bone_from_hu` is {threshold}, allowed is -1000 to 32767")
+        threshold = None if bone_from_hu is None else _hounsfield("bone_from_hu", bone_from_hu)
         frame_bytes, pixels, mask, images, points = self._native.labels(*_seen_from(c_arm), threshold)
         return Labels.of(_image(frame_bytes, pixels), mask, images, points)
 
@@ -431,6 +430,7 @@ class Batch:
 
         Raises:
             ArgumentError: Of the first simulation whose command is refused; that one has made no tick, and the others have.
+            KeyboardInterrupt: Ctrl-C, or what another signal handler raises. Each simulation stands at the tick to which it has come.
         """
         given: Optional[bytes] = None
         if isinstance(commands, g.Command):
@@ -517,6 +517,12 @@ def _angles(c_arm: Any) -> tuple[float, float]:
         return float(primary_deg), float(secondary_deg)
     except (TypeError, ValueError):
         raise ArgumentError(f"`c_arm` is {c_arm!r}, expected a CArmGeometry or two angles in degrees") from None
+
+
+def _hounsfield(name: str, value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not -1000 <= value <= 32767:
+        raise ArgumentError(f"`{name}` is {value!r}, expected a whole number from -1000 to 32767")
+    return int(value)
 
 
 def _digits(state: g.State) -> str:

@@ -7,7 +7,7 @@ use zerocopy::IntoBytes;
 
 use crate::failing::raised;
 use crate::scene::Scene;
-use crate::simulation::{Snapshot, commands, drive};
+use crate::simulation::{Snapshot, commands, drive, stepped};
 
 /// Simulations that are stepped together.
 #[pyclass(frozen, module = "trabecula._sim")]
@@ -43,7 +43,7 @@ impl Batch {
     #[pyo3(signature = (given, ticks))]
     fn step<'py>(&self, py: Python<'py>, given: Option<&[u8]>, ticks: u64) -> PyResult<Bound<'py, PyBytes>> {
         let given = given.map(|bytes| commands(py, bytes)).transpose()?;
-        let states = self.with(py, |batch| batch.step(given, ticks))?;
+        let states = stepped(py, &self.0, given, ticks)?;
         Ok(PyBytes::new(py, states.as_bytes()))
     }
 

@@ -2,7 +2,7 @@
 
 use ::sim::{Batch, Drive, Maker, SimError, View};
 use ipc_types::layout::Message;
-use ipc_types::messages::{CArmGeometry, Command};
+use ipc_types::messages::{CArmGeometry, Command, State};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use std::path::PathBuf;
@@ -45,6 +45,29 @@ pub(crate) fn commands(py: Python<'_>, bytes: &[u8]) -> PyResult<Vec<Command>> {
     }
     // Each chunk has the size of a command.
     Ok(bytes.chunks_exact(size).filter_map(|bytes| Command::read_from_bytes(bytes).ok()).collect())
+}
+
+/// Makes ticks while other Python threads run. A signal handler that raises, as that of Ctrl-C does, ends it at the tick to which it has
+/// come.
+pub(crate) fn stepped(
+    py: Python<'_>,
+    batch: &Batch,
+    given: Option<Vec<Command>>,
+    ticks: u64,
+) -> PyResult<Vec<State>> {
+    let mut raised_by_handler = None;
+    let states = py.detach(|| {
+        batch.step_watched(given, ticks, &mut || {
+            if let Err(error) = Python::attach(|py| py.check_signals()) {
+                raised_by_handler.get_or_insert(error);
+            }
+            raised_by_handler.is_some()
+        })
+    });
+    match raised_by_handler {
+        Some(error) => Err(error),
+        None => states.map_err(|error| raised(py, &error)),
+    }
 }
 
 /// A C-arm as Python gives it: its bytes or its angles, or neither for the scene's.
@@ -100,8 +123,8 @@ impl Sim {
     /// Makes ticks; returns the state's bytes.
     fn step<'py>(&self, py: Python<'py>, given: &[u8], ticks: u64) -> PyResult<Bound<'py, PyBytes>> {
         let given = commands(py, given)?;
-        let state = self.with(py, move |sim| sim.step(&given, ticks).map(|()| *sim.state()))?;
-        Ok(PyBytes::new(py, state.as_bytes()))
+        let states = stepped(py, &self.0, Some(given), ticks)?;
+        Ok(PyBytes::new(py, states.as_bytes()))
     }
 
     /// The state's bytes.
