@@ -209,6 +209,8 @@ fn line(row: &Row, progress: Progress, jobs: usize) -> String {
     let error = row.figure("target_error_mm").map_or(String::new(), |mm| format!("  {mm:8.3} mm off target"));
     let reason = row.reason.as_ref().map_or(String::new(), |reason| format!("  {reason}"));
     let each_s = progress.elapsed_s / progress.made.max(1) as f64;
+    // No more run at once than there are.
+    let at_once = jobs.min(usize::try_from(progress.made + progress.of - progress.done).unwrap_or(jobs));
     let left_s = each_s * (progress.of - progress.done) as f64;
     let left = if progress.done < progress.of { format!(", {left_s:.0} s left") } else { String::new() };
     format!(
@@ -217,7 +219,7 @@ fn line(row: &Row, progress: Progress, jobs: usize) -> String {
         progress.of,
         row.point,
         row.outcome.name(),
-        each_s * jobs as f64,
+        each_s * at_once as f64,
     )
 }
 

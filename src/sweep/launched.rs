@@ -1,4 +1,4 @@
-//! A run of a sweep as a session of its own, for scenes whose controllers are programs.
+//! A run of a sweep as a session of its own, for scenes whose controllers are programs and for logs with X-ray frames.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};

@@ -177,12 +177,13 @@ fn one(
         )));
     }
     let has_programs = controllers.iter().any(|controller| controller.command.is_some());
-    if has_programs || study.study.record == Record::All {
+    let is_session = has_programs || study.study.record == Record::Frames;
+    if is_session || study.study.record == Record::All {
         row.log = Some(folder.claim_run(index)?);
     }
     let run_folder = row.log.as_ref().map(|run| folder.path().join(run));
     match run_folder {
-        Some(run_folder) if has_programs => {
+        Some(run_folder) if is_session => {
             let mut arguments: Vec<String> =
                 study.scene.iter().map(|scene| scene.display().to_string()).collect();
             arguments.extend(["--mode".to_owned(), "lockstep".to_owned()]);

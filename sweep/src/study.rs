@@ -23,8 +23,10 @@ pub enum Record {
     /// None; the row's command makes one again.
     #[default]
     None,
-    /// Every one.
+    /// Every one, without X-ray frames of runs that are no session.
     All,
+    /// Every one, with its X-ray frames: each run is a session.
+    Frames,
 }
 
 #[derive(Debug, Deserialize)]

@@ -217,6 +217,28 @@ fn controllers_that_are_programs_run_as_sessions_and_others_started_elsewhere_ar
     assert!(done.err.contains("controller `holder` is a program that somebody else starts"), "{}", done.err);
 }
 
+/// Bug: the page on data sets exported logs of a sweep, and they had no frames.
+#[test]
+fn a_sweep_that_records_frames_makes_a_data_set() {
+    let place = Place::new();
+    let by_angle = STUDY
+        .replace("samples = 8", "samples = 2\nrecord = \"frames\"")
+        .replace("controller.0.hold.tension_n", "drr.primary_angle_deg")
+        .replace("min = 0.5\nmax = 6.0", "min = -60.0\nmax = 60.0");
+    let study = study(&place, &by_angle);
+    let x_ray = "[drr]\nrate_hz = 10.0\nisocentre_mm = [0.0, 0.0, -40.0]\ncolumns = 48\nrows = 32\npixel_pitch_mm = 5.0\n[[controller]]";
+    fs::write(place.path("scene.toml"), SCENE.replace("[[controller]]", x_ray)).unwrap();
+    let folder = place.path("swept");
+    complete(&study, &folder, &[]);
+    let logs: Vec<PathBuf> =
+        rows(&folder).iter().map(|(_, row)| folder.join(row["log"].as_str().unwrap())).collect();
+    let output = place.path("dataset");
+    let done = trabecula(&[&"log", &"export", &logs[0], &logs[1], &"-o", &output, &"--dataset", &"coco"]);
+    assert_eq!(done.code, Some(0), "{}{}", done.out, done.err);
+    let frames = fs::read_dir(output.join("images")).unwrap().count();
+    assert!(frames >= 4 && frames.is_multiple_of(2), "{frames}");
+}
+
 #[test]
 fn a_folder_of_another_sweep_or_of_something_else_is_refused_and_stays_as_it_is() {
     let place = Place::new();
