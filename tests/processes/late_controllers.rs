@@ -1,12 +1,13 @@
 //! Controllers that stop answering.
 
 use ipc_types::messages::{
-    EVENT_COMMAND_HELD, EVENT_SAFE_COMMAND, SOURCE_FRESH, SOURCE_HELD, SOURCE_SAFE, State,
+    Command, EVENT_COMMAND_HELD, EVENT_SAFE_COMMAND, SOURCE_FRESH, SOURCE_HELD, SOURCE_SAFE, State,
+    TENDON_SERVO_JF,
 };
 use run_log::EndReason;
 use rustix::process::Signal;
 
-use crate::common::client::Client;
+use crate::common::client::{Client, Pilot};
 use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Place, assert_nothing_left, signal};
 use crate::common::scenes;
@@ -38,6 +39,32 @@ fn a_silent_controller_in_lockstep_ends_the_run_and_is_named() {
     assert_eq!(log.marker.unwrap().reason, EndReason::ControllerLate("reference".to_owned()));
     assert!(log.ticks.len() >= 100);
     assert_replays(&ended.folder);
+}
+
+/// It was told that it "did not connect", though its command had come and was refused.
+#[test]
+fn a_controller_whose_first_command_is_refused_is_told_why_when_its_time_is_up() {
+    for (connect_limit_s, tick) in [(2.0, 0), (60.0, 1)] {
+        let place = Place::new();
+        let scene = scenes::piloted("lockstep", 1.0, "controller_limit_ms = 2000.0");
+        let run = place.start(&format!("{scene}connect_limit_s = {connect_limit_s:?}\n"));
+        let mut pilot = Pilot::join(&run.session(), "pilot");
+        let state = pilot.drive_to(tick, |_| Command::zeroed());
+        let mut command = Command::zeroed();
+        (command.tendon_mode, command.tendon_force_n[0]) = (TENDON_SERVO_JF, 61.0);
+        pilot.answer(&state, command);
+        let ended = run.end();
+        assert_eq!(ended.code, Some(1), "{}", ended.err);
+        let (missed, number) = match tick {
+            0 => ("sent no valid command within 2 s", 1),
+            _ => ("did not answer tick 1 within 2000 ms", 2),
+        };
+        let why = format!("refused: command {number}: `tendon_force_n[0]` is 61, allowed is 0 to 60");
+        assert!(ended.err.contains(missed) && ended.err.contains(&why), "{}", ended.err);
+        assert!(ended.out.contains("controller_late: controller `pilot`"), "{}", ended.out);
+        assert!(!ended.err.contains("it is external"), "{}", ended.err);
+        assert_nothing_left(ended.pid);
+    }
 }
 
 #[test]

@@ -22,6 +22,8 @@ pub(super) struct Controller {
     /// Lost commands not yet reported.
     lost: u64,
     pub(super) warnings: WarningLimit,
+    /// Why its newest command was refused; `None` if it was taken.
+    pub(super) refused: Option<String>,
     /// The newest command's connection.
     connection: Option<Connection>,
 }
@@ -36,6 +38,7 @@ impl Controller {
             seen_sequence: 0,
             lost: 0,
             warnings: WarningLimit::default(),
+            refused: None,
             connection: None,
         }
     }
@@ -48,10 +51,14 @@ impl<P: Plant> Hub<P> {
         for index in ControllerIndex::first(self.controllers.len()) {
             for _ in 0..COMMAND.queue_length {
                 let Some(incoming) = env.receive_command(index)? else { break };
-                let Some(reason) = self.offer(env, index, incoming) else { continue };
+                let refused = self.offer(env, index, incoming);
+                let controller = &mut self.controllers[index.slot()];
+                controller.refused = refused;
+                let Some(reason) = &controller.refused else { continue };
                 self.refused_commands += 1;
-                if self.controllers[index.slot()].warnings.allows(env.now_ns()) {
-                    self.warn(env, index, EventCode::CommandRefused, &format!("{reason}; refused"))?;
+                if controller.warnings.allows(env.now_ns()) {
+                    let text = format!("{reason}; refused");
+                    self.warn(env, index, EventCode::CommandRefused, &text)?;
                 }
             }
             if let Some(more) = self.controllers[index.slot()].warnings.take_suppressed(|| env.now_ns()) {

@@ -50,8 +50,9 @@ impl<P: Plant> Hub<P> {
                     Some(index) if over[index.slot()] => {
                         let controller = &self.controllers[index.slot()];
                         let limit_s = controller.connect_limit_ns / NS_PER_S;
-                        let name = controller.name.clone();
-                        return Err(HubError::Controller(ControllerFault::NotConnected { name, limit_s }));
+                        let (name, refused) = (controller.name.clone(), controller.refused.clone());
+                        let fault = ControllerFault::NotConnected { name, limit_s, refused };
+                        return Err(HubError::Controller(fault));
                     }
                     Some(index) => {
                         let limit_ns = self.controllers[index.slot()].connect_limit_ns;

@@ -47,17 +47,20 @@ pub enum HubError<E, P> {
 /// How a controller ends the run.
 #[derive(Debug, Error)]
 pub enum ControllerFault {
-    /// It never sent a command.
-    #[error("controller `{name}` did not connect within {limit_s} s")]
+    /// It never sent a command that could be taken.
+    #[error("controller `{name}` {} within {limit_s} s{}", what_it_missed(refused), why(refused))]
     NotConnected {
         /// Its name.
         name: String,
         /// Time waited.
         limit_s: u64,
+        /// Why its last command was refused, if it sent one.
+        refused: Option<String>,
     },
     /// It did not answer in lockstep.
     #[error(
-        "controller `{name}` did not answer tick {tick} within {limit_ms} ms (`run.controller_limit_ms`)"
+        "controller `{name}` did not answer tick {tick} within {limit_ms} ms (`run.controller_limit_ms`){}",
+        why(refused)
     )]
     Silent {
         /// Its name.
@@ -66,7 +69,17 @@ pub enum ControllerFault {
         tick: Tick,
         /// Limit.
         limit_ms: f64,
+        /// Why its last command was refused, if it was.
+        refused: Option<String>,
     },
+}
+
+fn what_it_missed(refused: &Option<String>) -> &'static str {
+    if refused.is_some() { "sent no valid command" } else { "did not connect" }
+}
+
+fn why(refused: &Option<String>) -> String {
+    refused.as_ref().map_or(String::new(), |reason| format!("; its last one was refused: {reason}"))
 }
 
 impl ControllerFault {
@@ -80,8 +93,11 @@ impl ControllerFault {
     /// The kind of event that tells it.
     pub fn event(&self) -> EventCode {
         match self {
-            ControllerFault::NotConnected { .. } => EventCode::ControllerMissing,
-            ControllerFault::Silent { .. } => EventCode::ControllerLate,
+            ControllerFault::NotConnected { refused: None, .. } => EventCode::ControllerMissing,
+            // One whose commands are refused is there.
+            ControllerFault::NotConnected { .. } | ControllerFault::Silent { .. } => {
+                EventCode::ControllerLate
+            }
         }
     }
 }

@@ -152,8 +152,8 @@ impl<P: Plant> Hub<P> {
         let limit_ms = self.settings.controller_limit_ns as f64 * 1e-6;
         let controller = &self.controllers[silent.slot()];
         if !controller.optional {
-            let name = controller.name.clone();
-            let fault = ControllerFault::Silent { name, tick: self.tick, limit_ms };
+            let (name, refused) = (controller.name.clone(), controller.refused.clone());
+            let fault = ControllerFault::Silent { name, tick: self.tick, limit_ms, refused };
             return Err(HubError::Controller(fault));
         }
         self.latch.release(silent);
