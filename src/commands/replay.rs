@@ -14,6 +14,7 @@ use ipc_types::messages::{Tick, TickRange};
 use ipc_types::process::EXIT_GAP;
 
 use crate::failure::Failure;
+use crate::feasibility::is_program;
 use crate::launcher::volume_source::VolumeFiles;
 use crate::replay::{ComparedFrames, LivePlan, OpenedLog, Overrides, record, run_live, step, verify_frames};
 use crate::say::Figures;
@@ -378,9 +379,11 @@ fn live(arguments: &ReplayArguments, log: &OpenedLog, to_tick: Tick) -> Result<(
 fn controller(text: &str, log: &OpenedLog) -> Result<(String, Vec<String>), Failure> {
     let names = log.scene.controller_names();
     let named = text.split_once('=').filter(|(name, _)| names.iter().any(|of_scene| of_scene == name));
+    let is_name = |name: &str| name.chars().all(|c| c.is_alphanumeric() || matches!(c, '_' | '-'));
+    let is_misnamed = named.is_none() && text.split_once('=').is_some_and(|(name, _)| is_name(name));
     let (name, command) = match (named, names.as_slice()) {
         (Some((name, command)), _) => (name.to_owned(), command),
-        (None, [only]) => (only.clone(), text),
+        (None, [only]) if !is_misnamed => (only.clone(), text),
         (None, _) => {
             let names = names.join("`, `");
             return Err(Failure::bad_input(format!(
@@ -394,5 +397,11 @@ fn controller(text: &str, log: &OpenedLog) -> Result<(String, Vec<String>), Fail
             "--controller {text}: expected a program; it is empty or has an unclosed quote"
         ))
     })?;
+    if !is_program(&words[0]) {
+        return Err(Failure::bad_input(format!(
+            "--controller {text}: no program `{}`; expected a path, or a name in one of the folders of PATH",
+            words[0]
+        )));
+    }
     Ok((name, words))
 }

@@ -186,13 +186,16 @@ fn a_replay_that_would_compare_nothing_says_so() {
     let drilled = other.complete(&scenes::drill("lockstep", 0.2)).folder.join("run.mcap");
     let unheard = place.path("unheard.mcap");
     rewrite(&held, &unheard, |latched| latched.commands[0].source = SOURCE_HELD, |_| {});
-    let program = "/no/such/program";
-    let cases: [(&Path, &[&str], &str); 6] = [
+    let program = "/bin/true";
+    let cases: [(&Path, &[&str], &str); 8] = [
         (&held, &["--verify", "--frames"], "the scene has no X-ray"),
         (&drilled, &["--frames", "--from", "110", "--to", "120"], "no frames for these ticks"),
         (&held, &["--verify", "--from", "5000"], "--from is tick 5000, but the log ends at tick 100"),
         (&held, &["--from", "0.2s"], "--from is tick 200, but the log ends at tick 100"),
         (&unheard, &["--controller", program], "--controller `holder`:"),
+        // Each was taken for a program that had failed: exit code 1.
+        (&held, &["--controller", "/no/such/program"], "no program `/no/such/program`"),
+        (&held, &["--controller", "holden=/bin/true"], "a controller of the log's scene: `holder`"),
         (
             &held,
             &["--controller", program, "--closed-loop", "--to", "0"],
