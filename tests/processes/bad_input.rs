@@ -204,7 +204,8 @@ fn a_calibration_that_is_none_is_refused_before_anything_starts() {
     for text in [None, Some("milk, bread\n")] {
         let place = Place::new();
         let scene = scenes::drill("lockstep", 1.0);
-        let named = scene.replace("tension_n = 6.0", "calibration = \"tension.csv\"\ntarget_mm = [-98.6, 2.3, 8.4]");
+        let named =
+            scene.replace("tension_n = 6.0", "calibration = \"tension.csv\"\ntarget_mm = [-98.6, 2.3, 8.4]");
         assert_ne!(scene, named);
         place.scene(&named);
         text.iter().for_each(|text| fs::write(place.path("tension.csv"), text).unwrap());
