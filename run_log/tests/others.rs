@@ -17,6 +17,10 @@ enum Beside {
     WhereTheyStood,
     /// Each once, behind all messages.
     AtTheEnd,
+    /// All, before the messages: attachments, then metadata.
+    AtTheStart,
+    /// Each once, before the messages.
+    OnceAtTheStart,
 }
 
 /// The log as the `mcap` crate's writer writes its records.
@@ -36,8 +40,12 @@ fn edited_again(
     let mut writer: Writer<_> = options.profile("ros2").create(&mut out).unwrap();
     let mut channels = std::collections::BTreeMap::new();
     let mut schemas = std::collections::BTreeMap::new();
-    let (mut attachments, mut metadata): (Vec<Attachment<'static>>, Vec<mcap::records::Metadata>) =
-        Default::default();
+    let (mut attachments, mut metadata) = match beside {
+        Beside::AtTheStart | Beside::OnceAtTheStart => all_beside(log),
+        Beside::WhereTheyStood | Beside::AtTheEnd => Default::default(),
+    };
+    put(&mut writer, &attachments, &metadata, beside);
+    let is_at_the_start = !metadata.is_empty();
     for record in mcap::read::ChunkFlattener::new(log).unwrap() {
         match record.unwrap() {
             Record::Schema { header, data } => {
@@ -55,36 +63,71 @@ fn edited_again(
                 header.channel_id = channels[&header.channel_id];
                 writer.write_to_known_channel(&header, data).unwrap();
             }
-            Record::Attachment { header, data, .. } => attachments.push(Attachment {
-                log_time: header.log_time,
-                create_time: header.create_time,
-                name: header.name,
-                media_type: header.media_type,
-                data: std::borrow::Cow::Owned(data.into_owned()),
-            }),
-            Record::Metadata(found) => metadata.push(found),
+            Record::Attachment { header, data, .. } if !is_at_the_start => {
+                attachments.push(attachment(header, data.into_owned()));
+            }
+            Record::Metadata(found) if !is_at_the_start => metadata.push(found),
             Record::DataEnd(_) => break,
             _ => {}
         }
         if beside == Beside::WhereTheyStood {
-            attachments.drain(..).for_each(|found| writer.attach(&found).unwrap());
-            metadata.drain(..).for_each(|found| writer.write_metadata(&found).unwrap());
+            put(&mut writer, &attachments, &metadata, beside);
+            (attachments, metadata) = Default::default();
         }
     }
-    let mut names: Vec<String> = Vec::new();
-    let mut is_new = |name: &str| {
-        let new = !names.iter().any(|known| known == name);
-        names.push(name.to_owned());
-        new
-    };
-    attachments.iter().filter(|found| is_new(&found.name)).for_each(|found| writer.attach(found).unwrap());
-    metadata
-        .iter()
-        .filter(|found| is_new(&found.name))
-        .for_each(|found| writer.write_metadata(found).unwrap());
+    if !is_at_the_start {
+        put(&mut writer, &attachments, &metadata, beside);
+    }
     writer.finish().unwrap();
     drop(writer);
     out.into_inner()
+}
+
+fn attachment(header: mcap::records::AttachmentHeader, data: Vec<u8>) -> Attachment<'static> {
+    Attachment {
+        log_time: header.log_time,
+        create_time: header.create_time,
+        name: header.name,
+        media_type: header.media_type,
+        data: std::borrow::Cow::Owned(data),
+    }
+}
+
+/// All attachments and metadata of a log.
+fn all_beside(log: &[u8]) -> (Vec<Attachment<'static>>, Vec<mcap::records::Metadata>) {
+    let (mut attachments, mut metadata) = (Vec::new(), Vec::new());
+    for record in mcap::read::ChunkFlattener::new(log).unwrap() {
+        match record.unwrap() {
+            Record::Attachment { header, data, .. } => {
+                attachments.push(attachment(header, data.into_owned()))
+            }
+            Record::Metadata(found) => metadata.push(found),
+            Record::DataEnd(_) => break,
+            _ => {}
+        }
+    }
+    (attachments, metadata)
+}
+
+fn put(
+    writer: &mut Writer<&mut Cursor<Vec<u8>>>,
+    attachments: &[Attachment],
+    metadata: &[mcap::records::Metadata],
+    beside: Beside,
+) {
+    let once = matches!(beside, Beside::AtTheEnd | Beside::OnceAtTheStart);
+    let mut names: Vec<&str> = Vec::new();
+    let mut is_wanted = |name| {
+        let is_new = !names.contains(&name);
+        names.push(name);
+        is_new || !once
+    };
+    for found in attachments.iter().filter(|found| is_wanted(&found.name)) {
+        writer.attach(found).unwrap();
+    }
+    for found in metadata.iter().filter(|found| is_wanted(&found.name)) {
+        writer.write_metadata(found).unwrap();
+    }
 }
 
 fn messages_of(name: &str, log: &[u8]) -> Vec<(String, u64, Vec<u8>)> {
@@ -100,7 +143,7 @@ fn messages_of(name: &str, log: &[u8]) -> Vec<(String, u64, Vec<u8>)> {
 
 fn variants(log: &[u8]) -> Vec<(&'static str, Vec<u8>)> {
     let plain = || WriteOptions::new().compression(None).chunk_size(Some(20_000));
-    use Beside::{AtTheEnd, WhereTheyStood};
+    use Beside::{AtTheEnd, AtTheStart, OnceAtTheStart, WhereTheyStood};
     vec![
         ("as it was", written_again(log, plain(), WhereTheyStood)),
         // The crate's checksum of the data section is wrong without those of chunks (mcap 0.26, `ChunkWriter::finish`).
@@ -115,6 +158,10 @@ fn variants(log: &[u8]) -> Vec<(&'static str, Vec<u8>)> {
         ("no chunks", written_again(log, plain().use_chunks(false), WhereTheyStood)),
         ("metadata at the end", written_again(log, plain(), AtTheEnd)),
         ("no chunks, metadata at the end", written_again(log, plain().use_chunks(false), AtTheEnd)),
+        // As a loop over attachments, one over metadata and one over messages leave it, in Python.
+        ("metadata at the start", written_again(log, plain(), AtTheStart)),
+        ("metadata once at the start", written_again(log, plain(), OnceAtTheStart)),
+        ("no chunks, metadata at the start", written_again(log, plain().use_chunks(false), AtTheStart)),
     ]
 }
 
@@ -161,6 +208,19 @@ fn messages_outside_of_chunks_in_a_file_that_says_it_is_ours_are_damage() {
     }
     let (_, report) = repair::Repair::of(&source).unwrap().write(Vec::new(), Path::new("r.mcap")).unwrap();
     assert!(report.left_out_bytes > 200 * 1000, "{report:?}");
+}
+
+/// Bug: "the end marker says 200", where the file was cut.
+#[test]
+fn a_cut_log_with_its_metadata_before_its_messages_is_called_cut() {
+    let log = write_log(&run_messages(200, None));
+    let options = WriteOptions::new().compression(None).chunk_size(Some(20_000));
+    let again = written_again(&log, options, Beside::AtTheStart);
+    let source = Box::new(Cursor::new(again[..again.len() / 2].to_vec()));
+    let mut stream = MessageStream::from_reader(source, Path::new("l.mcap"), ReadOptions::default()).unwrap();
+    while let Ok(Some(_)) = stream.next_message() {}
+    let verdict = stream.verdict();
+    assert!(matches!(verdict.faults[..], [Fault::Cut { ended: false, .. }]), "{verdict}");
 }
 
 /// Bug: `compress` and `cat-files` took states of 20 bytes that no reader takes.

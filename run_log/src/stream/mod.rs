@@ -90,6 +90,8 @@ pub struct MessageStream {
     has_second: bool,
     header_fault: Option<(HeaderCopy, String)>,
     continuity: Continuity,
+    /// The end marker of a log that another program wrote again with its metadata before its messages.
+    early_marker: Option<EndMarker>,
     /// Where reading stopped, and why.
     damage: Option<(u64, String)>,
     /// Topics to return; none for all.
@@ -153,6 +155,7 @@ impl MessageStream {
             has_second: is_behind,
             header_fault: first_is_bad.map(|cause| (HeaderCopy::First, cause)),
             continuity: Continuity::default(),
+            early_marker: None,
             damage: None,
             wanted: None,
             done: false,
@@ -273,12 +276,23 @@ impl MessageStream {
                     (self.position, self.in_chunk) = (0, true);
                     self.chunks += 1;
                 }
-                FileRecord::Metadata { name, entries } if name == END_RECORD => self.end_marker(&entries)?,
+                FileRecord::Metadata { name, entries } if name == END_RECORD => {
+                    let marker = EndMarker::from_metadata(self.records.path(), &entries)?;
+                    match self.is_moved_before_messages() {
+                        true => self.early_marker = Some(marker),
+                        false => self.end_marker(marker)?,
+                    }
+                }
                 FileRecord::Metadata { name, entries } if name == HEADER_RECORD => self.second(&entries),
                 FileRecord::Metadata { name, .. } if name == REPAIR_RECORD => self.repaired = true,
                 FileRecord::Attachment(found) => self.second.take(&found),
                 FileRecord::Metadata { .. } => (),
-                FileRecord::End => self.done = true,
+                FileRecord::End => {
+                    if let Some(marker) = self.early_marker.take() {
+                        self.end_marker(marker)?;
+                    }
+                    self.done = true;
+                }
                 FileRecord::Cut(cut) => {
                     self.ending.cut = Some(cut);
                     self.done = true;
@@ -301,7 +315,17 @@ impl MessageStream {
         }
     }
 
+    /// Whether a record that has its place behind messages stands before all of them, since another program wrote the file again.
+    fn is_moved_before_messages(&self) -> bool {
+        self.chunks == 0 && self.records.is_written_by_another()
+    }
+
     fn second(&mut self, entries: &BTreeMap<String, String>) {
+        if self.is_moved_before_messages() && *entries == self.metadata {
+            // The first copy was read with the attachments of both.
+            (self.second, self.has_second) = (Parts::default(), true);
+            return;
+        }
         let header = self.second.header(self.records.path(), entries);
         if std::mem::replace(&mut self.has_second, true) {
             return;
@@ -320,9 +344,9 @@ impl MessageStream {
         self.header_fault.get_or_insert((HeaderCopy::Second, cause));
     }
 
-    fn end_marker(&mut self, entries: &BTreeMap<String, String>) -> Result<(), LogError> {
-        let marker = EndMarker::from_metadata(self.records.path(), entries)?;
-        if !self.has_second && crate::seal::is_sealed(&self.metadata) {
+    fn end_marker(&mut self, marker: EndMarker) -> Result<(), LogError> {
+        let is_ours = !self.records.is_written_by_another();
+        if !self.has_second && is_ours && crate::seal::is_sealed(&self.metadata) {
             self.second_is_bad("there is none".to_string());
         }
         for (topic, &written) in &marker.counts {
