@@ -106,7 +106,7 @@ fn promise_3_closed_loop_stops_at_the_first_difference_and_names_it() {
     // Programs that are no controllers, and names that are none.
     let run = |text: &str| trabecula(&[&"replay", &original, &"--controller", &text]);
     failed(&run("false"), 1, &["tick 0: controller `holder` ended"]);
-    failed(&run("/no/such/program"), 1, &["cannot be started"]);
+    failed(&run("/no/such/program"), 2, &["no program `/no/such/program`"]);
     failed(&run("'unclosed"), 2, &["an unclosed quote"]);
 }
 

@@ -175,7 +175,7 @@ fn a_killed_commanding_program_leaves_arm_and_burr_standing_and_the_tension_as_i
     // Velocities run out within half a second, long before Cyclone DDS's lease of 10 s.
     let stopped = client.wait_for_state(|state| state.burr_speed_rad_per_s == 0.0);
     let ticks = stopped.tick - moving.tick;
-    assert!(ticks > 300, "stopped after {ticks} ticks, before the velocity ran out");
+    assert!(ticks < 5000, "stopped after {ticks} ticks, not before the lease's end");
     wait_for("the lease's end", || {
         let is_it = |(_, text): &(u32, String)| text.contains("the last publisher of commands has gone");
         client.events().iter().any(is_it).then_some(())
