@@ -119,7 +119,12 @@ struct Tree<'a> {
 
 impl<'a> Tree<'a> {
     fn new(robot: Node<'a, 'a>) -> Result<Self, String> {
-        let links: BTreeSet<&str> = named(robot, "link").filter_map(|node| node.attribute("name")).collect();
+        let mut links = BTreeSet::new();
+        for link in named(robot, "link").filter_map(|node| node.attribute("name")) {
+            if !links.insert(link) {
+                return Err(format!("link `{}` stands twice", foreign(link)));
+            }
+        }
         let mut parents = BTreeMap::new();
         for node in named(robot, "joint") {
             let name = node.attribute("name").ok_or("a joint has no name")?;

@@ -117,6 +117,10 @@ fn what_cannot_stand_is_refused_with_file_joint_value_and_what_was_expected() {
     of_file(file("<parent link=\"l0\"/>", "<parent link=\"l9\"/>"), &["`j1`", "parent link `l9`"]);
     of_file(file("<child link=\"l1\"/>", ""), &["`j1` has no child link"]);
     of_file(file("<child link=\"finger\"/>", "<child link=\"l3\"/>"), &["link `l3` hangs on", "no loops"]);
+    of_file(
+        file("<link name=\"finger\"/>", "<link name=\"finger\"/><link name=\"l3\"/>"),
+        &["link `l3` stands twice"],
+    );
     let closed = six()
         .replace("<child link=\"finger\"/>", "<child link=\"l0\"/>")
         .replace("<link name=\"finger\"/>", "");

@@ -28,10 +28,10 @@ pub struct PlanArguments {
     #[arg(long)]
     pub list: bool,
     /// With `--check`: number of ticks to compare.
-    #[arg(long, default_value_t = 500, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    #[arg(long, requires = "check", conflicts_with_all = ["scene", "list"], default_value_t = 500, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     pub samples: u64,
     /// With `--check`: the last tick to re-run.
-    #[arg(long, default_value_t = u64::MAX, hide_default_value = true)]
+    #[arg(long, requires = "check", conflicts_with_all = ["scene", "list"], default_value_t = u64::MAX, hide_default_value = true)]
     pub to: u64,
     /// With `--check`: current path of the log's CT file.
     #[arg(long, value_name = "PATH")]

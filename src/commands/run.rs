@@ -45,7 +45,7 @@ pub struct RunArguments {
     #[arg(short, long, default_value = "out")]
     pub output: PathBuf,
     /// Do not record.
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["output", "images", "image_every"])]
     pub no_record: bool,
     /// What to record of each X-ray frame; overrides the scene.
     #[arg(long, value_enum)]

@@ -119,13 +119,18 @@ pub struct Response {
     pub costs: Vec<Cost>,
 }
 
-/// Measures the tool of a scene, on the scene's rung, in free space.
+/// Measures the tool of a scene, on the scene's rung or else the first that can represent it, in free space.
 ///
 /// # Errors
 /// Bad input: no such tool, or the rung that the scene names cannot represent it.
 pub fn response(scene: &Scene) -> Result<Response, Failure> {
     let parameters = manipulator_parameters(scene).map_err(Failure::bad_input)?;
-    let own = rung(scene.manipulator.model.unwrap_or_default());
+    let by_default = rung(scene.manipulator.model.unwrap_or_default());
+    let represents = |rung: &Rung| built(*rung, &parameters).is_ok();
+    let own = match scene.manipulator.model {
+        Some(_) => by_default,
+        None => [by_default, Rung::Spatial].into_iter().find(represents).unwrap_or(by_default),
+    };
     let tool = new(own, &parameters).map_err(Failure::bad_input)?;
     let outer = scene.manipulator.outer_tube();
     let mut shapes = match outer {

@@ -93,6 +93,32 @@ fn a_tool_that_cannot_stand_is_named_with_its_file() {
     assert_refused_in(&place, &["scene.toml: `manipulator.file` names ", "none.toml, which cannot be read"]);
 }
 
+/// Flags that had no effect, and a tool that only some models can represent, which the table of the models was to show.
+#[test]
+fn flags_without_effect_are_refused_and_a_winding_tool_is_shown() {
+    for words in [
+        &["run", "--no-record", "--output", "o"][..],
+        &["run", "--no-record", "--images", "full"],
+        &["plan", "--list", "--samples", "3"],
+        &["plan", "--to", "3"],
+    ] {
+        let place = Place::new();
+        let words: Vec<&dyn AsRef<std::ffi::OsStr>> =
+            words.iter().map(|word| word as &dyn AsRef<std::ffi::OsStr>).collect();
+        let done = trabecula(&words);
+        assert_eq!(done.code, Some(2), "{}", done.out);
+        assert!(done.err.contains(words[1].as_ref().to_str().unwrap()), "{}", done.err);
+        assert!(place.entries().is_empty());
+    }
+    let place = Place::new();
+    let text = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/configs/tools/jhu_27.toml")).unwrap();
+    let winding = text.replacen("toward_mm = 2.5", "toward_mm = 2.5\ntwist_deg_per_mm = 4.0", 1);
+    fs::write(place.path("tool.toml"), winding).unwrap();
+    let shown = trabecula(&[&"tool", &"show", &place.path("tool.toml")]);
+    assert_eq!(shown.code, Some(0), "{}", shown.err);
+    assert!(shown.out.contains("planar              refused"), "{}", shown.out);
+}
+
 /// Meshes of an arm that are missing or hostile: one error with file, link or joint, and mesh. Every rule: `scene/tests/meshes.rs`.
 #[test]
 fn a_mesh_of_an_arm_that_cannot_be_drawn_is_named() {

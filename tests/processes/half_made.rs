@@ -53,7 +53,7 @@ fn parts_end_when_the_launcher_is_killed(library: &Path, killed_at: usize) -> bo
     let place = Place::new();
     let scene = place.scene(&scenes::hold("lockstep", 0.2));
     let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
-    command.arg("run").arg(&scene).arg("--output").arg(place.path("out")).args(["--no-record", "--quiet"]);
+    command.arg("run").arg(&scene).args(["--no-record", "--quiet"]);
     command.env("LD_PRELOAD", library).env("KILLED_PART", "launcher").env("KILLED_AT", killed_at.to_string());
     let ended = Run::of(command, place.path("out")).end();
     let session = session_folder(ended.pid);
