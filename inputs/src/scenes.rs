@@ -144,7 +144,8 @@ impl SceneSource {
     /// Bad input: the file cannot be read.
     pub fn text(&self) -> Result<String, Failure> {
         match self {
-            SceneSource::File(file) => ipc_types::text_file::read(file).map_err(Failure::bad_input),
+            SceneSource::File(file) => ipc_types::text_file::read(file)
+                .map_err(|cause| Failure::bad_input(format!("{}: cannot be read ({cause})", file.display()))),
             SceneSource::BuiltIn(scene) => Ok(scene.text().to_owned()),
             SceneSource::Changed { text, .. } => Ok(text.clone()),
         }

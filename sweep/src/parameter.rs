@@ -87,7 +87,17 @@ impl Parameter {
         let (Some(min), Some(max)) = (self.min, self.max) else {
             return contradiction("min", "is missing, expected `min` and `max`, or `values`");
         };
-        if !(min.is_finite() && max.is_finite() && min < max) {
+        if !min.is_finite() {
+            return bad("min", format!("{min:?}"), "a finite number");
+        }
+        if !(max - min).is_finite() {
+            return bad(
+                "max",
+                format!("{max:?}"),
+                &format!("a finite number, and finitely far from `min`, which is {min:?}"),
+            );
+        }
+        if min >= max {
             return bad("max", format!("{max:?}"), &format!("a finite number above `min`, which is {min:?}"));
         }
         if self.scale == Scale::Log && min <= 0.0 {
