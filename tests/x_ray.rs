@@ -231,6 +231,7 @@ fn bad_input_is_refused_with_code_2_and_nothing_is_written() {
             "primary_angle_deg = 30.0\nsource_mm = [0.0, 700.0, 0.0]\ndetector_centre_mm = [0.0, -300.0, 0.0]\nrow_axis = [1.0, 0.0, 0.0]\ncolumn_axis = [0.0, 0.0, -1.0]\n",
         ),
         ("empty.csv", "primary_angle_deg\n"),
+        ("nothing.csv", ""),
     ] {
         fs::write(path(name), content).unwrap();
     }
@@ -251,6 +252,7 @@ fn bad_input_is_refused_with_code_2_and_nothing_is_written() {
         (pose("both.toml"), "`primary_angle_deg` turns or moves a C-arm by its angles"),
         (plain(&["--energy-kev", "70", "--tube-kv", "80"]), "--tube-kv"),
         (pose("empty.csv"), "no pose"),
+        (pose("nothing.csv"), "no pose"),
         (pose("missing.toml"), "cannot be read"),
         (plain(&["--sweep", "0"]), "--sweep is 0"),
         (plain(&["--energy-kev", "10"]), "energy_kev is 10"),

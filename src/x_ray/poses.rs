@@ -246,7 +246,7 @@ fn csv(text: &str) -> Result<Vec<Pose>, String> {
     // Spreadsheets begin their files with a byte order mark.
     let text = text.trim_start_matches('\u{feff}');
     let mut lines = text.lines().map(str::trim).enumerate().filter(|(_, line)| !line.is_empty());
-    let (first, header) = lines.next().unwrap_or_default();
+    let Some((first, header)) = lines.next() else { return Ok(Vec::new()) };
     let header: Vec<&str> = header.split(',').map(str::trim).collect();
     for (index, key) in header.iter().enumerate() {
         let cause = match set(&mut Pose::default(), key, "0") {

@@ -44,6 +44,34 @@ fn an_unlikely_scene_runs_and_every_command_warns_of_it() {
     }
 }
 
+/// Keys that another table replaces were taken without a word.
+#[test]
+fn keys_that_a_table_replaces_are_warned_of() {
+    for (example, from, to, said) in [
+        (
+            "drr_carm.toml",
+            "\n\n[drr.carm]",
+            "\nprimary_angle_deg = 30.0\n\n[drr.carm]",
+            "`drr.primary_angle_deg` has no effect beside `[drr.carm]`",
+        ),
+        (
+            "drr_spectrum.toml",
+            "[drr]\n",
+            "[drr]\nenergy_kev = 70.0\n",
+            "`drr.energy_kev` has no effect beside `[drr.spectrum]`",
+        ),
+    ] {
+        let place = Place::new();
+        let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/examples");
+        let text = std::fs::read_to_string(examples.join(example)).unwrap();
+        assert!(text.contains(from));
+        let scene = place.scene(&text.replacen(from, to, 1));
+        let done = trabecula(&[&"scene", &"check", &scene]);
+        assert_eq!(done.code, Some(0), "{}", done.err);
+        assert!(done.out.contains(said), "{}{}", done.out, done.err);
+    }
+}
+
 /// No false alarm: every scene of this repository, with its volume where that is at hand.
 #[test]
 fn no_scene_of_this_repository_is_warned_of() {
