@@ -20,4 +20,5 @@ pub mod log;
 pub mod plan;
 pub mod scenes;
 pub mod suspicions;
+pub mod text;
 pub mod volume_source;

@@ -144,8 +144,7 @@ impl SceneSource {
     /// Bad input: the file cannot be read.
     pub fn text(&self) -> Result<String, Failure> {
         match self {
-            SceneSource::File(file) => ipc_types::text_file::read(file)
-                .map_err(|cause| Failure::bad_input(format!("{}: cannot be read ({cause})", file.display()))),
+            SceneSource::File(file) => crate::text::read(file),
             SceneSource::BuiltIn(scene) => Ok(scene.text().to_owned()),
             SceneSource::Changed { text, .. } => Ok(text.clone()),
         }

@@ -41,17 +41,13 @@ impl OpenedStudy {
     /// # Errors
     /// Bad input: not a study, or a file that cannot be read.
     pub fn read(file: &Path) -> Result<OpenedStudy, Failure> {
-        let read = |named: &Path| {
-            let unread = |cause| Failure::bad_input(format!("{}: cannot be read ({cause})", named.display()));
-            ipc_types::text_file::read(named).map_err(unread)
-        };
-        let text = read(file)?;
+        let text = inputs::text::read(file)?;
         let place = |named: PathBuf| {
             let above = file.parent().unwrap_or(Path::new(""));
             std::path::absolute(above.join(named)).map_err(|cause| Failure::failed(cause.to_string()))
         };
         let points = Study::points_file(&text, file).map_err(Failure::bad_input)?.map(&place).transpose()?;
-        let points = points.map(|points| read(&points)).transpose()?;
+        let points = points.map(|points| inputs::text::read(&points)).transpose()?;
         let study = Study::parse(&text, file, points.as_deref()).map_err(Failure::bad_input)?;
         let scene = study.scene.clone().map(place).transpose()?;
         let identity = Identity {

@@ -215,7 +215,7 @@ const FURTHEST_MM: f64 = 1e5;
 /// A file that cannot be read, is not one of these, or has an unknown key (2).
 pub fn read(path: &Path) -> Result<Vec<Pose>, Failure> {
     let bad = |cause: String| Failure::bad_input(format!("{}: {cause}", path.display()));
-    let text = ipc_types::text_file::read(path).map_err(|cause| bad(format!("cannot be read ({cause})")))?;
+    let text = inputs::text::read(path)?;
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
     let poses = match extension {
         "csv" => csv(&text).map_err(bad)?,

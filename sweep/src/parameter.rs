@@ -10,6 +10,11 @@ use crate::error::StudyError;
 /// Most values that a parameter lists.
 pub const MAX_VALUES: usize = 10_000;
 
+/// Whether a value is a number that is not finite.
+pub(crate) fn is_not_finite(value: &Value) -> bool {
+    matches!(value, Value::Float(number) if !number.is_finite())
+}
+
 /// How a range is divided.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -79,7 +84,7 @@ impl Parameter {
             if values.is_empty() || values.len() > MAX_VALUES {
                 return bad("values", format!("{} values", values.len()), "1 to 10000 values");
             }
-            if values.iter().any(|value| matches!(value, Value::Float(number) if !number.is_finite())) {
+            if values.iter().any(is_not_finite) {
                 return bad("values", "a number that is not finite".to_owned(), "finite numbers");
             }
             return Ok(());

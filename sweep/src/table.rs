@@ -5,6 +5,7 @@ use std::path::Path;
 use toml::Value;
 
 use crate::error::StudyError;
+use crate::parameter::is_not_finite;
 use crate::study::{MAX_PARAMETERS, MAX_POINTS};
 
 /// Keys and rows.
@@ -50,7 +51,7 @@ impl Table {
                     format!("{} values, the first line names {} keys", row.len(), keys.len()),
                 ));
             }
-            if row.iter().any(|value| matches!(value, Value::Float(number) if !number.is_finite())) {
+            if row.iter().any(is_not_finite) {
                 return Err(bad(number, "holds a number that is not finite".to_owned()));
             }
             rows.push(row);

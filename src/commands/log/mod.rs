@@ -128,10 +128,7 @@ fn worse(first: u8, second: u8) -> u8 {
 /// printed.
 fn concluded(out: &mut Out<'_>, code: u8) -> Result<(), Failure> {
     let _ = out.flush();
-    match code {
-        0 => Ok(()),
-        code => Err(Failure { message: NOT_INTACT.to_owned(), code }),
-    }
+    ended_with(code)
 }
 
 /// Ends a command that has done its work with what is wrong with the log, for standard error and as exit code.
@@ -139,14 +136,18 @@ fn concluded(out: &mut Out<'_>, code: u8) -> Result<(), Failure> {
 /// # Errors
 /// The log is not intact: damaged (1), has a gap, is cut or was not ended (3).
 pub(super) fn judged(log: &Path, verdict: &Verdict) -> Result<(), Failure> {
-    if verdict.is_intact() {
-        return Ok(());
+    if !verdict.is_intact() {
+        tell!("trabecula: {}: {verdict}", log.display());
     }
-    tell!("trabecula: {}: {verdict}", log.display());
-    Err(Failure { message: NOT_INTACT.to_owned(), code: exit_code(verdict) })
+    ended_with(exit_code(verdict))
 }
 
-const NOT_INTACT: &str = "the log is not intact: see its verdict";
+fn ended_with(code: u8) -> Result<(), Failure> {
+    match code {
+        0 => Ok(()),
+        code => Err(Failure { message: "the log is not intact: see its verdict".to_owned(), code }),
+    }
+}
 
 /// Ignores an answer that could not be written: a closed pipe is fine, and any other output error is reported when the
 /// command ends.
