@@ -138,6 +138,17 @@ impl SceneSource {
         }
     }
 
+    /// Checks that a scene has these keys, with values of their types; not whether the values are in their ranges.
+    ///
+    /// # Errors
+    /// Bad input: an unknown or missing key, or a value of a wrong type.
+    pub fn has_the_keys(&self) -> Result<(), Failure> {
+        match ipc_types::scene_file::parse(&self.text()?, &self.path()) {
+            Err(SceneError::Malformed { .. }) => self.load().map(|_| ()),
+            _ => Ok(()),
+        }
+    }
+
     /// The scene's text, as its author wrote it.
     ///
     /// # Errors

@@ -9,13 +9,19 @@ use std::path::Path;
 /// Size limit, bytes. Our largest text file, a batch of poses, is a hundredth of it.
 pub const MAX_TEXT_BYTES: u64 = 16 << 20;
 
-/// Reads a regular file of at most [`MAX_TEXT_BYTES`] as UTF-8.
+const BYTE_ORDER_MARK: char = '\u{feff}';
+
+/// Reads a regular file of at most [`MAX_TEXT_BYTES`] as UTF-8, without the byte order mark with which spreadsheets and editors begin some.
 ///
 /// # Errors
 /// The system's; not a regular file; too long; not UTF-8.
 pub fn read(path: &Path) -> io::Result<String> {
     let not_text = |_| io::Error::new(io::ErrorKind::InvalidData, "stream did not contain valid UTF-8");
-    String::from_utf8(read_bytes(path, MAX_TEXT_BYTES)?).map_err(not_text)
+    let mut text = String::from_utf8(read_bytes(path, MAX_TEXT_BYTES)?).map_err(not_text)?;
+    if text.starts_with(BYTE_ORDER_MARK) {
+        text.drain(..BYTE_ORDER_MARK.len_utf8());
+    }
+    Ok(text)
 }
 
 /// Reads a regular file of at most `most` bytes.
@@ -51,6 +57,8 @@ mod tests {
             .unwrap();
         std::fs::File::create(&long).unwrap().set_len(MAX_TEXT_BYTES + 1).unwrap();
         let refused = |path: &Path| read(path).unwrap_err().to_string();
+        assert_eq!(read(&text).unwrap(), "a = 1\n");
+        std::fs::write(&text, "\u{feff}a = 1\n").unwrap();
         assert_eq!(read(&text).unwrap(), "a = 1\n");
         for path in [&pipe, Path::new("/dev/zero"), Path::new("/dev/null"), &folder] {
             assert!(refused(path).contains("not a regular file"), "{}", path.display());

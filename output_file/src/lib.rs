@@ -67,15 +67,19 @@ impl OutputError {
     }
 }
 
-/// Fails if any of these names is taken, by anything, including a dangling link.
+/// Fails if any of these names is taken, by anything, including a dangling link, or is none that a file could have.
 ///
 /// # Errors
-/// [`OutputError::Exists`], for the first one taken.
+/// [`OutputError::Exists`] or [`OutputError::Create`], for the first one.
 pub fn refuse_existing<P: AsRef<Path>>(files: &[P]) -> Result<(), OutputError> {
-    match files.iter().find(|file| file.as_ref().symlink_metadata().is_ok()) {
-        Some(file) => Err(OutputError::Exists { path: file.as_ref().to_owned() }),
-        None => Ok(()),
-    }
+    files.iter().map(AsRef::as_ref).try_for_each(|file| match file.symlink_metadata() {
+        Ok(_) => Err(OutputError::Exists { path: file.to_owned() }),
+        // Too long: known only when a file gets its name, after all work.
+        Err(source) if source.kind() == ErrorKind::InvalidFilename => {
+            Err(OutputError::Create { path: file.to_owned(), source })
+        }
+        Err(_) => Ok(()),
+    })
 }
 
 /// A file being written. Dropped before it has its name, it leaves nothing.
@@ -354,6 +358,17 @@ mod tests {
             error.starts_with("/proc/self/x: cannot be created (") && !error.contains(DRAFT_PREFIX),
             "{error}"
         );
+    }
+
+    /// Bug: the system said so when the file got its name, after all work.
+    #[test]
+    fn a_name_that_is_too_long_is_refused_at_the_beginning() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a".repeat(256));
+        for refused in [refuse_existing(&[&path]).unwrap_err(), OutputFile::create(&path).unwrap_err()] {
+            assert!(matches!(refused, OutputError::Create { .. }), "{refused}");
+        }
+        write(&folder.path().join("a".repeat(255)), "").unwrap();
     }
 
     #[test]

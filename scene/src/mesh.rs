@@ -60,6 +60,14 @@ pub enum MeshError {
         /// What it met.
         cause: String,
     },
+    /// A face that is none.
+    #[error("has a face of {corners} corners in line {line}, expected 3 or more; the file may be cut")]
+    ShortFace {
+        /// Line, from 1.
+        line: usize,
+        /// Corners that it names.
+        corners: usize,
+    },
     /// A corner without a place.
     #[error("has a corner of triangle {triangle} that is infinite or no number; expected finite coordinates")]
     NotFinite {
@@ -67,7 +75,7 @@ pub enum MeshError {
         triangle: usize,
     },
     /// Nothing to draw.
-    #[error("holds no triangle; expected 1 or more")]
+    #[error("holds no triangle with an area; expected 1 or more")]
     Empty,
     /// More than an arm may have.
     #[error(
@@ -94,14 +102,20 @@ pub fn triangles(content: &[u8], format: MeshFormat, most: usize) -> Result<Vec<
         MeshFormat::Stl => stl(content, most)?,
         MeshFormat::Obj => obj(content, most)?,
     };
-    if triangles.is_empty() {
-        return Err(MeshError::Empty);
-    }
     let is_nowhere = |triangle: &Triangle| triangle.iter().flatten().any(|x| !x.is_finite());
-    match triangles.iter().position(is_nowhere) {
-        Some(index) => Err(MeshError::NotFinite { triangle: index + 1 }),
-        None => Ok(triangles),
+    if let Some(index) = triangles.iter().position(is_nowhere) {
+        return Err(MeshError::NotFinite { triangle: index + 1 });
     }
+    match triangles.iter().any(has_area) {
+        true => Ok(triangles),
+        false => Err(MeshError::Empty),
+    }
+}
+
+fn has_area([a, b, c]: &Triangle) -> bool {
+    let side = |corner: &[f32; 3]| [0, 1, 2].map(|axis| f64::from(corner[axis]) - f64::from(a[axis]));
+    let ([x, y, z], [u, v, w]) = (side(b), side(c));
+    [y * w - z * v, z * u - x * w, x * v - y * u].iter().any(|part| *part != 0.0)
 }
 
 fn damaged(cause: &impl ToString) -> MeshError {
@@ -136,7 +150,20 @@ fn stl(content: &[u8], most: usize) -> Result<Vec<Triangle>, MeshError> {
     Ok(triangles)
 }
 
+/// A face of an OBJ with fewer than three corners, which its reader would take for a line or a point.
+fn short_face(content: &[u8]) -> Option<MeshError> {
+    (1..).zip(content.split(|byte| *byte == b'\n')).find_map(|(line, text)| {
+        let mut words = text.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+        let is_face = words.next() == Some(b"f");
+        let corners = words.take_while(|word| !word.starts_with(b"#")).count();
+        (is_face && corners < 3).then_some(MeshError::ShortFace { line, corners })
+    })
+}
+
 fn obj(content: &[u8], most: usize) -> Result<Vec<Triangle>, MeshError> {
+    if let Some(error) = short_face(content) {
+        return Err(error);
+    }
     let options = tobj::LoadOptions {
         triangulate: true,
         ignore_points: true,

@@ -99,6 +99,13 @@ fn hostile_files_are_refused_with_what_is_wrong() {
     let corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\n";
     assert_eq!(obj(""), MeshError::Empty);
     assert_eq!(obj(corners), MeshError::Empty);
+    // A face that the end of a cut file lacks corners of was passed over; triangles that show nothing were taken.
+    for (face, corners_left) in [("f 1 2", 2), ("f 1/1/1 # 2 3", 1), ("f", 0)] {
+        let short = MeshError::ShortFace { line: 5, corners: corners_left };
+        assert_eq!(obj(&format!("{corners}f 1 2 3\n{face}")), short);
+    }
+    assert_eq!(obj(&format!("{corners}f 1 1 2\n")), MeshError::Empty);
+    assert_eq!(stl(&binary(b"", 1, &[[[1.0, 2.0, 3.0]; 3]])), MeshError::Empty);
     assert_eq!(obj(&format!("{corners}{}", "f 1 2 3\n".repeat(3))), MeshError::TooMany { most: 2 });
     assert_eq!(obj("v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n"), MeshError::NotFinite { triangle: 1 });
     for face in

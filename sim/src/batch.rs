@@ -56,6 +56,14 @@ impl Batch {
     /// # Errors
     /// As [`Batch::new`].
     pub fn of(makers: Vec<Maker>, threads: usize) -> Result<Batch, SimError> {
+        Batch::of_watched(makers, threads, &mut || ())
+    }
+
+    /// As [`Batch::of`]; calls `look` every 50 ms while the simulations are made.
+    ///
+    /// # Errors
+    /// As [`Batch::of`].
+    pub fn of_watched(makers: Vec<Maker>, threads: usize, look: &mut dyn FnMut()) -> Result<Batch, SimError> {
         let count = makers.len();
         let cores = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
         let threads = if threads == 0 { cores() } else { threads };
@@ -71,7 +79,9 @@ impl Batch {
         let failed = |cause: std::io::Error| SimError::Threads { threads, reason: cause.to_string() };
         let workers = started.map_err(failed)?;
         drop(made);
-        is_made.iter().collect::<Result<Vec<()>, SimError>>()?;
+        for _ in &workers {
+            received_watched(&is_made, look).map_err(|_| SimError::Gone)??;
+        }
         let mut batch = Batch { workers, count, driven: Vec::new(), process: std::process::id() };
         if count > 0 {
             batch.driven = batch.with(0, |sim| Ok(sim.driven()))?;

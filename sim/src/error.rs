@@ -32,6 +32,12 @@ pub enum SimError {
         /// Its reason.
         cause: SimulationError,
     },
+    /// The caller asked to give up.
+    #[error("tick {tick}: given up, as was asked for")]
+    GivenUp {
+        /// Tick that was reached.
+        tick: Tick,
+    },
     /// A command is refused; nothing has changed.
     #[error("tick {tick}: controller `{controller}`: {cause}")]
     Refused {

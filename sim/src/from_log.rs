@@ -1,6 +1,7 @@
 //! A simulation in the state that a log holds at a tick.
 
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use controllers::Controller;
 use hub::latch::Latch;
@@ -23,6 +24,19 @@ impl Sim {
     /// Not a log of this build; the tick is not in it, or lies behind a gap; a built-in controller cannot be brought to where it was: the
     /// log is of real time or begins with a keyframe, or it sees frames.
     pub fn from_log(log: &Path, tick: Option<u64>, drive: &Drive) -> Result<Sim, SimError> {
+        Sim::from_log_unless(log, tick, drive, &AtomicBool::new(false))
+    }
+
+    /// As [`Sim::from_log`], but gives up once another thread has set `is_to_end`.
+    ///
+    /// # Errors
+    /// As [`Sim::from_log`]; [`SimError::GivenUp`].
+    pub fn from_log_unless(
+        log: &Path,
+        tick: Option<u64>,
+        drive: &Drive,
+        is_to_end: &AtomicBool,
+    ) -> Result<Sim, SimError> {
         let mut opened = OpenedLog::open(log, &Overrides::default())?;
         let mut reader = opened.reader()?;
         let shared = SharedScene::of_log(&mut opened);
@@ -42,6 +56,9 @@ impl Sim {
         let goal = tick.map(Tick);
         while goal.is_none_or(|goal| Tick(sim.state().tick) < goal) {
             let Some(record) = reader.next().transpose()? else { break };
+            if is_to_end.load(Ordering::Relaxed) {
+                return Err(SimError::GivenUp { tick: Tick(sim.state().tick) });
+            }
             sim.follow(&record.latched)?;
             compare_tick(&record, &sim.plant).map_or(Ok(()), |found| Err(differs(found)))?;
         }

@@ -4,10 +4,11 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 use controllers::built_in;
 use hub::in_process::{Answer, InProcess};
-use messages::{ArmMode, BurrMode, Command, State, TendonMode};
+use messages::{ArmMode, BurrMode, Command, State, TendonMode, Tick};
 use recorder_proc::log_file::LogFile;
 use run_log::LogReader;
 use sim::{Batch, Drive, SharedScene, Sim, SimError, View};
@@ -235,6 +236,8 @@ fn a_recording_is_a_log_that_leads_to_the_same_ticks_from_any_tick_on() {
             branch.reset().unwrap();
             assert_eq!((branch.state().tick, branch.drilled().len()), (from, start));
         }
+        let given_up = Sim::from_log_unless(&folder, None, &drive, &AtomicBool::new(true)).err().unwrap();
+        assert!(matches!(given_up, SimError::GivenUp { tick: Tick(0) }), "{given_up}");
         let beyond = Sim::from_log(&folder, Some(601), &drive).err().unwrap().to_string();
         assert!(beyond.contains("tick 601 is not in") && beyond.contains("0 to 600"), "{beyond}");
         assert!(matches!(

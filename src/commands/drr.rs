@@ -1,6 +1,5 @@
 //! `trabecula drr`: renders X-ray frames of a volume from any pose to files.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
@@ -17,7 +16,7 @@ use crate::launcher::volume_source::VolumeChoice;
 use crate::output::refuse_existing;
 use crate::say::Figures;
 use crate::x_ray::dicom::{Series, write_dicom};
-use crate::x_ray::files::{Picture, write_nrrd, write_png};
+use crate::x_ray::files::{Animation, write_nrrd, write_png};
 use crate::x_ray::poses::{self, Placed, Pose};
 use crate::x_ray::series::{Look, render_and_write};
 use inputs::suspicions;
@@ -172,22 +171,23 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
         dense_is_dark: matches!(arguments.display, DisplayName::BoneDark),
         seed: arguments.seed,
     };
-    let animation = Mutex::new(BTreeMap::new());
+    let animation = match arguments.animate {
+        true => Some(Mutex::new(Animation::create(&arguments.output, sides[0], placed.len())?)),
+        false => None,
+    };
     let seconds = render_and_write(&mut renderer, &view, &placed, look, |number, picture| {
-        if arguments.animate {
-            animation.lock().unwrap_or_else(PoisonError::into_inner).insert(number, picture);
-            return Ok(());
+        if let Some(animation) = &animation {
+            return animation.lock().unwrap_or_else(PoisonError::into_inner).add(number, &picture);
         }
         let path = &paths[number];
         match kind {
-            Kind::Png => write_png(path, std::slice::from_ref(&picture)),
+            Kind::Png => write_png(path, &picture),
             Kind::Nrrd => write_nrrd(path, &picture),
             Kind::Dicom => write_dicom(path, &picture, &series, number + 1),
         }
     })?;
-    if arguments.animate {
-        let pictures = animation.into_inner().unwrap_or_else(PoisonError::into_inner);
-        write_png(&arguments.output, &pictures.into_values().collect::<Vec<Picture>>())?;
+    if let Some(animation) = animation {
+        animation.into_inner().unwrap_or_else(PoisonError::into_inner).finish()?;
     }
     let (count, output) = (placed.len(), arguments.output.display());
     let (all_ms, frames_per_s) = (seconds * 1e3, count as f64 / seconds);

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand, ValueEnum};
 use volume_io::{VolumeInfo, phantom, read_as, write_nifti, write_nrrd};
 
-use super::log::judged;
+use super::log::{json, judged};
 use crate::failure::Failure;
 use crate::launcher::volume_source::{VolumeChoice, VolumeFiles};
 use crate::output::refuse_existing;
@@ -142,7 +142,10 @@ fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
     let (output, tick, count) = (arguments.output.display(), gone.tick, gone.voxels.len());
     arguments.figures.say(
         || format!("{output}: the CT after tick {tick}, {count} voxels removed"),
-        || serde_json::json!({"output": arguments.output, "tick": tick, "removed_voxels": count}),
+        || {
+            let verdict = json::of_verdict(&gone.verdict);
+            serde_json::json!({"output": arguments.output, "tick": tick, "removed_voxels": count, "verdict": verdict})
+        },
     );
     judged(&log.path, &gone.verdict)
 }

@@ -39,7 +39,7 @@ impl OpenedStudy {
     /// Reads a study and the files that it names; those lie from its own folder.
     ///
     /// # Errors
-    /// Bad input: not a study, or a file that cannot be read.
+    /// Bad input: not a study, a file that cannot be read, or a key that no scene has.
     pub fn read(file: &Path) -> Result<OpenedStudy, Failure> {
         let text = inputs::text::read(file)?;
         let place = |named: PathBuf| {
@@ -50,15 +50,18 @@ impl OpenedStudy {
         let points = points.map(|points| inputs::text::read(&points)).transpose()?;
         let study = Study::parse(&text, file, points.as_deref()).map_err(Failure::bad_input)?;
         let scene = study.scene.clone().map(place).transpose()?;
+        let source = SceneSource::new(scene.as_deref(), BuiltIn::Femur);
         let identity = Identity {
-            scene: SceneSource::new(scene.as_deref(), BuiltIn::Femur).text()?,
+            scene: source.text()?,
             study: text,
             points,
             build: build_info::current().version,
             count: study.count(),
             keys: study.keys().into_iter().map(str::to_owned).collect(),
         };
-        Ok(OpenedStudy { study, scene, identity })
+        let study = OpenedStudy { study, scene, identity };
+        source.with(&study.settings(&study.study.point(0)))?.has_the_keys()?;
+        Ok(study)
     }
 
     /// Settings of a run, in the order in which they count.

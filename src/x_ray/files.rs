@@ -1,7 +1,11 @@
 //! Writes frames as PNG (16 bits, or animated) and NRRD.
 
-use std::path::Path;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
 
+use output_file::OutputFile;
 use xray::display::WindowLimits;
 use zerocopy::IntoBytes;
 
@@ -38,26 +42,62 @@ pub(super) fn failed(path: &Path) -> impl Fn(String) -> Failure {
     move |cause| Failure::failed(format!("{}: cannot be written ({cause})", path.display()))
 }
 
-/// One 16-bit PNG, animated if there are several frames.
-pub fn write_png(path: &Path, pictures: &[Picture]) -> Result<(), Failure> {
-    let fail = failed(path);
-    let Some(first) = pictures.first() else { return Ok(()) };
-    let (columns, rows) = first.size();
-    let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, columns, rows);
-    encoder.set_color(png::ColorType::Grayscale);
-    encoder.set_depth(png::BitDepth::Sixteen);
-    if pictures.len() > 1 {
-        encoder.set_animated(pictures.len() as u32, 0).map_err(|e| fail(e.to_string()))?;
-        encoder.set_frame_delay(FRAME_MS, 1000).map_err(|e| fail(e.to_string()))?;
+/// One 16-bit PNG.
+pub fn write_png(path: &Path, picture: &Picture) -> Result<(), Failure> {
+    let mut animation = Animation::create(path, picture.size(), 1)?;
+    animation.add(0, picture)?;
+    animation.finish()
+}
+
+/// A 16-bit PNG, animated if it has several frames. It keeps a frame only until those before it have come.
+pub struct Animation {
+    path: PathBuf,
+    file: OutputFile,
+    writer: png::Writer<BufWriter<File>>,
+    next: usize,
+    early: BTreeMap<usize, Vec<u8>>,
+}
+
+impl Animation {
+    /// Begins the file; `size` is columns and rows of every frame.
+    ///
+    /// # Errors
+    /// It cannot be created.
+    pub fn create(path: &Path, (columns, rows): (u32, u32), frames: usize) -> Result<Animation, Failure> {
+        let fail = failed(path);
+        let file = OutputFile::create(path)?;
+        let mut encoder = png::Encoder::new(BufWriter::new(file.handle()?), columns, rows);
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder.set_depth(png::BitDepth::Sixteen);
+        if frames > 1 {
+            encoder.set_animated(frames as u32, 0).map_err(|e| fail(e.to_string()))?;
+            encoder.set_frame_delay(FRAME_MS, 1000).map_err(|e| fail(e.to_string()))?;
+        }
+        let writer = encoder.write_header().map_err(|e| fail(e.to_string()))?;
+        Ok(Animation { path: path.to_owned(), file, writer, next: 0, early: BTreeMap::new() })
     }
-    let mut writer = encoder.write_header().map_err(|e| fail(e.to_string()))?;
-    for picture in pictures {
-        let bytes: Vec<u8> = picture.greys.iter().flat_map(|v| v.to_be_bytes()).collect();
-        writer.write_image_data(&bytes).map_err(|e| fail(e.to_string()))?;
+
+    /// Adds a frame, in any order.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn add(&mut self, number: usize, picture: &Picture) -> Result<(), Failure> {
+        self.early.insert(number, picture.greys.iter().flat_map(|v| v.to_be_bytes()).collect());
+        while let Some(bytes) = self.early.remove(&self.next) {
+            self.writer.write_image_data(&bytes).map_err(|e| failed(&self.path)(e.to_string()))?;
+            self.next += 1;
+        }
+        Ok(())
     }
-    writer.finish().map_err(|e| fail(e.to_string()))?;
-    Ok(output_file::write(path, bytes)?)
+
+    /// Gives the file its name.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn finish(self) -> Result<(), Failure> {
+        self.writer.finish().map_err(|e| failed(&self.path)(e.to_string()))?;
+        Ok(self.file.keep()?)
+    }
 }
 
 /// Writes a 32-bit NRRD of one frame: -ln of the readout, or the readout in linear mode; pixels in millimetres in the

@@ -243,8 +243,6 @@ fn toml(text: &str) -> Result<Vec<Pose>, toml::de::Error> {
 }
 
 fn csv(text: &str) -> Result<Vec<Pose>, String> {
-    // Spreadsheets begin their files with a byte order mark.
-    let text = text.trim_start_matches('\u{feff}');
     let mut lines = text.lines().map(str::trim).enumerate().filter(|(_, line)| !line.is_empty());
     let Some((first, header)) = lines.next() else { return Ok(Vec::new()) };
     let header: Vec<&str> = header.split(',').map(str::trim).collect();

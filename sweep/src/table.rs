@@ -19,8 +19,6 @@ impl Table {
     /// # Errors
     /// Lines of different length, values that are not TOML, no rows or too many.
     pub fn parse(text: &str, file: &Path) -> Result<Table, StudyError> {
-        // Spreadsheets begin their files with a byte order mark.
-        let text = text.trim_start_matches('\u{feff}');
         let bad = |line: usize, problem: String| StudyError::Table { file: file.to_owned(), line, problem };
         let mut lines = (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty());
         let (first, header) =

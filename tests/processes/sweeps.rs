@@ -44,6 +44,22 @@ fn complete(study: &Path, folder: &Path, more: &[&str]) -> Done {
     done
 }
 
+/// Bug: every run of such a sweep was refused for its key, in a row each, and the sweep ended with 0.
+#[test]
+fn a_sweep_over_a_key_that_no_scene_has_is_refused_before_its_first_run() {
+    let place = Place::new();
+    let folder = place.path("swept");
+    for (text, said) in [
+        (STUDY.replace("tendon_friction", "tendon_fricton"), "unknown field `tendon_fricton`"),
+        (STUDY.replace("tendon_friction", "model"), "`manipulator.model`: wanted string or table"),
+    ] {
+        let done = run(&study(&place, &text), &folder, &[]);
+        assert_eq!(done.code, Some(2), "{}", done.err);
+        assert!(done.err.contains(said), "{}", done.err);
+        assert!(!folder.exists());
+    }
+}
+
 /// Names and contents of the rows.
 fn rows(folder: &Path) -> Vec<(String, Value)> {
     let mut rows: Vec<(String, Value)> = fs::read_dir(folder.join("rows"))

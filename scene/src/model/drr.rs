@@ -185,7 +185,7 @@ pub struct Drr {
     #[serde(default = "Drr::default_source_isocentre_mm")]
     #[schemars(range(min = 100.0, max = 2000.0))]
     pub source_isocentre_mm: f64,
-    /// Source to detector, more than source to isocentre.
+    /// Source to detector, at least source to isocentre.
     #[serde(default = "Drr::default_source_detector_mm")]
     #[schemars(range(min = 200.0, max = 3000.0))]
     pub source_detector_mm: f64,

@@ -17,7 +17,7 @@ use run_log::{LogError, LogReader, Verdict};
 use serde_json::{Value, json};
 
 use super::export::{ExportArguments, ending_of};
-use super::judged;
+use super::{json::of_verdict, judged};
 use crate::failure::Failure;
 use crate::geometry::path::{Deviation, Place, Travelled, deviations};
 use crate::geometry::{Mesh, mesh_files, tool, tunnel};
@@ -99,7 +99,8 @@ pub fn export(what: Geometry, arguments: &ExportArguments) -> Result<(), Failure
     arguments.figures.say(
         || format!("{output}: {said}"),
         || {
-            let mut all = json!({"output": arguments.output, "exported": said});
+            let mut all =
+                json!({"output": arguments.output, "exported": said, "verdict": of_verdict(&verdict)});
             if let (Value::Object(all), Value::Object(figures)) = (&mut all, figures) {
                 all.extend(figures);
             }

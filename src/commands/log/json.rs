@@ -5,7 +5,7 @@ use run_log::{DiffReport, Divergence, LogInfo, RepairReport, Verdict};
 use serde_json::{Value, json};
 
 /// A verdict: whether the log is intact, and what is wrong in words.
-pub(super) fn of_verdict(verdict: &Verdict) -> Value {
+pub(crate) fn of_verdict(verdict: &Verdict) -> Value {
     let faults = (!verdict.is_intact()).then(|| verdict.to_string());
     json!({"intact": verdict.is_intact(), "faults": faults, "ending": verdict.ending.describe()})
 }

@@ -5,7 +5,7 @@ mod dataset;
 mod export;
 mod foxglove;
 mod geometry;
-mod json;
+pub(super) mod json;
 mod make;
 
 use std::io::Write;

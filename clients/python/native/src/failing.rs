@@ -34,7 +34,9 @@ fn kind(error: &SimError) -> Kind {
         }
         SimError::Recording { .. } | SimError::RecordingLate { .. } => Kind::Status("ERROR_BUSY"),
         SimError::Forked => Kind::Status("ERROR_FORKED"),
-        SimError::Physics { .. } | SimError::Differs { .. } | SimError::Gone => Kind::Status("ERROR_DEFECT"),
+        SimError::Physics { .. } | SimError::Differs { .. } | SimError::Gone | SimError::GivenUp { .. } => {
+            Kind::Status("ERROR_DEFECT")
+        }
     }
 }
 

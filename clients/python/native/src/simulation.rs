@@ -6,6 +6,8 @@ use ipc_types::messages::{CArmGeometry, Command, State};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::failing::{raised, refused};
@@ -55,9 +57,17 @@ pub(crate) fn stepped(
     given: Option<Vec<Command>>,
     ticks: u64,
 ) -> PyResult<Vec<State>> {
+    watched(py, |is_raised| batch.step_watched(given, ticks, is_raised))
+}
+
+/// Works while other Python threads run. The work asks now and then whether a signal handler has raised, which is then the result.
+fn watched<R: Send>(
+    py: Python<'_>,
+    work: impl FnOnce(&mut dyn FnMut() -> bool) -> Result<R, SimError> + Send,
+) -> PyResult<R> {
     let mut raised_by_handler = None;
-    let states = py.detach(|| {
-        batch.step_watched(given, ticks, &mut || {
+    let done = py.detach(|| {
+        work(&mut || {
             if let Err(error) = Python::attach(|py| py.check_signals()) {
                 raised_by_handler.get_or_insert(error);
             }
@@ -66,7 +76,7 @@ pub(crate) fn stepped(
     });
     match raised_by_handler {
         Some(error) => Err(error),
-        None => states.map_err(|error| raised(py, &error)),
+        None => done.map_err(|error| raised(py, &error)),
     }
 }
 
@@ -117,7 +127,13 @@ impl Sim {
         names: Vec<String>,
     ) -> PyResult<Sim> {
         let drive = drive(everything, names);
-        Sim::of(py, Box::new(move || ::sim::Sim::from_log(&log, tick, &drive)))
+        let is_to_end = Arc::new(AtomicBool::new(false));
+        let is_ended = Arc::clone(&is_to_end);
+        let maker: Maker = Box::new(move || ::sim::Sim::from_log_unless(&log, tick, &drive, &is_ended));
+        let made = watched(py, |is_raised| {
+            Batch::of_watched(vec![maker], 1, &mut || is_to_end.store(is_raised(), Ordering::Relaxed))
+        });
+        made.map(Sim)
     }
 
     /// Makes ticks; returns the state's bytes.
