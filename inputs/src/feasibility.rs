@@ -6,7 +6,7 @@ use std::path::Path;
 use controllers::Calibration;
 use foreign_text::number;
 use ipc_types::arm_meshes;
-use ipc_types::scene::{CurvedDrilling, Scene};
+use ipc_types::scene::{CurvedDrilling, Scene, keys_without_effect};
 use simulation::{Verdict, findings};
 use volume_io::Volume;
 use xray::DrrError;
@@ -39,7 +39,10 @@ pub fn check(
         Calibration::load(path, &ipc_types::text_file::read).map_err(|cause| refused(&cause))?;
     }
     let ct = volume.map(volume_source::ct_view);
-    let found = findings(scene, ct, &is_program).map_err(|cause| refused(&cause))?;
+    let found = findings(scene, ct, &is_program).map_err(|cause| match cause.is_of_the_machine() {
+        true => Failure::failed(format!("{source}: {cause}")),
+        false => refused(&cause),
+    })?;
     let of = |verdict| found.iter().filter(move |finding| finding.verdict == verdict);
     let impossible: Vec<String> =
         of(Verdict::Impossible).map(|finding| format!("{source}: {finding}")).collect();
@@ -50,9 +53,8 @@ pub fn check(
         refuse_outside(scene, source, volume)?;
     }
     let undrawn = arm_meshes::undrawn(&scene.arm);
-    let replaced = scene.drr.iter().flat_map(|drr| drr.replaced());
-    let replaced = replaced.map(|(key, by)| format!("`{key}` has no effect beside `{by}`"));
-    let unlikely = of(Verdict::Unlikely).map(|finding| finding.to_string()).chain(undrawn).chain(replaced);
+    let vain = keys_without_effect(scene).map(|(key, why)| format!("`{key}` has no effect {why}"));
+    let unlikely = of(Verdict::Unlikely).map(|finding| finding.to_string()).chain(undrawn).chain(vain);
     Ok(unlikely.map(|finding| format!("warning: {source}: {finding}")).collect())
 }
 

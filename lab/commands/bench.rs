@@ -112,7 +112,7 @@ pub enum BenchCommand {
         /// Scene file with built-in controllers only; default: the built-in femur.
         scene: Option<PathBuf>,
         /// Maximum number of ticks.
-        #[arg(long)]
+        #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
         ticks: Option<u64>,
         /// Count the instructions of a step with valgrind instead (takes minutes).
         #[arg(long)]

@@ -40,6 +40,7 @@ mod error;
 pub mod mesh;
 mod model;
 mod named_file;
+mod no_effect;
 mod place;
 pub mod plan;
 mod planned_path;
@@ -56,6 +57,7 @@ pub use cutter::{Cutter, CutterBall, CutterSolid, CutterZone, MAX_CUTTER_BALLS, 
 pub use error::SceneError;
 pub use model::*;
 pub use named_file::ReadText;
+pub use no_effect::{NoEffect, keys_without_effect};
 pub use planned_path::planned_path_mm;
 pub use schema::json_schema;
 pub use tool::{FlexurePlace, Holder, OuterTubeSize, STANDARD_HOLDER, STANDARD_RADII, ToolRadii};

@@ -151,8 +151,10 @@ fn each(sample: &mut Sample, change: impl Fn(usize, f64) -> f64) {
 }
 
 /// The nearest multiple of a step; without a step the value itself.
+/// A step that is finer than a `f64` can count rounds nothing.
 fn rounded(x: f64, step: f64) -> f64 {
-    if step > 0.0 { libm::round(x / step) * step } else { x }
+    let steps = libm::round(x / step);
+    if step > 0.0 && steps.is_finite() { steps * step } else { x }
 }
 
 pub(crate) fn rotation(pose: &Pose) -> UnitQuaternion<f64> {

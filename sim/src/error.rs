@@ -164,6 +164,22 @@ pub enum SimError {
     },
 }
 
+impl SimError {
+    /// Whether it is the machine's fault, such as too little memory or a full disk, or a defect: the same run may work elsewhere.
+    pub fn is_of_the_machine(&self) -> bool {
+        match self {
+            SimError::Log(_)
+            | SimError::Output(_)
+            | SimError::Recording { .. }
+            | SimError::Threads { .. }
+            | SimError::Gone => true,
+            SimError::XRay(cause) => cause.is_of_the_machine(),
+            SimError::Physics { cause, .. } => cause.is_of_the_machine(),
+            _ => false,
+        }
+    }
+}
+
 impl From<Failure> for SimError {
     fn from(failure: Failure) -> SimError {
         SimError::Input(failure)
@@ -172,4 +188,22 @@ impl From<Failure> for SimError {
 
 fn listed(names: &[String]) -> String {
     if names.is_empty() { "none".to_owned() } else { format!("`{}`", names.join("`, `")) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Bug: a sweep kept a row of a run that had no memory, and never made it again.
+    #[test]
+    fn too_little_memory_is_no_property_of_a_run() {
+        let memory = || DrrError::Memory { dims: [1; 3], bytes_each: 2, needed_bytes: 2, available_bytes: 1 };
+        assert!(SimError::XRay(memory()).is_of_the_machine());
+        assert!(SimError::XRay(DrrError::Frame { frame: 0, cause: Box::new(memory()) }).is_of_the_machine());
+        let cause = SimulationError::Bone(simulation::bone::BoneError::Memory { bytes: 1 });
+        assert!(SimError::Physics { tick: Tick(0), cause }.is_of_the_machine());
+        assert!(
+            !SimError::Physics { tick: Tick(0), cause: SimulationError::VolumeMissing }.is_of_the_machine()
+        );
+    }
 }

@@ -34,10 +34,10 @@ pub struct PlanArguments {
     #[arg(long, requires = "check", conflicts_with_all = ["scene", "list"], default_value_t = u64::MAX, hide_default_value = true)]
     pub to: u64,
     /// With `--check`: current path of the log's CT file.
-    #[arg(long, value_name = "PATH")]
+    #[arg(long, value_name = "PATH", requires = "check", conflicts_with_all = ["scene", "list"])]
     pub volume: Option<PathBuf>,
     /// With `--check`: continue even if the log's build, layout or volume differs.
-    #[arg(long)]
+    #[arg(long, requires = "check", conflicts_with_all = ["scene", "list"])]
     pub allow_mismatch: bool,
     /// Which files the volume may name.
     #[command(flatten)]

@@ -1,5 +1,6 @@
 //! `trabecula run SCENE`: runs a scene from start to finish.
 
+use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -160,6 +161,7 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
         say!("{choice}");
     }
     volume_source::refuse_missing(&source, &scene)?;
+    refuse_taken_port(arguments)?;
     let output = match arguments.no_record {
         true => None,
         false => {
@@ -217,6 +219,17 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
         show_on(viewer, arguments);
     }
     judged
+}
+
+/// The viewer opens the port itself, but a run whose page cannot be opened would go on unseen.
+fn refuse_taken_port(arguments: &RunArguments) -> Result<(), Failure> {
+    let Some(port) = arguments.view else { return Ok(()) };
+    match std::net::TcpListener::bind((Ipv4Addr::LOCALHOST, port)) {
+        Ok(_) => Ok(()),
+        Err(cause) => Err(Failure::bad_input(format!(
+            "--view={port}: the port cannot be opened ({cause}); expected a free one"
+        ))),
+    }
 }
 
 /// The page shows the log of the run; the command ends when the page is closed.

@@ -1,9 +1,9 @@
 //! `trabecula volume` and `trabecula phantom`: inspect and write volume files.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand, ValueEnum};
-use volume_io::{VolumeInfo, phantom, read_as, write_nifti, write_nrrd};
+use volume_io::{Volume, VolumeInfo, phantom, read_as, write_nifti, write_nrrd};
 
 use super::log::{json, judged};
 use crate::failure::Failure;
@@ -117,6 +117,15 @@ pub struct DrilledArguments {
 /// Value of a drilled voxel: air.
 const AIR_HU: i16 = -1000;
 
+/// Writes NIfTI if the name ends in `.nii` or `.nii.gz`, otherwise NRRD.
+fn write_by_name(output: &Path, volume: &Volume) -> Result<(), Failure> {
+    let name = output.to_string_lossy().to_lowercase();
+    match name.ends_with(".nii") || name.ends_with(".nii.gz") {
+        true => Ok(write_nifti(output, volume)?),
+        false => Ok(write_nrrd(output, volume)?),
+    }
+}
+
 fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
     refuse_existing(&[&arguments.output])?;
     let overrides = Overrides {
@@ -134,11 +143,7 @@ fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
             *hu = AIR_HU;
         }
     }
-    let name = arguments.output.to_string_lossy().to_lowercase();
-    match name.ends_with(".nii") || name.ends_with(".nii.gz") {
-        true => write_nifti(&arguments.output, &volume)?,
-        false => write_nrrd(&arguments.output, &volume)?,
-    }
+    write_by_name(&arguments.output, &volume)?;
     let (output, tick, count) = (arguments.output.display(), gone.tick, gone.voxels.len());
     arguments.figures.say(
         || format!("{output}: the CT after tick {tick}, {count} voxels removed"),
@@ -187,7 +192,7 @@ pub struct PhantomArguments {
     /// The volume to generate.
     #[arg(value_enum)]
     pub kind: PhantomKind,
-    /// New file (NRRD, gzip).
+    /// New file: NIfTI if it ends in `.nii` or `.nii.gz`, otherwise NRRD (gzip).
     #[arg(short, long)]
     pub output: PathBuf,
     /// Voxel size in millimetres, 0.25 to 2 (a pelvis from 0.34, or it has too many voxels); 0.5 by default, 1 for the pelvis.
@@ -234,7 +239,7 @@ pub fn write_phantom(arguments: &PhantomArguments) -> Result<(), Failure> {
         PhantomKind::Pelvis => phantom::pelvis(&phantom::PelvisSpec { spacing_m, ..Default::default() }),
     };
     let volume = volume.map_err(Failure::bad_input)?;
-    write_nrrd(&arguments.output, &volume)?;
+    write_by_name(&arguments.output, &volume)?;
     let [i, j, k] = volume.dims;
     let output = arguments.output.display();
     arguments.figures.say(

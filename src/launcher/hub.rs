@@ -14,6 +14,7 @@ use ipc_types::session::{
 };
 use run_log::cat::whole;
 use run_log::header::CALIBRATION_ATTACHMENT;
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use volume_io::Volume;
 use xray::from_scene::scene_c_arm;
 use xray::message::c_arm_message;
@@ -69,6 +70,14 @@ pub enum HubError {
         /// The system's reason.
         cause: String,
     },
+    /// Too few files may be open.
+    #[error(
+        "{most} files may be open, a session needs {LEAST_FILES}: raise the limit (`ulimit -n {LEAST_FILES}`)"
+    )]
+    Files {
+        /// How many, for each process.
+        most: u64,
+    },
     /// A part cannot be started.
     #[error("part `{part}`: `{program}` cannot be started ({cause})")]
     Start {
@@ -99,6 +108,23 @@ pub enum Recording {
     Off,
 }
 
+/// Files that each process of a session may have open, at least: physics and launcher have some 130 open. Below that, shared memory that
+/// a process waits for never comes.
+const LEAST_FILES: u64 = 256;
+
+/// Raises the limit of open files, which the parts inherit, to what a session needs.
+///
+/// # Errors
+/// [`HubError::Files`]: the system allows fewer.
+fn allow_files() -> Result<(), HubError> {
+    let limit = getrlimit(Resource::Nofile);
+    if limit.current.is_none_or(|most| most >= LEAST_FILES) {
+        return Ok(());
+    }
+    let raised = Rlimit { current: Some(LEAST_FILES), maximum: limit.maximum };
+    setrlimit(Resource::Nofile, raised).map_err(|_| HubError::Files { most: limit.current.unwrap_or(0) })
+}
+
 impl Hub {
     /// Creates the session of a scene, publishes its volume, and announces the session.
     ///
@@ -121,6 +147,7 @@ impl Hub {
         if let Some(place) = passed_over() {
             tell!("trabecula: {place}");
         }
+        allow_files()?;
         let host = SessionHost::create(&plan)?;
         let path = host.session.folder().join("scene.toml");
         let file_error = |cause: String| HubError::File { path: path.clone(), cause };

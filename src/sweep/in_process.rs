@@ -7,6 +7,7 @@ use run_log::end::hash_text;
 use sim::{Drive, SharedScene, Sim, SimError};
 
 use super::row::{Ending, Row};
+use crate::failure::Failure;
 use crate::report::course::Course;
 
 /// Ticks between two looks at whether the sweep is to end.
@@ -21,16 +22,22 @@ pub enum Ran {
 }
 
 /// Runs a scene to its end and fills the row in. `recorded` is the folder for its log.
+///
+/// # Errors
+/// The machine's: no memory, no thread, a log that cannot be written. A row holds nothing that depends on the machine, so there is none.
 pub fn run(
     shared: &Arc<SharedScene>,
     mut row: Row,
     recorded: Option<PathBuf>,
     is_to_end: &dyn Fn() -> bool,
-) -> Ran {
+) -> Result<Ran, Failure> {
     let mut course = Course::of(shared.scene());
     match follow(shared, &mut course, recorded, is_to_end) {
         Ok(true) => row.outcome = Ending::Completed,
-        Ok(false) => return Ran::Interrupted,
+        Ok(false) => return Ok(Ran::Interrupted),
+        Err(error) if error.is_of_the_machine() => {
+            return Err(Failure::failed(format!("point {}: {error}", row.point)));
+        }
         Err(error) => {
             row.outcome = match &error {
                 SimError::Physics { .. } => Ending::SimulationFailed,
@@ -43,7 +50,7 @@ pub fn run(
     row.simulated_s = (course.ticks * shared.scene().dt_ns()) as f64 * 1e-9;
     row.final_hash = course.last.as_ref().map(|state| hash_text(state.hash));
     (row.tool, row.drilling) = (course.tool(), course.drilling());
-    Ran::Ended(Box::new(row))
+    Ok(Ran::Ended(Box::new(row)))
 }
 
 /// Whether the run came to its end.

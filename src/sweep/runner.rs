@@ -63,7 +63,7 @@ pub struct Work {
 /// Runs what has no row, and tells of each row. Ends early when `is_to_end` says so; then the runs under way are given up.
 ///
 /// # Errors
-/// The study's scene is refused by itself; a row or a log cannot be written.
+/// The study's scene is refused by itself; a row or a log cannot be written; the machine has no memory or threads for a run.
 pub fn run(
     study: &OpenedStudy,
     folder: &Folder,
@@ -190,7 +190,7 @@ fn one(
             arguments.extend(settings.into_iter().flat_map(|setting| ["--set".to_owned(), setting]));
             launched::run(&arguments, row, &run_folder, is_to_end)
         }
-        run_folder => Ok(in_process::run(&shared, row, run_folder, is_to_end)),
+        run_folder => in_process::run(&shared, row, run_folder, is_to_end),
     }
 }
 

@@ -72,6 +72,32 @@ fn keys_that_a_table_replaces_are_warned_of() {
     }
 }
 
+/// Every command of such a run was refused, and it ended with 0.
+#[test]
+fn a_feed_that_the_arm_refuses_is_refused() {
+    let place = Place::new();
+    let slow = scenes::drill("lockstep", 4.0) + "[arm]\nmax_speed_mm_per_s = 1.0\n";
+    for (code, text) in said(&place, &slow) {
+        assert_eq!(code, Some(2), "{text}");
+        assert!(text.contains("`arm.max_speed_mm_per_s` is 1, expected at least 8"), "{text}");
+    }
+}
+
+#[test]
+fn keys_that_change_nothing_are_warned_of() {
+    let place = Place::new();
+    let scene = place.scene(
+        &(scenes::drill_unseen("lockstep", 4.0)
+            + "[arm]\nmodel = \"gantry\"\nxray_density_g_per_cm3 = 4.0\n[[sensor]]\nname = \"joints\"\nrate_hz = 100.0\nencoders = {}\n\
+               [[sensor]]\nname = \"field\"\nrate_hz = 100.0\ntracker = { view_deg = 30.0 }\n"),
+    );
+    let done = trabecula(&[&"scene", &"check", &scene]);
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    for key in ["arm.xray_density_g_per_cm3", "sensor.encoders", "sensor.tracker.view_deg"] {
+        assert!(done.out.contains(&format!("`{key}` has no effect")), "{key}: {}{}", done.out, done.err);
+    }
+}
+
 /// No false alarm: every scene of this repository, with its volume where that is at hand.
 #[test]
 fn no_scene_of_this_repository_is_warned_of() {

@@ -162,6 +162,28 @@ fn a_file_that_cannot_grow_is_told_by_name_with_1_and_is_not_left() {
     assert_told(&inputs, &place.path(""), limited, "File too large");
 }
 
+/// Bug: with some 130 the run hung, with fewer it blamed a log or `/dev/shm`.
+#[test]
+fn too_few_open_files_are_raised_where_they_may_be_and_told_otherwise() {
+    let place = Place::new();
+    let scene = place.scene(&scenes::drill("lockstep", 0.1));
+    let run = |limit: &str| {
+        let mut command = Command::new("sh");
+        command.args(["-c", &format!("{limit}; exec \"$@\""), "sh", env!("CARGO_BIN_EXE_trabecula")]);
+        command.arg("run").arg(&scene).args(["--quiet", "--output"]).arg(place.path("out"));
+        let output = command.limited_output().unwrap();
+        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    };
+    let (code, said) = run("ulimit -S -n 64");
+    assert_eq!(code, Some(0), "{said}");
+    for most in [64, 132, 255] {
+        let (code, said) = run(&format!("ulimit -n {most}"));
+        let expected =
+            format!("{most} files may be open, a session needs 256: raise the limit (`ulimit -n 256`)");
+        assert!(code == Some(1) && said.contains(&expected), "{code:?} {said}");
+    }
+}
+
 #[test]
 fn a_full_disk_is_told_by_name_with_1_and_nothing_is_left() {
     let (inputs, place) = (Inputs::new(0.3), Place::new());

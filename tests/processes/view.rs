@@ -277,6 +277,10 @@ fn a_log_is_shown_at_any_time_and_a_port_in_use_is_refused() {
     let done = trabecula(&[&"view", &ended.folder, &"--no-open", &"--port", &port]);
     assert_eq!(done.code, Some(2), "{}", done.err);
     assert!(done.err.contains(&port) && done.err.contains("--port"), "{}", done.err);
+    let unseen =
+        trabecula(&[&"run", &place.scene(&scenes::drill("lockstep", 0.1)), &format!("--view={port}")]);
+    assert_eq!(unseen.code, Some(2), "{}", unseen.err);
+    assert!(unseen.err.contains(&format!("--view={port}: the port cannot be opened")), "{}", unseen.err);
     let missing = trabecula(&[&"view", &place.path("none.mcap"), &"--no-open", &"--port", &"0"]);
     assert_eq!(missing.code, Some(2), "{}", missing.err);
     let lone = trabecula(&[&"view", &"--session", &place.path("none"), &"--no-open", &"--port", &"0"]);

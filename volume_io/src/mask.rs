@@ -84,8 +84,15 @@ pub fn mask_to_hu(volume: &mut Volume, model: &MaskModel) -> Result<(), VolumeEr
 /// Turns the voxels of one label into 1, all others into 0.
 ///
 /// # Errors
-/// [`VolumeError::NoSuchLabel`] if no voxel has it.
+/// [`VolumeError::NoSuchLabel`] if no voxel has it; [`VolumeError::Argument`] if there are negative values, which no label is.
 pub(crate) fn keep_label(path: &Path, values: &mut [i16], label: i16) -> Result<(), VolumeError> {
+    if let Some(negative) = values.iter().find(|value| **value < 0) {
+        return Err(VolumeError::Argument {
+            field: "label",
+            given: format!("{label} of {}, which holds {negative}", path.display()),
+            expected: "a map of labels, 0 and above; these are Hounsfield units".into(),
+        });
+    }
     if !values.contains(&label) {
         let mut there: Vec<i16> = Vec::new();
         for value in values.iter() {

@@ -64,6 +64,22 @@ fn a_label_that_is_not_there_is_refused_with_those_that_are() {
     assert!(said.contains("label 7") && said.contains("[0, 2]"), "{said}");
 }
 
+/// A CT named as a map of labels: its air became bone.
+#[test]
+fn hounsfield_units_are_no_labels() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("ct.nrrd");
+    let header = "NRRD0005\ntype: short\ndimension: 3\nsizes: 2 1 1\nspace: LPS\nspace directions: (1,0,0) (0,1,0) (0,0,1)\n\
+                  encoding: raw\nendian: little\n\n";
+    let voxels = [-1000_i16, 300].map(i16::to_le_bytes).concat();
+    std::fs::write(&path, [header.as_bytes(), &voxels].concat()).unwrap();
+    for label in [-1000, 300] {
+        let options = ReadOptions { label: Some(Label::Value(label)), ..ReadOptions::default() };
+        let said = read_as(&path, &options).unwrap_err().to_string();
+        assert!(said.contains("which holds -1000") && said.contains("Hounsfield"), "{said}");
+    }
+}
+
 /// A frame with a header of 20000 x 20000 pixels in a few bytes, whose decoder would make up what is missing.
 #[test]
 fn packed_frames_that_cannot_hold_their_pixels_are_refused_before_they_take_memory() {

@@ -78,7 +78,7 @@ pub enum DrrError {
     /// The reordered copy of the volume does not fit into free memory.
     #[error(
         "the re-ordered copy of a volume of {} x {} x {} voxels needs {:.2} GiB ({bytes_each} B a voxel and 32 zeros between \
-         rows), and {:.2} GiB are free: crop or resample the volume, or choose the projector `preview` or `joseph`",
+         rows), and {:.2} GiB are free, or a limit (`ulimit -v`) keeps them back: crop or resample the volume, or choose the projector `preview` or `joseph`",
         dims[0], dims[1], dims[2], *needed_bytes as f64 / GIB, *available_bytes as f64 / GIB
     )]
     Memory {
@@ -93,7 +93,7 @@ pub enum DrrError {
     },
     /// The intermediate images of the sum over slices do not fit into free memory.
     #[error(
-        "the intermediate images of this C-arm have {samples} samples and need {:.2} GiB, and {:.2} GiB are free: lower \
+        "the intermediate images of this C-arm have {samples} samples and need {:.2} GiB, and {:.2} GiB are free, or a limit (`ulimit -v`) keeps them back: lower \
          `oversampling`, narrow the detector, or choose the projector `preview` or `joseph`",
         *needed_bytes as f64 / GIB, *available_bytes as f64 / GIB
     )]
@@ -122,6 +122,17 @@ pub enum DrrError {
         /// The system's reason.
         reason: String,
     },
+}
+
+impl DrrError {
+    /// Whether it is the machine's fault: with more memory or threads the same frame is rendered.
+    pub fn is_of_the_machine(&self) -> bool {
+        match self {
+            DrrError::Memory { .. } | DrrError::Images { .. } | DrrError::Threads { .. } => true,
+            DrrError::Frame { cause, .. } => cause.is_of_the_machine(),
+            _ => false,
+        }
+    }
 }
 
 /// Refuses a number that is not finite or outside `low..=high`.

@@ -258,28 +258,13 @@ impl Drr {
         self.labels.clone().unwrap_or_default()
     }
 
-    /// Keys whose values, other than the defaults, have no effect, each with the table that replaces it.
-    pub fn replaced(&self) -> impl Iterator<Item = (&'static str, &'static str)> {
-        let distances_mm = [Drr::default_source_isocentre_mm(), Drr::default_source_detector_mm()];
-        let (by_carm, by_spectrum) = (self.carm.is_some(), self.spectrum.is_some());
-        [
-            (by_carm, self.primary_angle_deg != 0.0, "drr.primary_angle_deg", "[drr.carm]"),
-            (by_carm, self.secondary_angle_deg != 0.0, "drr.secondary_angle_deg", "[drr.carm]"),
-            (by_carm, self.source_isocentre_mm != distances_mm[0], "drr.source_isocentre_mm", "[drr.carm]"),
-            (by_carm, self.source_detector_mm != distances_mm[1], "drr.source_detector_mm", "[drr.carm]"),
-            (by_spectrum, self.energy_kev != Drr::default_energy_kev(), "drr.energy_kev", "[drr.spectrum]"),
-        ]
-        .into_iter()
-        .filter_map(|(is_replaced, is_given, key, by)| (is_replaced && is_given).then_some((key, by)))
-    }
-
-    fn default_source_isocentre_mm() -> f64 {
+    pub(crate) fn default_source_isocentre_mm() -> f64 {
         700.0
     }
-    fn default_source_detector_mm() -> f64 {
+    pub(crate) fn default_source_detector_mm() -> f64 {
         1000.0
     }
-    fn default_energy_kev() -> f64 {
+    pub(crate) fn default_energy_kev() -> f64 {
         60.0
     }
     fn default_display() -> Display {

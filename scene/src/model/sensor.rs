@@ -117,10 +117,10 @@ impl Tracker {
     fn default_orientation_noise_deg() -> f64 {
         0.2
     }
-    fn default_marker_faces() -> [f64; 3] {
+    pub(crate) fn default_marker_faces() -> [f64; 3] {
         [0.0, 0.0, -1.0]
     }
-    fn default_view_deg() -> f64 {
+    pub(crate) fn default_view_deg() -> f64 {
         60.0
     }
 }

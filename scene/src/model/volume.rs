@@ -43,13 +43,13 @@ pub struct Volume {
 }
 
 impl Volume {
-    fn default_spacing_mm() -> f64 {
+    pub(crate) fn default_spacing_mm() -> f64 {
         0.5
     }
     fn default_bone_threshold_hu() -> i16 {
         150
     }
-    fn default_block_density_ratio() -> f64 {
+    pub(crate) fn default_block_density_ratio() -> f64 {
         1.0
     }
 }

@@ -27,7 +27,9 @@ pub enum BoneError {
         expected: &'static str,
     },
     /// The system gives no memory for the first partly cut voxels.
-    #[error("{bytes} bytes for partly cut voxels are not to be had; coarser voxels need less")]
+    #[error(
+        "{bytes} bytes for partly cut voxels are not to be had; free memory, raise its limit (`ulimit -v`) or take coarser voxels"
+    )]
     Memory {
         /// Bytes wanted.
         bytes: usize,

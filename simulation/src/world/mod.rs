@@ -142,6 +142,13 @@ pub enum SimulationError {
     Keyframe(#[from] KeyframeError),
 }
 
+impl SimulationError {
+    /// Whether it is the machine's fault: with more memory the same scene works.
+    pub fn is_of_the_machine(&self) -> bool {
+        matches!(self, SimulationError::Bone(BoneError::Memory { .. }))
+    }
+}
+
 /// Everything that a tick changes: see [`Simulation::snapshot`].
 #[derive(Debug, Clone)]
 pub struct SimulationSnapshot {

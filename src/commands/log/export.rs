@@ -15,7 +15,7 @@ use run_log::fields::Scalar;
 use run_log::{FrameRecord, LogError, ReadOptions, Topic, Verdict, frames};
 
 use super::geometry::{self, Geometry};
-use super::{Out, dataset, foxglove, json, judged};
+use super::{Out, dataset, foxglove, json, judged, refuse_backwards};
 use crate::dataset::{Format, Split, grey16};
 use crate::failure::Failure;
 use crate::launcher::volume_source::VolumeFiles;
@@ -44,7 +44,7 @@ pub struct ExportArguments {
     #[arg(long)]
     to: Option<u64>,
     /// Export one 16-bit PNG per frame, with the recorded pixel values, instead of a table.
-    #[arg(long, conflicts_with_all = ["fields"])]
+    #[arg(long, conflicts_with_all = ["fields", "topic"])]
     frames: bool,
     /// Export geometry instead of a table, in the patient frame (LPS) and mm, as of the last tick (`--to`).
     #[arg(long, value_enum, value_name = "WHAT", conflicts_with_all = ["fields", "frames", "topic", "from"])]
@@ -85,6 +85,16 @@ impl ExportArguments {
         TickRange { first: Tick(self.from), last: self.to.map(Tick) }
     }
 
+    /// # Errors
+    /// Bad input: flags that have no effect together, or a range of ticks that ends before it begins.
+    fn check(&self) -> Result<(), Failure> {
+        let uses_volume = self.dataset.is_some() || self.geometry == Some(Geometry::Tunnel);
+        if self.volume.is_some() && !uses_volume {
+            return Err(Failure::bad_input("--volume is for --geometry tunnel and --dataset"));
+        }
+        refuse_backwards(self.from, self.to)
+    }
+
     /// The log of an export of one; [`run`] refuses several.
     pub(super) fn log(&self) -> &Path {
         self.logs.first().map_or(Path::new(""), PathBuf::as_path)
@@ -97,6 +107,7 @@ impl ExportArguments {
 /// Not a log, no such topic or field, an unknown file extension, an output that already exists (2); a damaged log,
 /// after writing the rows before the damage, or a full disk (1); a log that has a gap, is cut or was not ended (3).
 pub fn run(arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Failure> {
+    arguments.check()?;
     if let Some(format) = arguments.dataset {
         return dataset::export(format, arguments, out);
     }

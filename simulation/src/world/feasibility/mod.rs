@@ -66,7 +66,7 @@ const fn unlikely(key: &'static str, find: fn(&Start) -> Option<String>) -> Rule
 }
 
 /// Every rule, in the order in which findings are told.
-const RULES: [Rule; 26] = [
+const RULES: [Rule; 27] = [
     impossible("controller.command", controllers::program_is_missing),
     impossible("volume.bone_threshold_hu", geometry::nothing_to_drill),
     unlikely("volume.bone_threshold_hu", geometry::no_bone),
@@ -84,6 +84,7 @@ const RULES: [Rule; 26] = [
     impossible("arm.initial_joints_deg", controllers::no_path_from_singular_start),
     unlikely("arm.initial_joints_deg", controllers::singular_start),
     impossible("arm.model", controllers::feed_beyond_arm),
+    impossible("arm.max_speed_mm_per_s", controllers::feed_faster_than_arm),
     unlikely("arm.tool_position_mm", geometry::arm_in_bone),
     unlikely("arm.tool_position_mm", geometry::arm_in_bone_at_end),
     impossible("controller.curved_drilling.target_mm", controllers::target_out_of_reach),
@@ -127,6 +128,8 @@ struct Feed<'a> {
     /// The key of its length.
     length_key: &'static str,
     length_mm: f64,
+    /// Speeds of the feed and of the retraction after it, each with its key.
+    speeds_mm_s: [(&'static str, f64); 2],
     /// Simulated time of the feed and of the retraction after it.
     time_s: f64,
     drives: &'a [Drives],
@@ -156,19 +159,23 @@ fn feed(controller: &Controller) -> Option<Feed<'_>> {
     if let Some(plan) = &controller.curved_drilling {
         let time_s = plan.insertion_mm / plan.feed_mm_per_s + plan.retraction_mm / plan.retraction_mm_per_s;
         let (table, length_key) = ("controller.curved_drilling", "insertion_mm");
-        return Some(Feed { table, length_key, length_mm: plan.insertion_mm, time_s, drives, is_arms: true });
+        let retraction_mm_s = if plan.retraction_mm > 0.0 { plan.retraction_mm_per_s } else { 0.0 };
+        let speeds_mm_s = [("feed_mm_per_s", plan.feed_mm_per_s), ("retraction_mm_per_s", retraction_mm_s)];
+        let length_mm = plan.insertion_mm;
+        return Some(Feed { table, length_key, length_mm, speeds_mm_s, time_s, drives, is_arms: true });
     }
     if let Some(plan) = &controller.tube_deployment {
         let time_s = (plan.deployed_mm + plan.retraction_mm) / plan.feed_mm_per_s;
         let (table, length_key) = ("controller.tube_deployment", "deployed_mm");
-        return Some(Feed { table, length_key, length_mm: plan.deployed_mm, time_s, drives, is_arms: false });
+        let (speeds_mm_s, length_mm) = ([("feed_mm_per_s", plan.feed_mm_per_s); 2], plan.deployed_mm);
+        return Some(Feed { table, length_key, length_mm, speeds_mm_s, time_s, drives, is_arms: false });
     }
     let plan = controller.skiving.as_ref()?;
-    let (table, length_key) = ("controller.skiving", "depth_mm");
     Some(Feed {
-        table,
-        length_key,
+        table: "controller.skiving",
+        length_key: "depth_mm",
         length_mm: plan.depth_mm,
+        speeds_mm_s: [("feed_mm_per_s", plan.feed_mm_per_s); 2],
         time_s: plan.depth_mm / plan.feed_mm_per_s,
         drives,
         is_arms: true,
