@@ -133,7 +133,9 @@ fn a_mesh_of_an_arm_that_cannot_be_drawn_is_named() {
     let stl = |count: u32, corner: f32, floats: usize| {
         let mut bytes = vec![0; 80];
         bytes.extend_from_slice(&count.to_le_bytes());
-        (0..floats).for_each(|_| bytes.extend_from_slice(&corner.to_le_bytes()));
+        // Three zeros of the normal's and the corners' floats, so that the triangle has an area.
+        let float = |index: usize| if [0, 3, 7].contains(&index) { 0.0 } else { corner };
+        (0..floats).for_each(|index| bytes.extend_from_slice(&float(index).to_le_bytes()));
         bytes.extend_from_slice(&[0, 0]);
         bytes
     };
