@@ -22,6 +22,8 @@ const MOST_NODES: u32 = 200_000;
 const MOST_JOINTS: usize = 64;
 /// Farthest that a joint may stand from the one before it.
 pub(crate) const FARTHEST_M: f64 = 10.0;
+/// Least range of a joint that turns, rad.
+const LEAST_TURN_RAD: f64 = 2e-5;
 /// Greatest angle of a limit or an orientation: two turns.
 pub(crate) const GREATEST_RAD: f64 = 4.0 * core::f64::consts::PI;
 /// Range of a joint that turns without end, as of a wrist of Universal Robots.
@@ -250,6 +252,12 @@ impl UrdfJoint<'_> {
                 limit_of("upper", -GREATEST_RAD, GREATEST_RAD)?,
             ],
         };
+        if upper - lower < LEAST_TURN_RAD {
+            let problem = format!(
+                "has `limit lower` = {lower} and `upper` = {upper}, expected the upper above the lower, rad"
+            );
+            return Err(self.says(&problem));
+        }
         let rate = limit_of("velocity", 1e-3, FASTEST_RAD_PER_S)?;
         table.insert("axis".to_owned(), numbers(axis));
         for (key, value) in [("lower_deg", lower), ("upper_deg", upper), ("max_speed_deg_per_s", rate)] {

@@ -105,6 +105,10 @@ fn what_cannot_stand_is_refused_with_file_joint_value_and_what_was_expected() {
     of_file(file("<limit lower=\"-1.5\"", "<limit"), &["`j1`", "has no `limit lower`"]);
     of_file(file(" velocity=\"3.0\"", ""), &["`j1`", "has no `limit velocity`"]);
     of_file(file("upper=\"2.5\"", "upper=\"NaN\""), &["`j1`", "`limit upper` = NaN", "12.56"]);
+    for upper in ["-1.5", "-2.5"] {
+        let words = ["`j1`", "`limit lower` = -1.5", upper, "rad"];
+        of_file(file("upper=\"2.5\"", &format!("upper=\"{upper}\"")), &words);
+    }
     of_file(file("upper=\"2.5\"", "upper=\"1e9\""), &["`j1`", "`limit upper` = 1e9"]);
     of_file(file("velocity=\"3.0\"", "velocity=\"0\""), &["`limit velocity` = 0", "0.001"]);
     of_file(file("xyz=\"0 0 0.1\"", "xyz=\"0 0 inf\""), &["`j1`", "`origin xyz` = inf", "-10 to 10"]);
@@ -134,7 +138,6 @@ fn what_cannot_stand_is_refused_with_file_joint_value_and_what_was_expected() {
     );
     said("tip_link = \"l5\"\n", &six(), &["arm.joint", "5 joints that turn, expected 6"]);
     said(TIP, &file("xyz=\"0 1 1\"", "xyz=\"0 0 0\""), &["arm.joint.axis", "`j1`"]);
-    said(TIP, &file("upper=\"2.5\"", "upper=\"-2.5\""), &["arm.joint.upper_deg"]);
     said("tip_link = \"flange\"\nmodel = \"ur5\"\n", &six(), &["arm.model", "one of them"]);
     let wide = "lower_joints_deg = [-900.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n";
     said(&format!("{TIP}{wide}"), &six(), &["arm.lower_joints_deg", "-900"]);

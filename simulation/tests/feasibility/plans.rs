@@ -146,6 +146,14 @@ fn targets() -> Vec<Case> {
                 "unlikely: `controller.curved_drilling.insertion_mm` is 20; the arc to `target_mm` is 21.0 mm long",
             ],
         ),
+        case(
+            "an arc that turns further than the tool bends",
+            target(Some("[108.0, 0.0, -12.0]")),
+            &[
+                "unlikely: `controller.curved_drilling.target_mm` lies 3.0 mm ahead of the start and 8.0 beside: the arc to it turns by 139°, the tool bends by 135° at most",
+            ],
+        ),
+        case("an arc that turns as far as the tool bends", target(Some("[107.2, 0.0, -12.0]")), &[]),
         case("an arc as long as the insertion", target(Some("[112.7, 0.0, -1.0]")), &[]),
     ]
 }

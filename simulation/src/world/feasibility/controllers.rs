@@ -150,12 +150,32 @@ pub(super) fn target_out_of_reach(start: &Start) -> Option<String> {
     })
 }
 
-/// A circular arc that begins along the feed: its chord turns by half its angle.
+/// Half the angle by which a circular arc turns that begins along the feed and ends at the target: its chord turns by so much.
+fn half_turn_rad(ahead_mm: f64, beside_mm: f64) -> f64 {
+    // Behind by rounding is beside: the arc to a point straight behind would be endless.
+    libm::atan2(beside_mm, ahead_mm.max(0.0))
+}
+
+/// Bone does not bend the tool further than its flexures' stops.
+pub(super) fn target_beyond_stops(start: &Start) -> Option<String> {
+    let [ahead_mm, beside_mm, _] = target_mm(start)?;
+    let tool = start.simulation.manipulator.parameters();
+    let at_rest_rad: f64 = tool.joint_rest_rad.iter().map(|rest_rad| rest_rad.abs()).sum();
+    let stops_rad = tool.joint_positions_m.len() as f64 * tool.joint_limit_rad + at_rest_rad;
+    let turn_rad = 2.0 * half_turn_rad(ahead_mm, beside_mm);
+    (turn_rad > stops_rad && target_out_of_reach(start).is_none()).then(|| {
+        format!(
+            "lies {ahead_mm:.1} mm ahead of the start and {beside_mm:.1} beside: the arc to it turns by {:.0}°, the tool bends by {:.0}° at most",
+            turn_rad.to_degrees(),
+            stops_rad.to_degrees()
+        )
+    })
+}
+
 pub(super) fn insertion_shorter_than_arc(start: &Start) -> Option<String> {
     let [ahead_mm, beside_mm, length_mm] = target_mm(start)?;
-    // Behind by rounding is beside: the arc to a point straight behind would be endless.
     let ahead_mm = ahead_mm.max(0.0);
-    let half_rad = libm::atan2(beside_mm, ahead_mm);
+    let half_rad = half_turn_rad(ahead_mm, beside_mm);
     let chord_mm = libm::hypot(ahead_mm, beside_mm);
     let arc_mm = if half_rad > 0.0 { chord_mm * half_rad / libm::sin(half_rad) } else { chord_mm };
     let reachable = target_out_of_reach(start).is_none();

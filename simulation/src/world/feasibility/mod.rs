@@ -66,7 +66,7 @@ const fn unlikely(key: &'static str, find: fn(&Start) -> Option<String>) -> Rule
 }
 
 /// Every rule, in the order in which findings are told.
-const RULES: [Rule; 27] = [
+const RULES: [Rule; 28] = [
     impossible("controller.command", controllers::program_is_missing),
     impossible("volume.bone_threshold_hu", geometry::nothing_to_drill),
     unlikely("volume.bone_threshold_hu", geometry::no_bone),
@@ -88,6 +88,7 @@ const RULES: [Rule; 27] = [
     unlikely("arm.tool_position_mm", geometry::arm_in_bone),
     unlikely("arm.tool_position_mm", geometry::arm_in_bone_at_end),
     impossible("controller.curved_drilling.target_mm", controllers::target_out_of_reach),
+    unlikely("controller.curved_drilling.target_mm", controllers::target_beyond_stops),
     unlikely("controller.curved_drilling.insertion_mm", controllers::insertion_shorter_than_arc),
     unlikely("run.dt_ms", controllers::long_step_in_bone),
     unlikely("manipulator.integrator", controllers::long_step_of_pre_curved_tool),
