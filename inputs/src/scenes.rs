@@ -121,21 +121,7 @@ impl SceneSource {
     /// # Errors
     /// Bad input: the file is not a scene.
     pub fn load(&self) -> Result<Scene, Failure> {
-        match self {
-            SceneSource::File(file) => ipc_types::scene_file::load(file).map_err(Failure::bad_input),
-            SceneSource::BuiltIn(scene) => scene.scene(),
-            SceneSource::Changed { text, .. } => {
-                ipc_types::scene_file::parse(text, &self.path()).map_err(|error| {
-                    Failure::bad_input(match error {
-                        // The line is one of a text that nobody has seen.
-                        SceneError::Malformed { file, cause, .. } => {
-                            format!("{} with --set: {cause}", file.display())
-                        }
-                        other => other.to_string(),
-                    })
-                })
-            }
-        }
+        self.parsed().map_err(|error| self.refused(error))
     }
 
     /// Checks that a scene has these keys, with values of their types; not whether the values are in their ranges.
@@ -143,10 +129,29 @@ impl SceneSource {
     /// # Errors
     /// Bad input: an unknown or missing key, or a value of a wrong type.
     pub fn has_the_keys(&self) -> Result<(), Failure> {
-        match ipc_types::scene_file::parse(&self.text()?, &self.path()) {
-            Err(SceneError::Malformed { .. }) => self.load().map(|_| ()),
+        match self.parsed() {
+            Err(error @ SceneError::Malformed { .. }) => Err(self.refused(error)),
             _ => Ok(()),
         }
+    }
+
+    fn parsed(&self) -> Result<Scene, SceneError> {
+        let text = match self {
+            SceneSource::File(file) => return ipc_types::scene_file::load(file),
+            SceneSource::BuiltIn(scene) => scene.text(),
+            SceneSource::Changed { text, .. } => text,
+        };
+        ipc_types::scene_file::parse(text, &self.path())
+    }
+
+    fn refused(&self, error: SceneError) -> Failure {
+        Failure::bad_input(match (self, error) {
+            // The line is one of a text that nobody has seen.
+            (SceneSource::Changed { .. }, SceneError::Malformed { file, cause, .. }) => {
+                format!("{} with --set: {cause}", file.display())
+            }
+            (_, other) => other.to_string(),
+        })
     }
 
     /// The scene's text, as its author wrote it.

@@ -13,6 +13,7 @@ use serde_json::json;
 use ipc_types::messages::{Tick, TickRange};
 use ipc_types::process::EXIT_GAP;
 
+use crate::commands::in_order;
 use crate::failure::Failure;
 use crate::feasibility::is_program;
 use crate::launcher::volume_source::VolumeFiles;
@@ -108,10 +109,7 @@ pub fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
     let dt_ns = log.reader()?.header().dt_ns;
     let first = arguments.from.map_or(Tick::START, |moment| moment.tick(dt_ns));
     let last = arguments.to.map(|moment| moment.tick(dt_ns));
-    let ticks = TickRange { first, last };
-    if let Some(last) = last.filter(|last| *last < first) {
-        return Err(Failure::bad_input(format!("--to (tick {last}) is before --from (tick {first})")));
-    }
+    let ticks = in_order(TickRange { first, last })?;
     if !arguments.controller.is_empty() {
         return live(arguments, &log, last.unwrap_or(Tick(u64::MAX)));
     }

@@ -190,7 +190,7 @@ fn runs_that_fail_are_rows_with_their_reason() {
     let study = study(&place, text);
     fs::write(
         place.path("points.csv"),
-        "manipulator.tendon_friction,manipulator.model\n0.1,\"planar\"\n7.0,\"planar\"\n0.1,\"liquid\"\n",
+        "\u{feff}manipulator.tendon_friction,manipulator.model\n0.1,\"planar\"\n7.0,\"planar\"\n0.1,\"liquid\"\n",
     )
     .unwrap();
     let folder = place.path("swept");

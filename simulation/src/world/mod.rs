@@ -15,6 +15,7 @@ mod apply;
 mod arm_in_bone;
 mod burr_drive;
 mod drive_shaft;
+mod error;
 mod feasibility;
 mod keyframe;
 mod lost;
@@ -34,20 +35,17 @@ use messages::{ArmEntry, ControllerIndex, Latched, Refusal, SensorReading, State
 use nalgebra::{Matrix3, Vector3};
 use scene::{Holder, Scene};
 use sensors::{SensorArray, SensorArrayState};
-use thiserror::Error;
 use xxhash_rust::xxh3::Xxh3;
 use zerocopy::IntoBytes;
 
 use crate::arm::{Arm, ArmError, ArmSnapshot, Compliance, ComplianceState};
 use crate::bone::{
-    Ball, BoneError, BoneField, BoneSnapshot, BurrContact, BurrState, ContactBuffer, GridGeometry,
-    Indentation, VoxelIndex, Work,
+    Ball, BoneField, BoneSnapshot, BurrContact, BurrState, ContactBuffer, GridGeometry, Indentation,
+    VoxelIndex, Work,
 };
 use crate::contact_plane::ContactPlane;
-use crate::manipulator::{
-    AnyManipulator, AnyManipulatorState, BaseMotion, ManipulatorError, ManipulatorModel, StepReport,
-};
-use crate::rigid::{RigidError, RigidScene, RigidSnapshot, ToolDrive};
+use crate::manipulator::{AnyManipulator, AnyManipulatorState, BaseMotion, ManipulatorModel, StepReport};
+use crate::rigid::{RigidScene, RigidSnapshot, ToolDrive};
 use arm_in_bone::ArmWatch;
 use burr_drive::{BurrDrive, BurrDriveState};
 use move_tool::Reach;
@@ -55,6 +53,7 @@ use receding::Receding;
 use tendon_drive::{TendonDrive, TendonDriveState};
 use tube_drive::{TubeDrive, TubeDriveState};
 
+pub use error::SimulationError;
 pub use feasibility::{Finding, Verdict, findings};
 pub use keyframe::KeyframeError;
 pub use lost::LostTool;
@@ -108,44 +107,6 @@ impl core::ops::Deref for Hounsfield<'_> {
             Hounsfield::Borrowed(hu) => hu,
             Hounsfield::Shared(hu) => hu,
         }
-    }
-}
-
-/// Why a simulation cannot be built or a tick cannot be computed.
-#[derive(Debug, Error)]
-pub enum SimulationError {
-    /// The scene has a volume, but the simulation was not given one.
-    #[error("the scene has a `[volume]`, but no volume was given")]
-    VolumeMissing,
-    /// The manipulator refused its parameters or input.
-    #[error("manipulator: {0}")]
-    Manipulator(#[from] ManipulatorError),
-    /// The bone did.
-    #[error("bone: {0}")]
-    Bone(#[from] BoneError),
-    /// The arm did.
-    #[error("arm: {0}")]
-    Arm(#[from] ArmError),
-    /// The rigid bodies did.
-    #[error("rigid bodies: {0}")]
-    Rigid(#[from] RigidError),
-    /// The drive of a tube found no way to stop.
-    #[error("tube: {0}")]
-    Tube(#[from] TubeRefusal),
-    /// The computed state is none of the tool.
-    #[error(
-        "the simulation has lost the tool: {0}; a smaller `run.dt_ms` or less extreme parameters of the tool may hold it"
-    )]
-    Lost(#[from] LostTool),
-    /// The bytes are not a keyframe of this scene.
-    #[error("keyframe: {0}")]
-    Keyframe(#[from] KeyframeError),
-}
-
-impl SimulationError {
-    /// Whether it is the machine's fault: with more memory the same scene works.
-    pub fn is_of_the_machine(&self) -> bool {
-        matches!(self, SimulationError::Bone(BoneError::Memory { .. }))
     }
 }
 

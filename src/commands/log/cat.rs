@@ -8,7 +8,8 @@ use recorder_proc::exit_code::exit_code;
 use recorder_proc::log_file::{LogFile, log_path};
 use run_log::{CatOptions, ReadOptions, cat};
 
-use super::{Out, answered, concluded, refuse_backwards};
+use super::{Out, answered, concluded};
+use crate::commands::in_order;
 use crate::failure::Failure;
 
 /// Arguments of `log cat`.
@@ -42,11 +43,10 @@ pub struct CatArguments {
 /// Not a log, no such field or topic (2); a damaged log (1), after printing the messages before the damage; a log that
 /// has a gap, is cut or was not ended (3).
 pub fn run(arguments: &CatArguments, out: &mut Out<'_>) -> Result<(), Failure> {
-    refuse_backwards(arguments.from, arguments.to)?;
     let options = CatOptions {
         topics: arguments.topics.clone(),
         fields: arguments.fields.clone(),
-        ticks: TickRange { first: Tick(arguments.from), last: arguments.to.map(Tick) },
+        ticks: in_order(TickRange { first: Tick(arguments.from), last: arguments.to.map(Tick) })?,
         first_ns: nanoseconds("--from-s", arguments.from_s)?,
         last_ns: arguments.to_s.map(|time_s| nanoseconds("--to-s", time_s)).transpose()?,
         read: ReadOptions::default(),

@@ -15,7 +15,8 @@ use run_log::fields::Scalar;
 use run_log::{FrameRecord, LogError, ReadOptions, Topic, Verdict, frames};
 
 use super::geometry::{self, Geometry};
-use super::{Out, dataset, foxglove, json, judged, refuse_backwards};
+use super::{Out, dataset, foxglove, json, judged};
+use crate::commands::in_order;
 use crate::dataset::{Format, Split, grey16};
 use crate::failure::Failure;
 use crate::launcher::volume_source::VolumeFiles;
@@ -92,7 +93,7 @@ impl ExportArguments {
         if self.volume.is_some() && !uses_volume {
             return Err(Failure::bad_input("--volume is for --geometry tunnel and --dataset"));
         }
-        refuse_backwards(self.from, self.to)
+        in_order(self.ticks()).map(drop)
     }
 
     /// The log of an export of one; [`run`] refuses several.

@@ -149,17 +149,6 @@ fn ended_with(code: u8) -> Result<(), Failure> {
     }
 }
 
-/// # Errors
-/// Bad input: `--to` lies before `--from`.
-fn refuse_backwards(from: u64, to: Option<u64>) -> Result<(), Failure> {
-    match to.filter(|to| *to < from) {
-        Some(to) => {
-            Err(Failure::bad_input(format!("--to is {to}, expected --from, {from}, or a later tick")))
-        }
-        None => Ok(()),
-    }
-}
-
 /// Ignores an answer that could not be written: a closed pipe is fine, and any other output error is reported when the
 /// command ends.
 fn answered(result: Result<(), LogError>) -> Result<(), Failure> {

@@ -116,8 +116,10 @@ pub(super) fn feed_faster_than_arm(start: &Start) -> Option<String> {
         return None;
     }
     let most_mm_s = start.scene.arm.max_speed_mm_per_s;
-    let (key, speed_mm_s) = feed.speeds_mm_s.into_iter().find(|(_, speed_mm_s)| *speed_mm_s > most_mm_s)?;
-    Some(format!("is {most_mm_s}, expected at least {speed_mm_s}: the arm refuses `{}.{key}`", feed.table))
+    let (key, speed_mm_s) = feed.fastest_mm_s;
+    (speed_mm_s > most_mm_s).then(|| {
+        format!("is {most_mm_s}, expected at least {speed_mm_s}: the arm refuses `{}.{key}`", feed.table)
+    })
 }
 
 /// The target of curved drilling, seen from the burr: ahead and beside, mm; and the length of the feed, mm.

@@ -129,8 +129,8 @@ struct Feed<'a> {
     /// The key of its length.
     length_key: &'static str,
     length_mm: f64,
-    /// Speeds of the feed and of the retraction after it, each with its key.
-    speeds_mm_s: [(&'static str, f64); 2],
+    /// The faster of the feed and of the retraction after it, with its key.
+    fastest_mm_s: (&'static str, f64),
     /// Simulated time of the feed and of the retraction after it.
     time_s: f64,
     drives: &'a [Drives],
@@ -155,28 +155,34 @@ impl<'a> Start<'a> {
     }
 }
 
+/// Key of the speed of a feed.
+const FEED: &str = "feed_mm_per_s";
+
 fn feed(controller: &Controller) -> Option<Feed<'_>> {
     let drives = controller.drives.as_slice();
     if let Some(plan) = &controller.curved_drilling {
         let time_s = plan.insertion_mm / plan.feed_mm_per_s + plan.retraction_mm / plan.retraction_mm_per_s;
         let (table, length_key) = ("controller.curved_drilling", "insertion_mm");
-        let retraction_mm_s = if plan.retraction_mm > 0.0 { plan.retraction_mm_per_s } else { 0.0 };
-        let speeds_mm_s = [("feed_mm_per_s", plan.feed_mm_per_s), ("retraction_mm_per_s", retraction_mm_s)];
+        let retracts_faster = plan.retraction_mm > 0.0 && plan.retraction_mm_per_s > plan.feed_mm_per_s;
+        let fastest_mm_s = match retracts_faster {
+            true => ("retraction_mm_per_s", plan.retraction_mm_per_s),
+            false => (FEED, plan.feed_mm_per_s),
+        };
         let length_mm = plan.insertion_mm;
-        return Some(Feed { table, length_key, length_mm, speeds_mm_s, time_s, drives, is_arms: true });
+        return Some(Feed { table, length_key, length_mm, fastest_mm_s, time_s, drives, is_arms: true });
     }
     if let Some(plan) = &controller.tube_deployment {
         let time_s = (plan.deployed_mm + plan.retraction_mm) / plan.feed_mm_per_s;
         let (table, length_key) = ("controller.tube_deployment", "deployed_mm");
-        let (speeds_mm_s, length_mm) = ([("feed_mm_per_s", plan.feed_mm_per_s); 2], plan.deployed_mm);
-        return Some(Feed { table, length_key, length_mm, speeds_mm_s, time_s, drives, is_arms: false });
+        let (fastest_mm_s, length_mm) = ((FEED, plan.feed_mm_per_s), plan.deployed_mm);
+        return Some(Feed { table, length_key, length_mm, fastest_mm_s, time_s, drives, is_arms: false });
     }
     let plan = controller.skiving.as_ref()?;
     Some(Feed {
         table: "controller.skiving",
         length_key: "depth_mm",
         length_mm: plan.depth_mm,
-        speeds_mm_s: [("feed_mm_per_s", plan.feed_mm_per_s); 2],
+        fastest_mm_s: (FEED, plan.feed_mm_per_s),
         time_s: plan.depth_mm / plan.feed_mm_per_s,
         drives,
         is_arms: true,
