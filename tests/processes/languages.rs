@@ -14,7 +14,7 @@ use ipc_types::session::SESSION_VARIABLE;
 use crate::common::logs::read;
 use crate::common::program::{LIMIT, Place, Run, assert_nothing_left};
 use test_support::limited::Limited;
-use test_support::python::{downloads, environment};
+use test_support::python::{downloads, environment, pip};
 
 const EXAMPLES: [(&str, &str); 3] = [
     ("01_hold_tension", "free_space.toml"),
@@ -117,9 +117,9 @@ pub fn install_package(python: &Path, binaries: &[(&str, &Path)]) {
     if fs::read_to_string(&installed).is_ok_and(|there| there == wanted) {
         return;
     }
-    let pip = ["-m", "pip", "install", "-q", "--no-deps", "--force-reinstall", "--disable-pip-version-check"];
-    let mut install = Command::new(python);
-    install.args(pip).arg(env!("CARGO_MANIFEST_DIR")).envs(binaries.iter().copied());
+    let mut install = pip(python);
+    install.args(["install", "-q", "--no-deps", "--force-reinstall", "--disable-pip-version-check"]);
+    install.arg(env!("CARGO_MANIFEST_DIR")).envs(binaries.iter().copied());
     let done = install.limited_output().unwrap();
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     fs::write(installed, wanted).unwrap();

@@ -42,18 +42,34 @@ pub fn environment(name: &str, packages: &[&str], probe: &str) -> Result<PathBuf
     let lock = File::create(downloads().join(format!("{name}.lock"))).map_err(|error| error.to_string())?;
     lock.lock().map_err(|error| error.to_string())?;
     let python = folder.join("bin/python3");
-    if run(&python, &["-c", &format!("import {probe}")]).is_ok() {
+    if said(Command::new(&python).args(["-c", &format!("import {probe}")])).is_ok() {
         return Ok(python);
     }
-    run(Path::new("python3"), &["-m", "venv", folder.to_str().ok_or("a target folder that is not UTF-8")?])?;
-    let mut install = vec!["-m", "pip", "install", "-q", "--retries", "1", "--timeout", "10"];
-    install.extend(packages);
-    run(&python, &install)?;
+    let folder = folder.to_str().ok_or("a target folder that is not UTF-8")?;
+    said(Command::new("python3").args(["-m", "venv", "--without-pip", folder]))?;
+    if said(pip(&python).arg("--version")).is_err() {
+        said(Command::new(&python).args(["-m", "ensurepip", "--default-pip"]))?;
+    }
+    // Only what is imported is compiled, and then by its import.
+    let quickly = ["install", "-q", "--no-compile", "--retries", "1", "--timeout", "10"];
+    said(pip(&python).args(quickly).args(packages))?;
     Ok(python)
 }
 
-fn run(program: &Path, arguments: &[&str]) -> Result<(), String> {
-    let output = Command::new(program).args(arguments).limited_output().map_err(|error| error.to_string())?;
+/// The pip that installs into an environment: its own, or else the machine's. A pip for each environment takes as long as many packages.
+pub fn pip(python: &Path) -> Command {
+    let own = said(Command::new(python).args(["-c", "import pip"])).is_ok();
+    let mut pip = Command::new(if own { python } else { Path::new("python3") });
+    pip.args(["-m", "pip"]);
+    if !own {
+        pip.arg("--python").arg(python);
+    }
+    pip
+}
+
+/// Runs a program; the error is the last line that it said.
+fn said(command: &mut Command) -> Result<(), String> {
+    let output = command.limited_output().map_err(|error| error.to_string())?;
     let text = String::from_utf8_lossy(&output.stderr);
     if output.status.success() { Ok(()) } else { Err(text.lines().last().unwrap_or_default().to_string()) }
 }
