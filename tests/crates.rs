@@ -178,6 +178,26 @@ fn no_core_depends_on_iceoryx2_or_on_another_crate_that_does_more_than_compute()
     assert_eq!(needed.len(), REACHED_ALL_THE_SAME.len(), "an exception that nothing needs any more");
 }
 
+/// Every crate of a build with the features that it has there, as `cargo tree` prints them.
+fn crates_with_features(of: &[&str]) -> BTreeSet<String> {
+    let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".to_owned());
+    let mut tree = Command::new(cargo);
+    tree.args(["tree", "--offline", "--locked", "--format", "{p} {f}", "--prefix", "none", "--no-dedupe"]);
+    let output = tree.args(of).current_dir(root()).limited_output().unwrap();
+    assert!(output.status.success(), "cargo tree: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8_lossy(&output.stdout).lines().map(str::to_owned).collect()
+}
+
+/// `cargo run` built nalgebra, Rapier and half of the workspace once more after `cargo test`: a test's crate gave three small ones another
+/// feature each.
+#[test]
+fn a_build_to_run_shares_all_of_its_crates_with_the_build_of_the_tests() {
+    let to_run = crates_with_features(&["--edges", "normal,build"]);
+    let of_tests = crates_with_features(&["--workspace", "--edges", "normal,build,dev"]);
+    let apart: Vec<_> = to_run.difference(&of_tests).collect();
+    assert!(to_run.len() > 100 && apart.is_empty(), "built twice, with other features: {apart:#?}");
+}
+
 #[test]
 fn dependencies_of_tests_and_build_scripts_do_not_count() {
     let kinds = |kind: &str| format!(r#"{{"pkg": "b", "dep_kinds": [{{"kind": {kind}}}]}}"#);
