@@ -1,6 +1,8 @@
 //! Keys of a valid scene that change nothing, because another key stands in their place.
 
-use crate::model::{Arm, ArmModel, Drr, Scene, Tracker, Volume};
+use std::path::Path;
+
+use crate::model::{Arm, ArmModel, Drr, Phantom, Scene, Tracker, Volume};
 
 /// A key with another value than its default, and why it changes nothing.
 pub type NoEffect = (&'static str, &'static str);
@@ -43,11 +45,36 @@ fn of_volume(volume: &Volume) -> impl Iterator<Item = NoEffect> {
             ("volume.block_density_ratio", volume.block_density_ratio != ratio),
         ],
     )
+    .chain(vain(
+        volume.phantom == Some(Phantom::Femur),
+        "in the femur: it is for the phantom `block`",
+        [("volume.block_density_ratio", volume.block_density_ratio != ratio)],
+    ))
+    .chain(vain(
+        volume.path.as_deref().is_some_and(is_no_dicom),
+        "beside a file of one volume: it is for the slices of a DICOM folder",
+        [("volume.series", volume.series.is_some()), ("volume.resample", volume.resample.is_some())],
+    ))
+}
+
+/// Whether a path has the name of a file that holds one volume on a rectangular grid.
+fn is_no_dicom(path: &Path) -> bool {
+    let extension = path.extension().and_then(|extension| extension.to_str());
+    extension.is_some_and(|extension| ["nii", "gz", "nrrd", "nhdr", "mha", "mhd"].contains(&extension))
 }
 
 fn of_arm(arm: &Arm) -> impl Iterator<Item = NoEffect> {
     let differs = |of: fn(&Arm) -> f64| of(arm) != of(&Arm::default());
+    let [x, y, z] = arm.tool_position_mm.map(|mm| mm * 1e-3);
     vain(
+        arm.holder().reach_m((x * x + y * y + z * z).sqrt()).is_none(),
+        "without `arm.tool_position_mm`: the tool's base is on the flange, and there is no holder",
+        [
+            ("arm.holder_length_mm", arm.holder_length_mm.is_some()),
+            ("arm.holder_diameter_mm", arm.holder_diameter_mm.is_some()),
+        ],
+    )
+    .chain(vain(
         arm.model == Some(ArmModel::Fixed),
         "on a fixed arm",
         [
@@ -55,7 +82,7 @@ fn of_arm(arm: &Arm) -> impl Iterator<Item = NoEffect> {
             ("arm.max_acceleration_mm_per_s2", differs(|arm| arm.max_acceleration_mm_per_s2)),
             ("arm.max_jerk_mm_per_s3", differs(|arm| arm.max_jerk_mm_per_s3)),
         ],
-    )
+    ))
 }
 
 fn of_drr(drr: &Drr) -> impl Iterator<Item = NoEffect> {

@@ -70,12 +70,14 @@ fn is_in(span: Range<usize>, byte: usize) -> bool {
 
 /// The parser's message with what was expected in words: `expected f64` is `expected a number`.
 pub(crate) fn in_words(message: &str) -> String {
-    const WORDS: [(&str, &str); 8] = [
+    const WORDS: [(&str, &str); 10] = [
         ("expected f64", "expected a number"),
         ("expected f32", "expected a number"),
         ("expected u64", "expected a whole number, 0 or more"),
         ("expected u32", "expected a whole number, 0 or more"),
         ("expected i64", "expected a whole number"),
+        ("expected i16", "expected a whole number, -32768 to 32767"),
+        ("expected any valid TOML value", "expected a number of 64 bits"),
         ("expected a boolean", "expected true or false"),
         ("expected a sequence", "expected a list"),
         ("expected a map", "expected a table"),
@@ -111,6 +113,11 @@ mod tests {
                 "[1.0, 0.0, 0.0]",
                 "[1.0, \"x\", 0.0]",
                 "line 7: `tool.direction[1]`: invalid type: string \"x\", expected a number",
+            ),
+            (
+                "[tool]",
+                "[volume]\nbone_threshold_hu = 40000\n[tool]",
+                "line 6: `volume.bone_threshold_hu`: invalid value: integer `40000`, expected a whole number, -32768 to 32767",
             ),
             (
                 "external = true",

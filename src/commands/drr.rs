@@ -7,8 +7,8 @@ use clap::{Args, ValueEnum};
 use drr_proc::ThisMachine;
 use volume_io::Volume;
 use xray::{
-    DetectorParameters, DisplayMode, DisplayParameters, DrrParameters, DrrRenderer, Grid, Projector,
-    Spectrum, VolumeView,
+    DetectorParameters, DisplayMode, DisplayParameters, DrrError, DrrParameters, DrrRenderer, Grid,
+    Projector, Spectrum, VolumeView,
 };
 
 use crate::failure::Failure;
@@ -88,7 +88,7 @@ pub struct DrrArguments {
     #[arg(long, default_value_t = 0.0)]
     pub blur_pixels: f64,
     /// Noise seed.
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = 0, requires = "photons")]
     pub seed: u64,
     /// Number of render threads.
     #[arg(long, default_value_t = 2)]
@@ -145,6 +145,11 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
             "--animate needs a .png output; without --animate, several poses give numbered files",
         ));
     }
+    if arguments.animate && poses.len() == 1 {
+        return Err(Failure::bad_input(
+            "--animate: there is one pose; expected several, by --sweep or by --pose with a list",
+        ));
+    }
     let paths = match poses.len() {
         1 => vec![arguments.output.clone()],
         _ if arguments.animate => vec![arguments.output.clone()],
@@ -162,8 +167,7 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
     }
     let grid = Grid::from(volume.grid(&arguments.volume)?);
     let view = VolumeView::new(grid, &volume.hu).map_err(Failure::bad_input)?;
-    let mut renderer =
-        DrrRenderer::new(&view, parameters(arguments), &ThisMachine).map_err(Failure::bad_input)?;
+    let mut renderer = DrrRenderer::new(&view, parameters(arguments), &ThisMachine).map_err(of_flag)?;
     let series = Series::new(volume_io::volume_hash(&volume), &placed, arguments.tube_kv);
     let look = Look {
         as_values: kind == Kind::Nrrd,
@@ -291,6 +295,19 @@ fn parameters(arguments: &DrrArguments) -> DrrParameters {
         },
         ..DrrParameters::default()
     }
+}
+
+/// What the projector refuses, by the name of the flag that gave it.
+fn of_flag(error: DrrError) -> Failure {
+    let DrrError::OutOfRange { field, given, expected } = error else { return Failure::bad_input(error) };
+    let flag = match field {
+        "photons_per_pixel" => "photons",
+        "blur_sigma_px" => "blur-pixels",
+        "energy_kev" => "energy-kev",
+        "tube_kv" => "tube-kv",
+        other => other,
+    };
+    Failure::bad_input(format!("--{flag} is {given:?}, expected {expected}"))
 }
 
 /// `name.png` becomes `name_0007.png`.

@@ -1,4 +1,4 @@
-//! Scenes that make no sense: `scene check`, `run` and `plan` say the same of them. What is said of each: `simulation/tests/feasibility/`.
+//! Scenes that make no sense: `scene check`, `run` and `plan` say the same of them. What is said of each: `simulation/tests/physics/feasibility/`.
 
 use std::path::Path;
 
@@ -88,12 +88,12 @@ fn keys_that_change_nothing_are_warned_of() {
     let place = Place::new();
     let scene = place.scene(
         &(scenes::drill_unseen("lockstep", 4.0)
-            + "[arm]\nmodel = \"gantry\"\n[[sensor]]\nname = \"joints\"\nrate_hz = 100.0\nencoders = {}\n\
+            + "[arm]\nmodel = \"gantry\"\nholder_length_mm = 30.0\n[[sensor]]\nname = \"joints\"\nrate_hz = 100.0\nencoders = {}\n\
                [[sensor]]\nname = \"field\"\nrate_hz = 100.0\ntracker = { view_deg = 30.0 }\n"),
     );
     let done = trabecula(&[&"scene", &"check", &scene]);
     assert_eq!(done.code, Some(0), "{}", done.err);
-    for key in ["sensor.encoders", "sensor.tracker.view_deg"] {
+    for key in ["arm.holder_length_mm", "sensor.encoders", "sensor.tracker.view_deg"] {
         assert!(done.out.contains(&format!("`{key}` has no effect")), "{key}: {}{}", done.out, done.err);
     }
 }

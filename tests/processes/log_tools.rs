@@ -72,7 +72,11 @@ fn logs_are_packed_joined_split_and_exported() {
     assert!(!path("runs of one").exists());
 
     let field: [&str; 2] = ["--field", "t_world_tip.position_m"];
-    run(&[&"log", &"export", &folder, &"-o", &path("tip.csv"), &field[0], &field[1]]);
+    let said = run(&[&"log", &"export", &folder, &"-o", &path("tip.csv"), &field[0], &field[1]]);
+    assert!(said.contains("401 rows and 5 columns of /state"), "{said}");
+    // A range beyond the log's end is told apart from one within it.
+    let said = run(&[&"log", &"export", &folder, &"-o", &path("none.csv"), &"--from", &"401"]);
+    assert!(said.contains(": 0 rows"), "{said}");
     assert_eq!(fs::read_to_string(path("tip.csv")).unwrap().lines().count(), 402);
     run(&[&"log", &"export", &folder, &"-o", &path("tip.parquet"), &field[0], &field[1]]);
     assert_eq!(parquet_rows(&path("tip.parquet")), 401);

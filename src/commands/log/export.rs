@@ -162,20 +162,40 @@ fn table(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), F
     };
     let file = OutputFile::create(&arguments.output)?;
     let rows_of = BufWriter::new(file.handle()?);
-    let range = arguments.ticks();
+    let read_into = |rows: &mut dyn Rows| {
+        let mut counted = Counted { rows, count: 0 };
+        let verdict =
+            read_rows(&LogFile::at(log), &arguments.topic, &columns, arguments.ticks(), &mut counted);
+        verdict.map(|verdict| (counted.count, verdict))
+    };
     // The rows before the damage still make a valid table.
     let (read, finished) = if ending == "csv" {
         let mut rows = Csv::new(rows_of, &columns).map_err(failure)?;
-        (read_rows(&LogFile::at(log), &arguments.topic, &columns, range, &mut rows), rows.finish())
+        (read_into(&mut rows), rows.finish())
     } else {
         let mut rows = Parquet::new(rows_of, &columns).map_err(failure)?;
-        (read_rows(&LogFile::at(log), &arguments.topic, &columns, range, &mut rows), rows.finish())
+        (read_into(&mut rows), rows.finish())
     };
     finished.map_err(failure)?;
     if !matches!(read, Err(LogError::Output { .. })) {
         file.keep()?;
     }
-    Ok((format!("{} columns of {}", columns.len() + 2, arguments.topic), read.map_err(failure)?))
+    let (count, verdict) = read.map_err(failure)?;
+    let (columns, topic) = (columns.len() + 2, &arguments.topic);
+    Ok((format!("{count} rows and {columns} columns of {topic}"), verdict))
+}
+
+/// Rows on their way to a file, counted: none is no fault, but one that is to be seen.
+struct Counted<'a> {
+    rows: &'a mut dyn Rows,
+    count: u64,
+}
+
+impl Rows for Counted<'_> {
+    fn row(&mut self, tick: Tick, log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError> {
+        self.count += 1;
+        self.rows.row(tick, log_time_ns, values)
+    }
 }
 
 fn pictures(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), Failure> {

@@ -33,6 +33,8 @@ use stage::{Frames, Stage};
 
 /// How long a controller may take to connect.
 const CONNECT_LIMIT: Duration = Duration::from_secs(60);
+/// A wait for it that is longer than this is told.
+const UNTOLD: Duration = Duration::from_secs(2);
 /// How long a controller may take to end.
 const END_LIMIT: Duration = Duration::from_secs(5);
 const POLL_PERIOD: Duration = Duration::from_millis(20);
@@ -240,7 +242,10 @@ impl ReplayedSession<'_> {
 
     /// Waits for a live controller's answer to the state of this tick.
     fn await_answer(&mut self, live: usize, tick: Tick) -> Result<Command, Failure> {
-        let limit = Instant::now() + if self.identical[live] == 0 { CONNECT_LIMIT } else { self.limit };
+        let connects = self.identical[live] == 0;
+        let began = Instant::now();
+        let limit = began + if connects { CONNECT_LIMIT } else { self.limit };
+        let mut told = !connects;
         loop {
             while let Some(command) = self.stage.live[live].commands.receive().map_err(failed)? {
                 if command.message().state_tick == tick.0 {
@@ -256,6 +261,13 @@ impl ReplayedSession<'_> {
                 let text =
                     format!("tick {tick}: controller `{name}` ended ({status}); its last output:\n  {words}");
                 return Err(Failure::failed(text));
+            }
+            if !told && began.elapsed() >= UNTOLD {
+                let seconds = CONNECT_LIMIT.as_secs();
+                tell!(
+                    "trabecula: waiting for the first command of controller `{name}`, for up to {seconds} s"
+                );
+                told = true;
             }
             if Instant::now() >= limit {
                 let text = format!("tick {tick}: controller `{name}` sent no command for this state");

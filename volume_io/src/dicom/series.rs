@@ -132,6 +132,8 @@ fn described(volume: Volume, slices: &[Slice], mut notes: Vec<String>) -> (Volum
     if first.modality != "CT" {
         let modality = foreign(&first.modality);
         notes.push(format!("modality is `{modality}`, not CT: the values are not Hounsfield units"));
+    } else {
+        note_unit(slices, &mut notes);
     }
     let mut files: Vec<&Path> = slices.iter().map(|slice| slice.path.as_path()).collect();
     files.dedup();
@@ -145,6 +147,25 @@ fn described(volume: Volume, slices: &[Slice], mut notes: Vec<String>) -> (Volum
     };
     let info = VolumeInfo::new(&volume, format, stored_as, "mm".into(), notes);
     (volume, info)
+}
+
+/// Notes CT values that need not be Hounsfield units. Without RescaleType they are (DICOM PS3.3, table C.8-3).
+fn note_unit(slices: &[Slice], notes: &mut Vec<String>) {
+    if slices.iter().any(|slice| !slice.has_intercept) {
+        notes.push(
+            "no RescaleIntercept (0028,1052): the stored values are taken for Hounsfield units".to_owned(),
+        );
+    }
+    let other = slices.iter().filter_map(|slice| slice.rescale_type.as_deref()).find(|kind| !is_hu(kind));
+    if let Some(kind) = other {
+        let kind = foreign(kind);
+        notes.push(format!("RescaleType (0028,1054) is `{kind}`: the values are taken for Hounsfield units"));
+    }
+}
+
+/// Hounsfield units, or modified ones (DICOM PS3.3, C.11.1.1.2).
+fn is_hu(rescale_type: &str) -> bool {
+    matches!(rescale_type, "HU" | "HU_MOD")
 }
 
 /// Notes a tilt that the tags state and the positions do not show: slices that were resampled upright, or positions that ignore the tilt.

@@ -38,6 +38,10 @@ pub(super) struct Slice {
     pub slice_thickness_mm: Option<f64>,
     pub gantry_tilt_deg: Option<f64>,
     pub scale: Scale,
+    /// Whether RescaleIntercept is there: without it the stored values are the slice's own.
+    pub has_intercept: bool,
+    /// RescaleType: what the scaled values are.
+    pub rescale_type: Option<String>,
     pub bits: Bits,
 }
 
@@ -165,7 +169,7 @@ fn slice(
     };
     let values = groups.get(VALUE_TRANSFORMATION);
     let slope = values.optional(Tag(0x0028, 0x1053), "RescaleSlope")?.unwrap_or(1.0);
-    let intercept = values.optional(Tag(0x0028, 0x1052), "RescaleIntercept")?.unwrap_or(0.0);
+    let intercept = values.optional(Tag(0x0028, 0x1052), "RescaleIntercept")?;
     let measures = groups.get(PIXEL_MEASURES);
     let scale_name = "(0028,1053) RescaleSlope, (0028,1052) RescaleIntercept";
     Ok(Slice {
@@ -181,7 +185,9 @@ fn slice(
         pixel_spacing_mm: measures.numbers(Tag(0x0028, 0x0030), "PixelSpacing")?,
         slice_thickness_mm: measures.optional(Tag(0x0018, 0x0050), "SliceThickness")?,
         gantry_tilt_deg: fields.optional(Tag(0x0018, 0x1120), "GantryDetectorTilt")?,
-        scale: Scale::checked(fields.path, scale_name, slope, intercept)?,
+        scale: Scale::checked(fields.path, scale_name, slope, intercept.unwrap_or(0.0))?,
+        has_intercept: intercept.is_some(),
+        rescale_type: values.text(Tag(0x0028, 0x1054))?,
         bits: Bits::of(fields)?,
     })
 }
