@@ -11,7 +11,7 @@ use std::time::Instant;
 
 use simulation::{CtView, Simulation};
 
-#[path = "../tests/common/tunnel.rs"]
+#[path = "../tests/physics/common/tunnel.rs"]
 mod tunnel;
 
 const DT_MS: f64 = 1.0;

@@ -10,7 +10,7 @@ use messages::services::MAX_KEYFRAME_BYTES;
 use nalgebra::Vector3;
 use simulation::Simulation;
 
-#[path = "../tests/common/feed.rs"]
+#[path = "../tests/physics/common/feed.rs"]
 mod feed;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

@@ -8,6 +8,9 @@ pub struct DicomSlice {
     pub series_uid: &'static str,
     pub modality: &'static str,
     pub slope: &'static str,
+    pub intercept: Option<&'static str>,
+    /// RescaleType: what the values are.
+    pub rescale_type: Option<&'static str>,
     pub position_mm: [f64; 3],
     pub orientation: &'static str,
     pub pixel_spacing: &'static str,
@@ -29,6 +32,8 @@ impl Default for DicomSlice {
             series_uid: "1.2.3",
             modality: "CT",
             slope: "1",
+            intercept: Some("-1024"),
+            rescale_type: None,
             position_mm: [0.0; 3],
             orientation: "1\\0\\0\\0\\1\\0",
             pixel_spacing: "2\\3",
@@ -76,8 +81,13 @@ impl DicomSlice {
         for (tag, value) in [(0x0100, 16_u16), (0x0101, 16), (0x0102, 15), (0x0103, 1)] {
             element(&mut out, (0x0028, tag), b"US", &value.to_le_bytes());
         }
-        text(&mut out, (0x0028, 0x1052), b"DS", "-1024");
+        if let Some(intercept) = self.intercept {
+            text(&mut out, (0x0028, 0x1052), b"DS", intercept);
+        }
         text(&mut out, (0x0028, 0x1053), b"DS", self.slope);
+        if let Some(kind) = self.rescale_type {
+            text(&mut out, (0x0028, 0x1054), b"LO", kind);
+        }
         match &self.fragment {
             None => {
                 let count = usize::from(self.rows) * usize::from(self.columns);
@@ -102,7 +112,6 @@ impl DicomSlice {
 }
 
 /// Writes slices as 000.dcm, 001.dcm, … into a folder.
-#[allow(dead_code, reason = "each test file uses a part of this")]
 pub fn write_series(folder: &Path, slices: &[DicomSlice]) {
     for (i, slice) in slices.iter().enumerate() {
         std::fs::write(folder.join(format!("{i:03}.dcm")), slice.bytes()).unwrap();
@@ -136,19 +145,16 @@ fn element(out: &mut Vec<u8>, at: (u16, u16), vr: &[u8; 2], value: &[u8]) {
 
 /// A lossless JPEG (process 14, first-order prediction) of 5 × 4 pixels of 11 bits, all at the initial prediction 2^10 = 1024: one Huffman
 /// code, one bit a pixel (ITU-T T.81 annex H).
-#[allow(dead_code, reason = "each test file uses a part of this")]
 pub const LOSSLESS_JPEG: [u8; 54] = [
     0xff, 0xd8, 0xff, 0xc3, 0, 11, 11, 0, 4, 0, 5, 1, 1, 0x11, 0, 0xff, 0xc4, 0, 20, 0, 1, 0, 0, 0, 0, 0, 0,
     0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0xff, 0xda, 0, 8, 1, 1, 0, 1, 0, 0, 0, 0, 0x0f, 0xff, 0xd9, 0, 0,
 ];
 
 /// Transfer syntaxes of JPEG 2000: lossless, and either.
-#[allow(dead_code, reason = "each test file uses a part of this")]
 pub const JPEG_2000_SYNTAXES: [&str; 2] = ["1.2.840.10008.1.2.4.90", "1.2.840.10008.1.2.4.91"];
 
 /// A JPEG 2000 codestream (ITU-T T.800 annex A) of signed 16 bits: one tile, one code-block, one packet of arbitrary bits. Bytes of the
 /// headers: SIZ from 2 on, COD from 45 on, QCD from 59 on, SOT from 65 on, the packet from 79 on.
-#[allow(dead_code, reason = "each test file uses a part of this")]
 pub fn jpeg_2000(rows: u16, columns: u16) -> Vec<u8> {
     // Its header: present, block included, 6 empty bit-planes, 31 coding passes, 20 bytes.
     let packet =
@@ -157,7 +163,6 @@ pub fn jpeg_2000(rows: u16, columns: u16) -> Vec<u8> {
 }
 
 /// The same of a packet.
-#[allow(dead_code, reason = "each test file uses a part of this")]
 pub fn jpeg_2000_of(rows: u16, columns: u16, packet: &[u8]) -> Vec<u8> {
     let size = [columns, rows].map(|extent| u32::from(extent).to_be_bytes()).concat();
     let offset = [0; 8];

@@ -1,6 +1,6 @@
 //! Energy of a spatial chain, and whether a step made any.
 //!
-//! A ROS2 step out of the bending plane can gain energy at little damping (`simulation/tests/swings.rs`: 10 % over a swing of 0.4 s at 2 ms
+//! A ROS2 step out of the bending plane can gain energy at little damping (`simulation/tests/physics/swings.rs`: 10 % over a swing of 0.4 s at 2 ms
 //! without damping). Such a step is refused and made by linearly implicit Euler, which damps.
 //!
 //! A step's own error raises and lowers the energy a little even where the motion is right. So it is not compared with that of the step

@@ -1,0 +1,13 @@
+//! The recorder and logs in files, in one program: it is linked once, and its tests share both cores.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod background;
+mod ecosystem;
+mod join;
+mod log_file;
+mod python;
+mod repair;
+mod tables;
+mod verdict;

@@ -1,0 +1,15 @@
+//! Logs in memory, in one program: it is linked once, and its tests share both cores.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod damage;
+mod determinism;
+mod linear;
+mod others;
+mod readings;
+mod replay;
+mod round_trip;
+mod schema;
+mod segments;
+mod words;

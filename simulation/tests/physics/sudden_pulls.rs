@@ -1,0 +1,63 @@
+//! Bug: the planes of a tick were those within reach of the speed at its start, so a suddenly pulled tool passed through bone.
+//! Bug: a burr that jumped met only the planes of the last place that it had come to, went to and fro between two places, and one of 60
+//! pulls ended 1.9 mm in the wall.
+
+#![allow(clippy::unwrap_used, reason = "a scene that cannot be built is a failed test")]
+
+use messages::{Command, CommandSource, Latched, TendonMode};
+use simulation::{CtView, Simulation};
+
+use crate::common::{bone, scene};
+
+/// Numbers in (0, 1) (Steele and Vigna 2021: the multiplier of a 64-bit linear congruential generator).
+struct Draw(u64);
+
+impl Draw {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(0xd134_2543_de82_ef95).wrapping_add(1);
+        (self.0 >> 11) as f64 / (1u64 << 53) as f64
+    }
+}
+
+#[test]
+fn a_suddenly_pulled_tool_stays_in_its_hole() {
+    let (geometry, hu) = bone();
+    let mut draw = Draw(26);
+    let (mut out, mut farthest) = (0, 0.0f64);
+    const PULLS: usize = 300;
+    for pull in 0..PULLS {
+        let dt_ms = [0.2, 1.0, 2.0, 5.0, 10.0][pull % 5];
+        let hole_mm = 8.0 + 4.0 * draw.next();
+        let tension_n = 8.0 + 22.0 * draw.next();
+        let scene = scene(&format!(
+            "name = \"pull\"\nrun = {{ mode = \"lockstep\", dt_ms = {dt_ms:?}, duration_s = 1.0 }}\n\
+             volume = {{ phantom = \"block\" }}\n[[predrill]]\nfrom_mm = [0.0, 0.0, -110.0]\n\
+             to_mm = [0.0, 0.0, 0.0]\ndiameter_mm = {hole_mm:?}\n"
+        ));
+        let mut simulation = Simulation::new(&scene, Some(CtView { geometry, hu: &hu })).unwrap();
+        let command = Command {
+            sequence: 1,
+            tendon_mode: TendonMode::ServoJf.code(),
+            tendon_force_n: [tension_n, 0.0, 0.0, 0.0],
+            ..Command::zeroed()
+        };
+        for tick in 0..(150.0 / dt_ms) as u64 {
+            let mut latched = Latched { tick, controller_count: 1, ..Latched::zeroed() };
+            let source = if tick == 0 { CommandSource::Fresh } else { CommandSource::Held };
+            (latched.commands[0].source, latched.commands[0].command) = (source.code(), command);
+            simulation.step(&latched).unwrap();
+        }
+        let [x, y, _] = simulation.state().t_world_burr.position_m;
+        let beyond_mm = x.hypot(y) * 1e3 - (0.5 * hole_mm - 3.25);
+        // A wall is half a voxel uncertain, on each side of its staircase.
+        if beyond_mm > 0.5 {
+            out += 1;
+            println!(
+                "{tension_n:.1} N, {dt_ms} ms, hole of {hole_mm:.1} mm: {beyond_mm:.2} mm into the wall"
+            );
+        }
+        farthest = farthest.max(beyond_mm);
+    }
+    println!("{out} of {PULLS} pulls end outside the hole; {farthest:.2} mm into the wall at most");
+    assert_eq!(out, 0);
+}
