@@ -488,3 +488,30 @@ fn a_killed_sleeping_reader_costs_its_writers_nothing() {
     let _waiter = back.waiter(Reader::Controller(ControllerIndex(0))).unwrap();
     assert!(waker.try_to_wake());
 }
+
+/// The launcher wrote where a run is recorded in two steps, and why it ended likewise: a viewer that looked in between waited for a log of no
+/// name, and a recorder could call a stopped run complete.
+#[test]
+fn a_file_of_the_host_is_seen_whole_or_not_at_all() {
+    const FILES: usize = 500;
+    let host = SessionHost::create(&plan(&[])).unwrap();
+    let folder = host.session.folder().to_owned();
+    let limit = Instant::now() + Duration::from_secs(60);
+    let reader = std::thread::spawn(move || {
+        let mut seen = 0;
+        while seen < FILES && Instant::now() < limit {
+            match fs::read_to_string(folder.join(format!("file{seen}"))) {
+                Ok(text) => {
+                    assert_eq!(text, "all of it");
+                    seen += 1;
+                }
+                Err(cause) => assert_eq!(cause.kind(), std::io::ErrorKind::NotFound),
+            }
+        }
+        seen
+    });
+    for number in 0..FILES {
+        host.write(&format!("file{number}"), b"all of it").unwrap();
+    }
+    assert_eq!(reader.join().unwrap(), FILES);
+}

@@ -6,9 +6,7 @@ use std::path::{Path, PathBuf};
 use run_log::EndReason;
 
 /// The file in the session's folder.
-pub fn in_session(session: &Path) -> PathBuf {
-    session.join(".end_reason")
-}
+pub const IN_SESSION: &str = ".end_reason";
 
 /// The file in the run's folder, named after the recorder's process ID so that no other program creates it by
 /// accident.
@@ -18,7 +16,7 @@ pub fn in_output(output: &Path, recorder: u32) -> PathBuf {
 
 /// Where this recorder's reason is, if it has been written.
 pub(crate) fn find(session: &Path, output: &Path) -> Option<PathBuf> {
-    let places = [in_session(session), in_output(output, std::process::id())];
+    let places = [session.join(IN_SESSION), in_output(output, std::process::id())];
     places.into_iter().find(|path| path.exists())
 }
 

@@ -4,11 +4,11 @@
 //! the physics says so; the recorder is stopped last, when nobody publishes any more. A signal shortens every wait
 //! except the recorder's, which must finish the log; a second signal ends that one too.
 
-use std::path::Path;
 use std::time::{Duration, Instant};
 
 use ipc_types::messages::EventCode;
 use ipc_types::process::EndRequest;
+use ipc_types::session::SessionHost;
 use output_file::SavedFile;
 use recorder_proc::reason_file;
 use run_log::EndReason;
@@ -34,8 +34,8 @@ const VIEWER_LIMIT: Duration = Duration::from_secs(3);
 pub(super) struct Ending<'a> {
     pub(super) plan: &'a RunPlan,
     pub(super) end: &'a EndRequest,
-    /// The session's folder.
-    pub(super) session: &'a Path,
+    /// The session's host.
+    pub(super) host: &'a SessionHost,
     /// Whether the physics has reported anything. Before that, no part has anything to finish.
     pub(super) has_begun: bool,
 }
@@ -227,7 +227,7 @@ impl Ending<'_> {
         };
         let reason = reason.text();
         let Some(output) = &self.plan.output else { return };
-        if in_output.is_none() && std::fs::write(reason_file::in_session(self.session), &reason).is_ok() {
+        if in_output.is_none() && self.host.write(reason_file::IN_SESSION, reason.as_bytes()).is_ok() {
             return;
         }
         let Some(recorder) = parts.iter().find(|part| part.name == RECORDER) else { return };

@@ -234,7 +234,7 @@ pub fn run_with(
     }
     let has_started = first_tick.is_some();
     let first_tick = first_tick.unwrap_or_else(Instant::now);
-    let ending = Ending { plan, end, session: hub.folder(), has_begun: subscriptions.status.is_some() };
+    let ending = Ending { plan, end, host: &hub.host, has_begun: subscriptions.status.is_some() };
     let (over, outcome) = ending.end_parts(outcome, &mut parts);
     let running = over.duration_since(first_tick);
     let phases = [
@@ -395,7 +395,7 @@ fn start_parts(plan: &RunPlan, hub: &Hub) -> Result<Vec<Part>, HubError> {
     if let Some(output) = &plan.output {
         // A viewer that joins later needs this; without it, it shows the bone undrilled.
         let place = std::path::absolute(output).unwrap_or_else(|_| output.clone());
-        let _ = std::fs::write(hub.folder().join(OUTPUT_FILE), place.as_os_str().as_encoded_bytes());
+        let _ = hub.host.write(OUTPUT_FILE, place.as_os_str().as_encoded_bytes());
         parts.push(hub.start(RECORDER, &[RECORDER], Some(output))?);
     }
     if plan.scene.drr.is_some() {

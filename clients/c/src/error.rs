@@ -3,7 +3,7 @@ use std::time::Duration;
 
 use ipc_types::ports::PortError;
 use ipc_types::scene::SceneError;
-use ipc_types::session::{Searched, SessionError};
+use ipc_types::session::{Searched, SessionError, host_is_alive};
 use thiserror::Error;
 
 /// Why a client call fails.
@@ -113,9 +113,12 @@ pub enum ClientError {
 }
 
 impl ClientError {
-    /// Names the session in an error that does not name it.
+    /// Names the session in an error that does not name it. A session that is cleared away while it is joined counts as not found.
     pub(crate) fn of(self, folder: &Path) -> ClientError {
         match self {
+            ClientError::Session(SessionError::Transported { .. }) if !host_is_alive(folder) => {
+                ClientError::NoSession { searched: Searched::folder(folder) }
+            }
             ClientError::WhichController { .. }
             | ClientError::Session(
                 SessionError::UnknownController { .. }
@@ -134,5 +137,24 @@ impl From<SessionError> for ClientError {
             SessionError::NoSession { searched } => ClientError::NoSession { searched },
             other => ClientError::Session(other),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// It said that a service cannot be opened (`DoesNotExist`).
+    #[test]
+    fn a_session_that_is_cleared_away_while_it_is_joined_is_no_session() {
+        let cause = SessionError::Transported {
+            service: "state".to_owned(),
+            action: "opening",
+            cause: "DoesNotExist".to_owned(),
+        };
+        let gone = Path::new("/nowhere/AAAAAAAAAAA");
+        let error = ClientError::Session(cause).of(gone);
+        assert!(matches!(&error, ClientError::NoSession { .. }), "{error:?}");
+        assert!(error.to_string().contains("/nowhere/AAAAAAAAAAA"), "{error}");
     }
 }

@@ -122,7 +122,15 @@ impl SessionHost {
         let text = serde_json::to_string_pretty(&self.session.announcement).map_err(|cause| {
             file_error(&self.session.folder.join(ANNOUNCEMENT_FILE))(std::io::Error::other(cause))
         })?;
-        self.folder.write(ANNOUNCEMENT_FILE, text.as_bytes())
+        self.write(ANNOUNCEMENT_FILE, text.as_bytes())
+    }
+
+    /// Writes a file of the session's folder atomically: who looks meanwhile finds none, the one before, or the whole of this one.
+    ///
+    /// # Errors
+    /// The folder has been removed, or the disk is full.
+    pub fn write(&self, name: &str, content: &[u8]) -> Result<(), SessionError> {
+        self.folder.write(name, content)
     }
 }
 

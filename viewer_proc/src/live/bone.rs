@@ -18,6 +18,7 @@ use run_log::{MessageStream, ReadOptions, Topic};
 use voxel_grid::{GridError, VoxelGrid};
 use zerocopy::FromBytes;
 
+use super::followed_log::recorded_in;
 use crate::board::Board;
 use crate::services::Calls;
 use crate::slice::Slicer;
@@ -128,12 +129,11 @@ struct Removals {
 
 impl Removals {
     fn open(session: &Session, folder: &Path) -> Result<Removals, SessionError> {
-        let output = std::fs::read_to_string(folder.join(recorder_proc::process::OUTPUT_FILE)).ok();
         Ok(Removals {
             messages: session.subscriber(&services::REMOVED)?,
             status: session.subscriber(&services::RUN_STATUS)?,
             queue: RemovalQueue::default(),
-            log: output.map(|output| PathBuf::from(output).join("run.mcap")),
+            log: recorded_in(folder).map(|output| output.join("run.mcap")),
             looked: None,
             incomplete: false,
         })

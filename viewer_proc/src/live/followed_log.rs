@@ -7,21 +7,27 @@ use run_log::EndReason;
 
 use crate::log::file::LogFile;
 
-/// Where a run is recorded. The launcher says so in the session's folder, which goes with the run.
+/// The folder in which a session is recorded; `None` if it is not, or not yet said. The launcher says so in the session's folder, which
+/// goes with the run.
+pub(super) fn recorded_in(session: &Path) -> Option<PathBuf> {
+    std::fs::read_to_string(session.join(OUTPUT_FILE)).ok().map(PathBuf::from)
+}
+
+/// Where a run is recorded.
 pub(super) struct FollowedLog {
-    said_in: PathBuf,
+    session: PathBuf,
     folder: Option<PathBuf>,
 }
 
 impl FollowedLog {
     pub(super) fn of(session: &Path) -> FollowedLog {
-        FollowedLog { said_in: session.join(OUTPUT_FILE), folder: None }
+        FollowedLog { session: session.to_owned(), folder: None }
     }
 
     /// Reads where it is, unless that is known.
     pub(super) fn look(&mut self) {
         if self.folder.is_none() {
-            self.folder = std::fs::read_to_string(&self.said_in).ok().map(PathBuf::from);
+            self.folder = recorded_in(&self.session);
         }
     }
 
