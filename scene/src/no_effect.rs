@@ -1,7 +1,5 @@
 //! Keys of a valid scene that change nothing, because another key stands in their place.
 
-use std::path::Path;
-
 use crate::model::{Arm, ArmModel, Drr, Phantom, Scene, Tracker, Volume};
 
 /// A key with another value than its default, and why it changes nothing.
@@ -50,17 +48,6 @@ fn of_volume(volume: &Volume) -> impl Iterator<Item = NoEffect> {
         "in the femur: it is for the phantom `block`",
         [("volume.block_density_ratio", volume.block_density_ratio != ratio)],
     ))
-    .chain(vain(
-        volume.path.as_deref().is_some_and(is_no_dicom),
-        "beside a file of one volume: it is for the slices of a DICOM folder",
-        [("volume.series", volume.series.is_some()), ("volume.resample", volume.resample.is_some())],
-    ))
-}
-
-/// Whether a path has the name of a file that holds one volume on a rectangular grid.
-fn is_no_dicom(path: &Path) -> bool {
-    let extension = path.extension().and_then(|extension| extension.to_str());
-    extension.is_some_and(|extension| ["nii", "gz", "nrrd", "nhdr", "mha", "mhd"].contains(&extension))
 }
 
 fn of_arm(arm: &Arm) -> impl Iterator<Item = NoEffect> {

@@ -2,7 +2,7 @@
 
 use crate::error::VolumeError;
 use crate::input::{self, Codec, lower_name};
-use crate::options::ReadOptions;
+use crate::options::{ReadOptions, Slices};
 use crate::volume::{Volume, VolumeInfo};
 use crate::{dicom, metaimage, nifti, nifti_header, nrrd};
 use std::path::Path;
@@ -42,29 +42,29 @@ pub fn read_as(path: impl AsRef<Path>, options: &ReadOptions) -> Result<(Volume,
     let name = lower_name(path);
     let ends = |suffixes: &[&str]| suffixes.iter().any(|suffix| name.ends_with(suffix));
     if head.starts_with(b"NRRD") {
-        return nrrd::read(path, options);
+        return on_a_grid(nrrd::read(path, options), options);
     }
     if dicom::is_part10(&head) {
         return dicom::read_file(path, options);
     }
     if ends(&[".img", ".img.gz"]) {
         return match nifti::header_of(path) {
-            Some(header) => nifti::read(&header, options),
+            Some(header) => on_a_grid(nifti::read(&header, options), options),
             None => Err(refused(path, "the voxels of a NIfTI pair, but no .hdr file is beside them".into())),
         };
     }
     if head.starts_with(&[0x1f, 0x8b]) {
         let inner = input::head(path, 0, Codec::Gzip, 4)?;
         if nifti_header::sniff(&inner).is_some() || ends(&[".nii.gz", ".hdr.gz"]) {
-            return nifti::read(path, options);
+            return on_a_grid(nifti::read(path, options), options);
         }
         return Err(refused(path, format!("gzip data that start with {inner:02x?}")));
     }
     if nifti_header::sniff(&head).is_some() || ends(&[".nii", ".hdr"]) {
-        return nifti::read(path, options);
+        return on_a_grid(nifti::read(path, options), options);
     }
     if ends(&[".mha", ".mhd"]) || head.starts_with(b"ObjectType") || head.starts_with(b"NDims") {
-        return metaimage::read(path, options);
+        return on_a_grid(metaimage::read(path, options), options);
     }
     // Last, because little tells a data set without a preamble.
     if dicom::is_dicom(&head) {
@@ -80,6 +80,24 @@ pub fn read_as(path: impl AsRef<Path>, options: &ReadOptions) -> Result<(Volume,
         return Err(refused(path, "no `NRRD` at the start".into()));
     }
     Err(refused(path, format!("a file that starts with {:02x?}", head.get(..8).unwrap_or(&head))))
+}
+
+/// A volume of a format without series and without loose slices, with a note of the choices that are for DICOM alone.
+fn on_a_grid(
+    read: Result<(Volume, VolumeInfo), VolumeError>,
+    options: &ReadOptions,
+) -> Result<(Volume, VolumeInfo), VolumeError> {
+    let (volume, mut info) = read?;
+    let for_dicom = [
+        (options.series.is_some(), "--series", "volume.series"),
+        (options.slices != Slices::AsTheyLie, "--rectify", "volume.resample"),
+    ];
+    for (_, flag, key) in for_dicom.iter().filter(|(is_given, ..)| *is_given) {
+        info.notes.push(format!(
+            "`{flag}` (in a scene `{key}`) has no effect: it is for the slices of a DICOM series"
+        ));
+    }
+    Ok((volume, info))
 }
 
 fn refused(path: &Path, given: String) -> VolumeError {

@@ -2,7 +2,6 @@
 
 mod closed_meshes;
 mod meshes;
-mod no_effect;
 mod plan;
 mod relations;
 mod tools;

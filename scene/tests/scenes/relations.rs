@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use scene::Scene;
+use scene::{Scene, keys_without_effect};
 
 const LEAST: &str = r#"
 name = "relations"
@@ -139,4 +139,17 @@ fn a_tube_is_driven_where_there_is_one_and_within_its_travel() {
         let refused = parsed(&text).unwrap_err();
         assert!(refused.contains(said), "{refused}\nis not\n{said}");
     }
+}
+
+#[test]
+fn keys_of_another_phantom_and_of_a_holder_that_is_not_there_change_nothing() {
+    let vain = |more: &str| -> Vec<&str> {
+        keys_without_effect(&parsed(more).unwrap()).map(|(key, _)| key).collect()
+    };
+    let ratio = "block_density_ratio = 2.0\n";
+    assert_eq!(vain(&format!("[volume]\nphantom = \"femur\"\n{ratio}")), ["volume.block_density_ratio"]);
+    assert!(vain(&format!("[volume]\nphantom = \"block\"\n{ratio}")).is_empty());
+    let holder = "[arm]\nholder_length_mm = 30.0\nholder_diameter_mm = 20.0\n";
+    assert_eq!(vain(holder), ["arm.holder_length_mm", "arm.holder_diameter_mm"]);
+    assert!(vain(&format!("{holder}tool_position_mm = [0.0, 0.0, 100.0]\n")).is_empty());
 }

@@ -4,7 +4,8 @@
 #![allow(clippy::unwrap_used)]
 
 use crate::common::dicom_bytes::{DicomSlice, write_series};
-use volume_io::{Label, ReadOptions, VolumeError, read, read_as};
+use std::path::{Path, PathBuf};
+use volume_io::{Label, ReadOptions, Slices, VolumeError, read, read_as};
 
 fn refuse(bytes: &[u8]) -> VolumeError {
     let folder = tempfile::tempdir().unwrap();
@@ -61,15 +62,40 @@ fn a_label_that_is_not_there_is_refused_with_those_that_are() {
     assert!(said.contains("label 7") && said.contains("[0, 2]"), "{said}");
 }
 
-/// A CT named as a map of labels: its air became bone.
-#[test]
-fn hounsfield_units_are_no_labels() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("ct.nrrd");
+/// Two voxels of a CT, -1000 and 300 HU.
+fn two_voxels(folder: &Path) -> PathBuf {
+    let path = folder.join("ct.nrrd");
     let header = "NRRD0005\ntype: short\ndimension: 3\nsizes: 2 1 1\nspace: LPS\nspace directions: (1,0,0) (0,1,0) (0,0,1)\n\
                   encoding: raw\nendian: little\n\n";
     let voxels = [-1000_i16, 300].map(i16::to_le_bytes).concat();
     std::fs::write(&path, [header.as_bytes(), &voxels].concat()).unwrap();
+    path
+}
+
+/// A series and slices to be rectified were passed over where a file has neither.
+#[test]
+fn choices_for_dicom_are_said_to_have_no_effect_elsewhere() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = two_voxels(folder.path());
+    let noted = |options: &ReadOptions| read_as(&path, options).unwrap().1.notes.join("\n");
+    let series = noted(&ReadOptions { series: Some("1.2.3".to_owned()), ..ReadOptions::default() });
+    assert!(series.contains("`volume.series`") && !series.contains("rectify"), "{series}");
+    let slices = noted(&ReadOptions { slices: Slices::Rectify, ..ReadOptions::default() });
+    assert!(slices.contains("`volume.resample`") && !slices.contains("series`"), "{slices}");
+    let neither = noted(&ReadOptions::default());
+    assert!(!neither.contains("no effect"), "{neither}");
+    write_series(folder.path(), &stack(&[0.0, 2.0]));
+    std::fs::remove_file(path).unwrap();
+    let of_dicom = ReadOptions { slices: Slices::Rectify, ..ReadOptions::default() };
+    let info = read_as(folder.path(), &of_dicom).unwrap().1.to_string();
+    assert!(!info.contains("no effect"), "{info}");
+}
+
+/// A CT named as a map of labels: its air became bone.
+#[test]
+fn hounsfield_units_are_no_labels() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = two_voxels(folder.path());
     for label in [-1000, 300] {
         let options = ReadOptions { label: Some(Label::Value(label)), ..ReadOptions::default() };
         let said = read_as(&path, &options).unwrap_err().to_string();

@@ -3,6 +3,7 @@
 // Helpers of tests may fail a test.
 #![allow(clippy::unwrap_used)]
 
+use crate::common::shared_data::shared;
 use proptest::prelude::*;
 use volume_io::phantom::{SphereSpec, sphere};
 use volume_io::{MaskModel, Volume, VolumeError, mask_to_hu, read, squared_distance_m2};
@@ -93,10 +94,7 @@ fn ball_gets_a_shell_of_the_stated_thickness() {
 
 #[test]
 fn real_femur_mask() {
-    let Some(path) = crate::common::shared_data::shared("seed_rfemur_mask/rfemur_mask_1mm_cropped.nii.gz")
-    else {
-        return;
-    };
+    let Some(path) = shared("seed_rfemur_mask/rfemur_mask_1mm_cropped.nii.gz") else { return };
     let mut volume = read(path).unwrap();
     let bone = volume.hu.iter().filter(|v| **v != 0).count();
     assert_eq!((volume.dims, bone), ([85, 116, 190], 233_553));

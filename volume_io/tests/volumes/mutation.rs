@@ -5,6 +5,7 @@
 
 use crate::common::dicom_bytes::{DicomSlice, JPEG_2000_SYNTAXES, LOSSLESS_JPEG, jpeg_2000, write_series};
 use crate::common::nifti_bytes::NiftiBytes;
+use crate::common::shared_data::shared;
 use proptest::prelude::*;
 use std::path::Path;
 use volume_io::{IDENTITY_DIRECTION, Volume, read, write_nrrd};
@@ -188,7 +189,7 @@ proptest! {
             "conformance/nrrd/BallBinary30x30x30_gz_lineskip.nrrd",
             "conformance/nifti/f32.nii.gz",
         ][pick];
-        if let Some(path) = crate::common::shared_data::shared(name) {
+        if let Some(path) = shared(name) {
             let file_name = path.file_name().unwrap().to_string_lossy().into_owned();
             attempt(&file_name, &std::fs::read(&path).unwrap(), 4000, &damage);
         }
