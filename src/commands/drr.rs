@@ -303,9 +303,7 @@ fn of_flag(error: DrrError) -> Failure {
     let flag = match field {
         "photons_per_pixel" => "photons",
         "blur_sigma_px" => "blur-pixels",
-        "energy_kev" => "energy-kev",
-        "tube_kv" => "tube-kv",
-        other => other,
+        other => &other.replace('_', "-"),
     };
     Failure::bad_input(format!("--{flag} is {given:?}, expected {expected}"))
 }

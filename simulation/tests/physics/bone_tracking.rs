@@ -2,17 +2,17 @@
 
 #![allow(clippy::unwrap_used, reason = "a world that cannot be built or stepped fails the test")]
 
-use crate::common;
-
 use std::sync::OnceLock;
 
-use messages::{ARM_MOVE_CP, BURR_SPEED, Command, Latched, SOURCE_FRESH, SOURCE_HELD, TENDON_SERVO_JF};
+use messages::{Latched, SOURCE_FRESH, SOURCE_HELD};
 use nalgebra::{Rotation3, Vector3};
 use proptest::prelude::*;
 use simulation::bone::{
     BoneField, BoneParameters, BurrState, ContactBuffer, ContactKind, GridGeometry, Removal,
 };
 use simulation::{CtView, Simulation};
+
+use crate::common;
 
 const DIMS: [usize; 3] = [26, 24, 22];
 const MARGIN_M: f64 = 0.2e-3;
@@ -253,19 +253,7 @@ proptest! {
 fn hash_chain(bone: &(GridGeometry, Vec<i16>), ticks: usize, rebuilds: &[bool]) -> Vec<[u64; 2]> {
     let ct = CtView { geometry: bone.0, hu: &bone.1 };
     let mut simulation = Simulation::new(&common::scene(common::TUNNEL), Some(ct)).unwrap();
-    let mut goal = simulation.state().t_world_flange;
-    goal.position_m[2] += 0.02;
-    let command = Command {
-        sequence: 1,
-        tendon_mode: TENDON_SERVO_JF,
-        tendon_force_n: [3.0, 0.0, 0.0, 0.0],
-        arm_mode: ARM_MOVE_CP,
-        t_world_base: goal,
-        arm_speed_m_per_s: 3e-3,
-        burr_mode: BURR_SPEED,
-        burr_speed_rad_per_s: 800.0,
-        ..Command::zeroed()
-    };
+    let command = common::feed_along_z(simulation.state());
     let mut hashes = Vec::with_capacity(ticks);
     for tick in 0..ticks {
         if rebuilds.get(tick).is_some_and(|rebuild| *rebuild) {

@@ -7,15 +7,15 @@
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use messages::{
-    ARM_HOLD, ARM_MOVE_CP, ARM_MOVE_JP, BURR_SPEED, Command, Latched, LatchedCommand, SOURCE_FRESH,
-    SOURCE_HELD, State, TENDON_MOVE_JP, TENDON_SERVO_JF,
+    ARM_HOLD, ARM_MOVE_CP, ARM_MOVE_JP, Command, Latched, LatchedCommand, SOURCE_FRESH, SOURCE_HELD, State,
+    TENDON_MOVE_JP, TENDON_SERVO_JF,
 };
 use scene::Scene;
 use simulation::bone::GridGeometry;
 use simulation::{CtView, Simulation};
 use zerocopy::IntoBytes;
 
-use crate::common::{TUNNEL, bone, scene};
+use crate::common::{TUNNEL, bone, feed_along_z, scene};
 
 /// A loose block on a clamp in front of the burr, under gravity.
 const BODIES: &str = r#"
@@ -54,14 +54,14 @@ const GOLDEN: [Golden; 3] = [
     Golden {
         scene: TUNNEL,
         in_bone: true,
-        command: feed,
+        command: |_, start| feed_along_z(start),
         ticks: 1000,
         hash: "1686326cb772e4ab259951e3a2e4fcef",
     },
     Golden {
         scene: BODIES,
         in_bone: false,
-        command: feed,
+        command: |_, start| feed_along_z(start),
         ticks: 600,
         hash: "7bfbe3fababa8a2a1c1a032de0465093",
     },
@@ -73,23 +73,6 @@ const GOLDEN: [Golden; 3] = [
         hash: "79813bca3f55f0a0a112e3cee4f8d46b",
     },
 ];
-
-/// 3 mm/s along +z with the burr on and 3 N on tendon 0.
-fn feed(_tick: u64, start: &State) -> Command {
-    let mut goal = start.t_world_flange;
-    goal.position_m[2] += 0.02;
-    Command {
-        sequence: 1,
-        tendon_mode: TENDON_SERVO_JF,
-        tendon_force_n: [3.0, 0.0, 0.0, 0.0],
-        arm_mode: ARM_MOVE_CP,
-        t_world_base: goal,
-        arm_speed_m_per_s: 3e-3,
-        burr_mode: BURR_SPEED,
-        burr_speed_rad_per_s: 800.0,
-        ..Command::zeroed()
-    }
-}
 
 /// Joint moves, straight lines, stops, tendon moves: something new every 150 ticks.
 fn wander(tick: u64, start: &State) -> Command {

@@ -33,8 +33,8 @@ use stage::{Frames, Stage};
 
 /// How long a controller may take to connect.
 const CONNECT_LIMIT: Duration = Duration::from_secs(60);
-/// A wait for it that is longer than this is told.
-const UNTOLD: Duration = Duration::from_secs(2);
+/// A longer wait for it is told.
+const SILENT_LIMIT: Duration = Duration::from_secs(2);
 /// How long a controller may take to end.
 const END_LIMIT: Duration = Duration::from_secs(5);
 const POLL_PERIOD: Duration = Duration::from_millis(20);
@@ -262,7 +262,7 @@ impl ReplayedSession<'_> {
                     format!("tick {tick}: controller `{name}` ended ({status}); its last output:\n  {words}");
                 return Err(Failure::failed(text));
             }
-            if !told && began.elapsed() >= UNTOLD {
+            if !told && began.elapsed() >= SILENT_LIMIT {
                 let seconds = CONNECT_LIMIT.as_secs();
                 tell!(
                     "trabecula: waiting for the first command of controller `{name}`, for up to {seconds} s"

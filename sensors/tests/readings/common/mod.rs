@@ -1,6 +1,6 @@
 //! Scenes with one sensor, and what it reads of a signal.
 
-#![allow(dead_code, clippy::unwrap_used, reason = "each test uses a part; helpers of tests fail the test")]
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail the test")]
 
 use std::path::Path;
 
