@@ -53,7 +53,7 @@ fn a_volume_is_kept_used_shown_and_cleared_and_a_damaged_one_is_said_and_made_an
     damaged[last] ^= 1;
     fs::write(file, damaged).unwrap();
     let output = check(&scene, &environment);
-    assert!(said(&output).contains("its voxels have another hash; it is made anew"), "{}", said(&output));
+    assert!(said(&output).contains("its voxels have another checksum; it is made anew"), "{}", said(&output));
     assert_eq!(output.stdout, first.stdout);
     assert!(fs::read(file).unwrap() == whole);
     let run = |words: &[&dyn AsRef<std::ffi::OsStr>]| {

@@ -22,49 +22,22 @@ pub fn volume_hash_of_parts(
     direction: [[f64; 3]; 3],
     hu: &[i16],
 ) -> [u8; 32] {
-    let mut hasher = VolumeHasher::new(dims, spacing_m, origin_m, direction);
-    hasher.update(hu);
-    hasher.finish()
-}
-
-/// [`volume_hash_of_parts`] of voxels that come in pieces, in order.
-#[derive(Clone, Debug)]
-pub struct VolumeHasher(Sha256);
-
-impl VolumeHasher {
-    /// Begins with the geometry.
-    pub fn new(
-        dims: [usize; 3],
-        spacing_m: [f64; 3],
-        origin_m: [f64; 3],
-        direction: [[f64; 3]; 3],
-    ) -> VolumeHasher {
-        let mut hasher = Sha256::new();
-        hasher.update(DOMAIN);
-        for n in dims {
-            hasher.update((n as u64).to_le_bytes());
-        }
-        for value in spacing_m.iter().chain(&origin_m).chain(direction.iter().flatten()) {
-            // Adding zero turns −0 into +0 and leaves every other value unchanged.
-            hasher.update((value + 0.0).to_le_bytes());
-        }
-        VolumeHasher(hasher)
+    let mut hasher = Sha256::new();
+    hasher.update(DOMAIN);
+    for n in dims {
+        hasher.update((n as u64).to_le_bytes());
     }
-
-    /// The next voxels.
-    pub fn update(&mut self, hu: &[i16]) {
-        // Buffered, because hashing two bytes at a time costs more than the hash itself.
-        let mut buffer = [0_u8; 8192];
-        for chunk in hu.chunks(buffer.len() / 2) {
-            for (bytes, value) in buffer.chunks_exact_mut(2).zip(chunk) {
-                bytes.copy_from_slice(&value.to_le_bytes());
-            }
-            self.0.update(&buffer[..2 * chunk.len()]);
+    for value in spacing_m.iter().chain(&origin_m).chain(direction.iter().flatten()) {
+        // Adding zero turns −0 into +0 and leaves every other value unchanged.
+        hasher.update((value + 0.0).to_le_bytes());
+    }
+    // Buffered, because hashing two bytes at a time costs more than the hash itself.
+    let mut buffer = [0_u8; 8192];
+    for chunk in hu.chunks(buffer.len() / 2) {
+        for (bytes, value) in buffer.chunks_exact_mut(2).zip(chunk) {
+            bytes.copy_from_slice(&value.to_le_bytes());
         }
+        hasher.update(&buffer[..2 * chunk.len()]);
     }
-
-    /// The hash.
-    pub fn finish(self) -> [u8; 32] {
-        self.0.finalize().into()
-    }
+    hasher.finalize().into()
 }

@@ -54,7 +54,7 @@ mod volume;
 
 pub use edt::squared_distance_m2;
 pub use error::VolumeError;
-pub use hash::{VolumeHasher, volume_hash, volume_hash_of_parts};
+pub use hash::{volume_hash, volume_hash_of_parts};
 pub use input::DataFiles;
 pub use mask::{MaskModel, mask_to_hu};
 pub use nifti_write::write_nifti;

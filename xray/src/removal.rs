@@ -1,5 +1,7 @@
 //! Tracks what is drilled (one bit per voxel) and what is empty (one byte per block of 8x8x8 voxels).
 
+use rayon::prelude::*;
+
 use crate::attenuation::MuTable;
 use crate::error::DrrError;
 use crate::grid::{Grid, VolumeView};
@@ -7,6 +9,8 @@ use crate::grid::{Grid, VolumeView};
 /// log2 of a block's side.
 pub(crate) const BLOCK_SHIFT: usize = 3;
 const BLOCK: usize = 1 << BLOCK_SHIFT;
+/// Voxels of a row that are compared at a time.
+const PIECE: usize = 8 * BLOCK;
 
 /// A block where nothing attenuates.
 const EMPTY: u8 = 0;
@@ -95,16 +99,28 @@ impl BlockMap {
     pub fn new(view: &VolumeView<'_>, table: &MuTable) -> Self {
         let dims = view.grid().dims();
         let blocks = dims.map(|n| n.div_ceil(BLOCK));
-        let mut map = Self { flags: Vec::with_capacity(blocks[0] * blocks[1] * blocks[2]), blocks };
-        for bz in 0..blocks[2] {
-            for by in 0..blocks[1] {
-                for bx in 0..blocks[0] {
-                    let occupied = block_is_occupied(view, table, [bx, by, bz]);
-                    map.flags.push(if occupied { OCCUPIED } else { EMPTY });
+        let mut flags = vec![EMPTY; blocks[0] * blocks[1] * blocks[2]];
+        let least = table.least_that_attenuates();
+        flags.par_chunks_mut(blocks[0] * blocks[1]).enumerate().for_each(|(bz, layer)| {
+            let first = bz << BLOCK_SHIFT;
+            let mut of_row = vec![EMPTY; blocks[0]];
+            for (z, y) in
+                (first..dims[2].min(first + BLOCK + 1)).flat_map(|z| (0..dims[1]).map(move |y| (z, y)))
+            {
+                let start = dims[0] * (y + dims[1] * z);
+                mark_occupied(
+                    view.hu().get(start..start + dims[0]).unwrap_or(&[]),
+                    table,
+                    least,
+                    &mut of_row,
+                );
+                let (before, own) = (y.saturating_sub(1) >> BLOCK_SHIFT, y >> BLOCK_SHIFT);
+                for flags in layer.chunks_mut(blocks[0]).take(own + 1).skip(before) {
+                    flags.iter_mut().zip(&of_row).for_each(|(flag, of_row)| *flag |= of_row);
                 }
             }
-        }
-        map
+        });
+        Self { flags, blocks }
     }
 
     /// Marks the blocks that cover a removed voxel, whose attenuation is now `fill_mu_per_m`.
@@ -152,23 +168,24 @@ pub(crate) fn is_drilled(flags: u8) -> bool {
     flags & DRILLED != 0
 }
 
-fn block_is_occupied(view: &VolumeView<'_>, table: &MuTable, block: [usize; 3]) -> bool {
-    let dims = view.grid().dims();
-    let range = |axis: usize| {
-        let start = block[axis] << BLOCK_SHIFT;
-        start..(start + BLOCK + 1).min(dims[axis])
-    };
-    for z in range(2) {
-        for y in range(1) {
-            let line = dims[0] * (y + dims[1] * z);
-            let x = range(0);
-            let voxels = view.hu().get(line + x.start..line + x.end).unwrap_or(&[]);
-            if voxels.iter().any(|&hu| table.mu_per_m(hu) > 0.0) {
-                return true;
+/// Marks the blocks that a row of voxels meets and in which one of them attenuates: none that is less than `least`.
+fn mark_occupied(row: &[i16], table: &MuTable, least: i16, blocks: &mut [u8]) {
+    blocks.fill(EMPTY);
+    let attenuates = |hu: &i16| table.mu_per_m(*hu) > 0.0;
+    let places = (0_usize..).step_by(PIECE / BLOCK).zip(row.chunks(PIECE));
+    // Compares many voxels at a time, before any of them is looked up.
+    for (first, piece) in places.filter(|(_, piece)| piece.iter().copied().fold(i16::MIN, i16::max) >= least)
+    {
+        for (block, voxels) in (first..).zip(piece.chunks(BLOCK)) {
+            if voxels.iter().any(attenuates) {
+                blocks[block] = OCCUPIED;
+            }
+            // The first voxel is the last one of the block before.
+            if block > 0 && voxels.first().is_some_and(attenuates) {
+                blocks[block - 1] = OCCUPIED;
             }
         }
     }
-    false
 }
 
 /// The attenuation field: the CT without the removed voxels.
@@ -194,6 +211,38 @@ impl AttenuationField<'_> {
             None => 0.0,
             Some(_) if self.removed.contains(linear) => self.fill_mu_per_m,
             Some(&hu) => self.table.mu_per_m(hu),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::attenuation::HuLaw;
+
+    const DIMS: [usize; 3] = [139, 18, 9];
+
+    /// Blocks by their definition, voxel by voxel.
+    fn flags_of(voxel: [usize; 3]) -> Vec<u8> {
+        let blocks = DIMS.map(|n| n.div_ceil(BLOCK));
+        let holds = |block: [usize; 3]| (0..3).all(|a| (8 * block[a]..=8 * block[a] + 8).contains(&voxel[a]));
+        let places = (0..blocks[2])
+            .flat_map(|z| (0..blocks[1]).flat_map(move |y| (0..blocks[0]).map(move |x| [x, y, z])));
+        places.map(|block| if holds(block) { OCCUPIED } else { EMPTY }).collect()
+    }
+
+    #[test]
+    fn a_voxel_occupies_the_blocks_that_read_it_wherever_it_lies() {
+        let grid = Grid::new(DIMS, [1e-3; 3], [0.0; 3], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
+        let grid = grid.unwrap();
+        let table = MuTable::new(HuLaw::WaterScaling, 60.0, -900).unwrap();
+        let mut hu = vec![-1000_i16; grid.voxels()];
+        // Coprime to the dimensions: all kinds of places.
+        for linear in (0..grid.voxels()).step_by(11) {
+            hu[linear] = 40;
+            let map = BlockMap::new(&VolumeView::new(grid, &hu).unwrap(), &table);
+            assert_eq!(map.flags(), flags_of(grid.voxel_of(linear)), "voxel {:?}", grid.voxel_of(linear));
+            hu[linear] = -1000;
         }
     }
 }

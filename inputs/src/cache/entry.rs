@@ -1,39 +1,40 @@
 //! A volume as a file of the cache.
 //!
 //! ```text
-//! 16 bytes  "trabecula cache1"
+//! 16 bytes  "trabecula cache2"
 //! 32        the key: what the volume is made of
-//! 16        XXH3-128 of the key, the two parts below it and their lengths
+//! 16        XXH3-128 of the key and of all that follows, except the voxels
 //!  8        bytes of the notes
+//! 16        XXH3-128 of the voxels: of the XXH3-128 of each 256 KiB of them
 //!           the volume's message: hash, geometry, dimensions
 //!           the notes, a JSON list of texts
 //!           the voxels, 16 bits each, i fastest
 //! ```
 //!
-//! Numbers are little-endian. The voxels are checked with the volume's own SHA-256, which is computed anew and covers its geometry too: the
-//! hash that goes into a log is always that of the voxels that are published.
+//! Numbers are little-endian. The volume's own SHA-256 is computed when it is made. It need not be computed again: both checksums together cover
+//! it, the geometry and every voxel, and only this user can write the folder.
 
 use std::fs::File;
-use std::io::{self, Read, Write};
+use std::io::{self, Read};
 use std::os::unix::fs::FileExt;
-use std::sync::mpsc::channel;
 
 use ipc_types::layout::Message;
 use ipc_types::messages::Volume as VolumeMessage;
-use volume_io::{Volume, VolumeHasher, volume_hash};
+use volume_io::{Volume, volume_hash};
 use xxhash_rust::xxh3::xxh3_128;
 use zerocopy::{FromBytes, IntoBytes};
 
 use super::Made;
 use super::key::Key;
+use super::shared_work::on_all_cores;
 use crate::volume_source;
 
-const MAGIC: &[u8; 16] = b"trabecula cache1";
+const MAGIC: &[u8; 16] = b"trabecula cache2";
 /// Most bytes of notes: a reader makes a few lines.
 const MAX_NOTES_BYTES: u64 = 1 << 20;
-/// Voxels that are read before the next ones are hashed beside them.
-const PIECE_VOXELS: usize = 1 << 20;
-const HEAD_BYTES: usize = 16 + 32 + 16 + 8;
+/// Voxels that have a checksum of their own, so that several threads can read and check them, while they are in the cache of a core.
+const PIECE_VOXELS: usize = 1 << 17;
+const HEAD_BYTES: usize = 16 + 32 + 16 + 8 + 16;
 
 /// What is wrong with a file of the cache.
 #[derive(Debug, thiserror::Error)]
@@ -56,47 +57,29 @@ pub enum Damage {
     #[error("damaged: {0}")]
     Head(&'static str),
     /// Its voxels are not those that were kept.
-    #[error("damaged: its voxels have another hash")]
+    #[error("damaged: its voxels have another checksum")]
     Voxels,
 }
 
-/// A volume, ready to be written.
-pub struct Kept<'a> {
-    head: Vec<u8>,
-    volume: &'a Volume,
+/// All of a file that stands before the voxels.
+///
+/// # Errors
+/// The notes are too long.
+pub(super) fn head(key: &Key, made: &Made, voxels_sum: u128) -> io::Result<Vec<u8>> {
+    let notes = serde_json::to_vec(&made.notes)?;
+    if notes.len() as u64 > MAX_NOTES_BYTES {
+        return Err(io::ErrorKind::FileTooLarge.into());
+    }
+    let message = volume_source::message(&made.volume, made.sha256);
+    let length = (notes.len() as u64).to_le_bytes();
+    let below = [length.as_slice(), &voxels_sum.to_le_bytes(), message.as_bytes(), &notes].concat();
+    let sum = xxh3_128(&[key.hash().as_slice(), &below].concat()).to_le_bytes();
+    Ok([MAGIC.as_slice(), key.hash(), &sum, &below].concat())
 }
 
-impl Kept<'_> {
-    /// The file of a volume.
-    ///
-    /// # Errors
-    /// Its notes are too long.
-    pub fn of<'a>(key: &Key, made: &'a Made) -> io::Result<Kept<'a>> {
-        let notes = serde_json::to_vec(&made.notes)?;
-        if notes.len() as u64 > MAX_NOTES_BYTES {
-            return Err(io::ErrorKind::FileTooLarge.into());
-        }
-        let message = volume_source::message(&made.volume, made.sha256);
-        let length = (notes.len() as u64).to_le_bytes();
-        let checked = [key.hash().as_slice(), &length, message.as_bytes(), &notes].concat();
-        let sum = xxh3_128(&checked).to_le_bytes();
-        let head = [MAGIC.as_slice(), key.hash(), &sum, &checked[32..]].concat();
-        Ok(Kept { head, volume: &made.volume })
-    }
-
-    /// Its length.
-    pub fn bytes(&self) -> u64 {
-        (self.head.len() + 2 * self.volume.hu.len()) as u64
-    }
-
-    /// Writes it.
-    ///
-    /// # Errors
-    /// The system's.
-    pub fn write(&self, file: &mut impl Write) -> io::Result<()> {
-        file.write_all(&self.head)?;
-        file.write_all(self.volume.hu.as_bytes())
-    }
+/// The checksum of the voxels from the checksums of their pieces.
+pub(super) fn sum_of(pieces: &[u128]) -> u128 {
+    xxh3_128(&pieces.iter().flat_map(|sum| sum.to_le_bytes()).collect::<Vec<u8>>())
 }
 
 /// Reads and checks the file of a volume.
@@ -111,7 +94,8 @@ pub fn read(mut file: &File, bytes: u64, key: &Key) -> Result<Made, Damage> {
         return Err(Damage::Length { bytes, expected: least });
     }
     file.read_exact(&mut head).map_err(Damage::Read)?;
-    let (sum, length) = (&head[48..64], &head[64..]);
+    let (sum, below) = (&head[48..64], &head[64..]);
+    let (length, voxels_sum) = below.split_at(8);
     let notes_bytes = length.iter().rev().fold(0, |number, byte| number << 8 | u64::from(*byte));
     if head[..16] != *MAGIC || head[16..48] != *key.hash() || notes_bytes > MAX_NOTES_BYTES {
         return Err(Damage::Head("it is another file"));
@@ -121,7 +105,7 @@ pub fn read(mut file: &File, bytes: u64, key: &Key) -> Result<Made, Damage> {
     }
     let mut rest = vec![0; message_bytes + notes_bytes as usize];
     file.read_exact(&mut rest).map_err(Damage::Read)?;
-    if xxh3_128(&[&head[16..48], length, &rest].concat()).to_le_bytes() != *sum {
+    if xxh3_128(&[&head[16..48], below, &rest].concat()).to_le_bytes() != *sum {
         return Err(Damage::Head("its head has another checksum"));
     }
     let (message, notes) = rest.split_at(message_bytes);
@@ -140,33 +124,36 @@ pub fn read(mut file: &File, bytes: u64, key: &Key) -> Result<Made, Damage> {
     let direction = [0, 1, 2].map(|row| [0, 1, 2].map(|axis| message.direction[3 * axis + row]));
     let (spacing_m, origin_m) = (message.spacing_m, message.origin_m);
     let mut hu = vec![0_i16; message.hu_length as usize];
-    let hasher = VolumeHasher::new(dims, spacing_m, origin_m, direction);
-    if read_and_hash(file, &mut hu, hasher).map_err(Damage::Read)? != Some(message.sha256) {
+    let sum = read_pieces(file, least + notes_bytes, &mut hu).map_err(Damage::Read)?;
+    if sum.to_le_bytes() != *voxels_sum {
         return Err(Damage::Voxels);
     }
     let volume = Volume { dims, spacing_m, origin_m, direction, hu };
     Ok(Made { volume, sha256: message.sha256, notes })
 }
 
-/// Reads voxels, and hashes in a second thread those that are there. No hash if that thread died.
-fn read_and_hash(mut file: &File, hu: &mut [i16], mut hasher: VolumeHasher) -> io::Result<Option<[u8; 32]>> {
-    std::thread::scope(|scope| {
-        let (pieces, arrived) = channel::<&[i16]>();
-        let hashing = scope.spawn(move || {
-            arrived.iter().for_each(|piece| hasher.update(piece));
-            hasher.finish()
-        });
-        for piece in hu.chunks_mut(PIECE_VOXELS) {
-            file.read_exact(piece.as_mut_bytes())?;
-            // Fails only if the thread has died, which its end tells.
-            let _ = pieces.send(piece);
-        }
-        drop(pieces);
-        Ok(hashing.join().ok())
-    })
+/// Reads the voxels that begin at `start`, and returns their checksum.
+fn read_pieces(file: &File, start: u64, hu: &mut [i16]) -> io::Result<u128> {
+    let starts = (start..).step_by(2 * PIECE_VOXELS);
+    let sums = on_all_cores(hu.chunks_mut(PIECE_VOXELS).zip(starts), |(piece, start)| {
+        file.read_exact_at(piece.as_mut_bytes(), start)?;
+        Ok(xxh3_128(piece.as_bytes()))
+    });
+    Ok(sum_of(&sums.into_iter().collect::<io::Result<Vec<u128>>>()?))
 }
 
-/// Writes the file of a volume, and hashes the volume in a second thread meanwhile. Returns what is kept, whether it could be written or not.
+/// Writes the voxels to `start`, and returns their checksum.
+fn write_pieces(file: &File, start: u64, hu: &[i16]) -> io::Result<u128> {
+    let starts = (start..).step_by(2 * PIECE_VOXELS);
+    let write = |(piece, start): (&[i16], u64)| {
+        file.write_all_at(piece.as_bytes(), start)?;
+        Ok(xxh3_128(piece.as_bytes()))
+    };
+    Ok(sum_of(&hu.chunks(PIECE_VOXELS).zip(starts).map(write).collect::<io::Result<Vec<u128>>>()?))
+}
+
+/// Has the file of a volume written by `write`, which takes its length, and hashes the volume in a second thread meanwhile. Returns what is
+/// kept, whether it could be written or not.
 pub fn write_and_hash(
     key: &Key,
     volume: Volume,
@@ -175,20 +162,18 @@ pub fn write_and_hash(
 ) -> Made {
     let mut made = Made { volume, sha256: [0; 32], notes };
     let mut hash = None;
-    let outcome = Kept::of(key, &made).map(|kept| (kept.head.len() as u64, kept.bytes()));
-    if let Ok((head_bytes, bytes)) = outcome {
+    if let Ok(head_bytes) = head(key, &made, 0).map(|head| head.len() as u64) {
         // A file that cannot be written costs time only.
-        let _ = write(bytes, &mut |file| {
+        let _ = write(head_bytes + 2 * made.volume.hu.len() as u64, &mut |file| {
             let voxels = &made.volume;
-            let written = std::thread::scope(|scope| {
+            let voxels_sum = std::thread::scope(|scope| {
                 let hashing = scope.spawn(|| volume_hash(voxels));
-                let written = file.write_all_at(voxels.hu.as_bytes(), head_bytes);
+                let voxels_sum = write_pieces(file, head_bytes, &voxels.hu);
                 hash = hashing.join().ok();
-                written
-            });
-            written?;
+                voxels_sum
+            })?;
             made.sha256 = hash.ok_or(io::ErrorKind::Other)?;
-            file.write_all_at(&Kept::of(key, &made)?.head, 0)
+            file.write_all_at(&head(key, &made, voxels_sum)?, 0)
         });
     }
     made.sha256 = hash.unwrap_or_else(|| volume_hash(&made.volume));

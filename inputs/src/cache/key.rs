@@ -2,8 +2,7 @@
 
 use std::fmt::Debug;
 use std::fs::{File, Metadata};
-use std::io::{ErrorKind, Read};
-use std::os::unix::fs::MetadataExt;
+use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
 
 use data_encoding::HEXLOWER;
@@ -12,6 +11,10 @@ use sha2::{Digest, Sha256};
 use volume_io::{ReadOptions, sources};
 
 use super::ENDING;
+use super::shared_work::on_all_cores;
+
+/// Bytes of a file that are hashed by one thread.
+const PIECE_BYTES: u64 = 1 << 20;
 
 /// The hash of all that a volume is made of. Files are hashed whole: a file's time, size and number can stay the same while its content
 /// changes, and a file that was moved or downloaded again is still the same CT. SHA-256, because files come from anywhere: with a weaker hash
@@ -48,7 +51,7 @@ pub(super) fn begin(kind: &str) -> Sha256 {
     let build = build_info::current();
     let mut hasher = Sha256::new();
     for part in
-        ["trabecula cache 1", kind, &build.version, &build.target, build.rustc.as_deref().unwrap_or("")]
+        ["trabecula cache 2", kind, &build.version, &build.target, build.rustc.as_deref().unwrap_or("")]
     {
         add(&mut hasher, part.as_bytes());
     }
@@ -107,17 +110,25 @@ impl Key {
     }
 }
 
+/// The SHA-256 of the SHA-256 of each [`PIECE_BYTES`] of a file, which all cores can compute, and of its length. None for what is no file, and
+/// for one that says no length, as those of `/proc`: its end shows only while it is read.
 fn content(path: &Path) -> Option<([u8; 32], Stamp)> {
-    let mut file = File::open(path).ok()?;
-    let stamp = Stamp::from(&file.metadata().ok()?);
-    let mut hasher = Sha256::new();
-    let mut buffer = vec![0; 1 << 18];
-    loop {
-        match file.read(&mut buffer) {
-            Ok(0) => return Some((hasher.finalize().into(), stamp)),
-            Ok(count) => hasher.update(&buffer[..count]),
-            Err(cause) if cause.kind() == ErrorKind::Interrupted => {}
-            Err(_) => return None,
-        }
+    let file = File::open(path).ok()?;
+    let found = file.metadata().ok()?;
+    let bytes = found.len();
+    if !found.is_file() || bytes == 0 {
+        return None;
     }
+    let hash_piece = |start: u64| {
+        let mut piece = vec![0; PIECE_BYTES.min(bytes - start) as usize];
+        file.read_exact_at(&mut piece, start).ok()?;
+        Some(Sha256::digest(&piece))
+    };
+    let pieces = on_all_cores((0..bytes).step_by(PIECE_BYTES as usize), hash_piece);
+    let mut hasher = Sha256::new();
+    hasher.update(bytes.to_le_bytes());
+    for piece in pieces {
+        hasher.update(piece?);
+    }
+    Some((hasher.finalize().into(), Stamp::from(&found)))
 }

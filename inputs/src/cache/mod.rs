@@ -11,6 +11,7 @@
 
 pub mod entry;
 pub mod key;
+mod shared_work;
 pub mod text;
 
 use std::fs::{DirBuilder, File};
@@ -26,7 +27,7 @@ use rustix::fs::{AtFlags, CWD, Dir, FileType, Mode, OFlags, Stat, Timespec, Time
 use rustix::io::Errno;
 use volume_io::{Volume, VolumeError, volume_hash};
 
-use entry::{Damage, Kept};
+use entry::Damage;
 use key::Key;
 
 /// Most bytes that the folder holds; beyond, the files that were unused for the longest time are removed.
@@ -118,9 +119,7 @@ fn through_folder(
     if began.elapsed() < WORTH_KEEPING || !key.is_current() {
         return Ok(Made { sha256: volume_hash(&volume), volume, notes });
     }
-    Ok(entry::write_and_hash(key, volume, notes, |bytes, write| {
-        cache.write(&key.name(), bytes, |file| write(&file.handle().map_err(io::Error::other)?))
-    }))
+    Ok(cache.keep(key, volume, notes))
 }
 
 /// The cache folder, open.
@@ -212,13 +211,12 @@ impl Cache {
         let _ = rustix::fs::futimens(file, &Timestamps { last_access: now, last_modification: now });
     }
 
-    /// Keeps a volume; removes others if the folder would become too large.
-    ///
-    /// # Errors
-    /// The system's. Then the folder holds what it held before, less what was removed.
-    pub fn keep(&self, key: &Key, made: &Made) -> io::Result<()> {
-        let kept = Kept::of(key, made)?;
-        self.write(&key.name(), kept.bytes(), |file| kept.write(file))
+    /// Keeps a volume, and removes others if the folder would become too large. Returns it with its hash, also where it cannot be kept; then the
+    /// folder holds what it held before, less what was removed.
+    fn keep(&self, key: &Key, volume: Volume, notes: Vec<String>) -> Made {
+        entry::write_and_hash(key, volume, notes, |bytes, write| {
+            self.write(&key.name(), bytes, |file| write(&file.handle().map_err(io::Error::other)?))
+        })
     }
 
     /// Writes a file of this name and length.

@@ -39,7 +39,8 @@ impl Place {
     }
 
     fn keep(&self, number: i16) -> PathBuf {
-        self.cache.keep(&key(number), &made(number)).unwrap();
+        let kept = self.cache.keep(&key(number), volume(number), made(number).notes);
+        assert_eq!(kept.sha256, made(number).sha256);
         self.cache.file(&key(number))
     }
 
@@ -62,6 +63,24 @@ fn what_was_kept_is_found_to_the_bit_by_its_key_alone() {
     assert!(!place.finds(2));
     let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode() & 0o7777;
     assert_eq!(mode(&place.folder.path().join("a/b/trabecula")), 0o700);
+}
+
+/// Several threads read one of several pieces.
+#[test]
+fn a_volume_of_many_pieces_is_found_to_the_bit_and_two_changed_places_are_seen() {
+    let place = Place::new();
+    let large =
+        Volume { dims: [1000, 1000, 1], hu: (0..1_000_000).map(|n| (n / 31) as i16).collect(), ..volume(1) };
+    place.cache.keep(&key(1), large.clone(), Vec::new());
+    assert_eq!(place.cache.find(&key(1)).unwrap().unwrap().volume, large);
+    // Two pieces change places: each is whole.
+    let path = place.cache.file(&key(1));
+    let mut bytes = fs::read(&path).unwrap();
+    let voxels = bytes.len() - 2_000_000;
+    let (first, second) = bytes[voxels..].split_at_mut(1 << 18);
+    first.swap_with_slice(&mut second[..1 << 18]);
+    fs::write(&path, bytes).unwrap();
+    assert!(matches!(place.cache.find(&key(1)), Err(Damage::Voxels)));
 }
 
 /// Every bit of a file is covered by one of the two checks, and every cut by its length.
@@ -99,10 +118,9 @@ fn another_volume_under_this_name_and_one_of_enormous_size_are_refused() {
     assert!(place.cache.find(&key(1)).is_err());
     let mut large = made(1);
     large.volume.dims = [1 << 16, 1 << 15, 1];
-    let kept = Kept::of(&key(1), &large).unwrap();
-    let mut bytes = Vec::new();
-    kept.write(&mut bytes).unwrap();
-    fs::write(&path, bytes).unwrap();
+    let voxels: Vec<u8> = large.volume.hu.iter().flat_map(|hu| hu.to_le_bytes()).collect();
+    let sum = entry::sum_of(&[xxhash_rust::xxh3::xxh3_128(&voxels)]);
+    fs::write(&path, [entry::head(&key(1), &large, sum).unwrap(), voxels].concat()).unwrap();
     assert!(matches!(place.cache.find(&key(1)), Err(Damage::Head(_) | Damage::Length { .. })));
 }
 
@@ -167,7 +185,7 @@ fn the_volumes_unused_for_longest_make_room_and_one_too_large_is_not_kept() {
     place.keep(4);
     assert_eq!([1, 2, 3, 4].map(|number| place.finds(number)), [true, false, true, true]);
     place.cache.limit_bytes = bytes - 1;
-    assert!(place.cache.keep(&key(5), &made(5)).is_err());
+    assert!(!place.keep(5).exists());
     assert_eq!(place.cache.files().len(), 3, "nothing was removed for what does not fit");
 }
 

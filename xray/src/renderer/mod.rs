@@ -83,7 +83,7 @@ impl DrrRenderer {
             None => Material::Water.mu_per_m(parameters.energy_kev)? / 1000.0,
             Some(_) => 1e-3,
         };
-        let layer = |table| Layer::new(view, table, unit_per_m, &parameters, machine);
+        let layer = |table| pool.install(|| Layer::new(view, table, unit_per_m, &parameters, machine));
         Ok(Self {
             grid: *view.grid(),
             tissue: layer(tissue)?,

@@ -41,7 +41,7 @@ pub(crate) struct Cell8(pub [u8; CELL]);
 
 /// Storage format of a voxel.
 pub(crate) trait Voxel:
-    Copy + Default + Send + Sync + PartialEq + FromBytes + IntoBytes + Immutable + 'static
+    Copy + Default + Send + Sync + Ord + FromBytes + IntoBytes + Immutable + 'static
 {
     /// A cell of 32 voxels.
     type Cell: Copy + Default + PartialEq + Send + Sync + FromBytes + IntoBytes + Immutable;
@@ -119,6 +119,8 @@ pub(crate) struct Copy3<T: Voxel> {
     /// The values that levels stand for, as used in sums; first zero.
     values: Vec<i16>,
     levels_per_row: usize,
+    /// The largest value that it was made with, as stored.
+    largest: i16,
 }
 
 /// Where the rows of a slice are: their number, the first cell and the first level of the first one, and the steps from row to row.
@@ -155,10 +157,14 @@ impl<T: Voxel> Copy3<T> {
         let (row_cells, plane_cells) = extents(dims, axes);
         let width = row_cells * CELL;
         let mut data = Array::zeroed(machine, row_cells + plane_cells * dims[axes.v])?;
-        data[row_cells..].par_chunks_mut(plane_cells).enumerate().for_each_init(
-            || vec![T::default(); if axes.u == 0 { 0 } else { nx * ny }],
-            |flat, (plane, out)| {
-                let out = voxels_mut::<T>(out);
+        let levels_per_row = row_cells.next_multiple_of(LEVELS);
+        let plane_levels = dims[axes.slow] * levels_per_row;
+        let mut of_cells = vec![0_i16; levels_per_row + plane_levels * dims[axes.v]];
+        let planes = data[row_cells..].par_chunks_mut(plane_cells);
+        let planes = planes.zip(of_cells[levels_per_row..].par_chunks_mut(plane_levels)).enumerate();
+        let fill_plane =
+            |flat: &mut Vec<T>, (plane, (cells, levels)): (usize, (&mut [T::Cell], &mut [i16]))| {
+                let out = voxels_mut::<T>(cells);
                 if axes.u == 0 {
                     for (n, row) in out.chunks_mut(width).take(dims[axes.slow]).enumerate() {
                         let (y, z) = if axes.slow == 1 { (n, plane) } else { (plane, n) };
@@ -170,40 +176,23 @@ impl<T: Voxel> Copy3<T> {
                     }
                     transpose(flat, [nx, ny], out, width);
                 }
-            },
-        );
-        let levels_per_row = row_cells.next_multiple_of(LEVELS);
-        let (levels, values) = (Vec::new(), Vec::new());
-        let mut copy = Self { data, dims, axes, row_cells, plane_cells, levels, values, levels_per_row };
-        let of_cells = copy.values_of_cells();
-        copy.values = most_frequent(&of_cells);
+                // While the plane is in the cache.
+                values_of_cells::<T>(cells.chunks(row_cells), levels.chunks_mut(levels_per_row))
+            };
+        let flat = || vec![T::default(); if axes.u == 0 { 0 } else { nx * ny }];
+        let largest = planes.map_init(flat, fill_plane).max().unwrap_or(0);
+        let values = most_frequent(&of_cells);
         let mut level_of = vec![MIXED; 1 << 16];
-        for (level, value) in (0..MIXED).zip(&copy.values) {
+        for (level, value) in (0..MIXED).zip(&values) {
             level_of[usize::from(*value as u16)] = level;
         }
-        copy.levels = of_cells.par_iter().map(|value| level_of[usize::from(*value as u16)]).collect();
-        Some(copy)
+        let levels = of_cells.par_iter().map(|value| level_of[usize::from(*value as u16)]).collect();
+        Some(Self { data, dims, axes, row_cells, plane_cells, levels, values, levels_per_row, largest })
     }
 
-    /// For each level, the value of all of the cell's voxels as used in sums; negative if they differ.
-    fn values_of_cells(&self) -> Vec<i16> {
-        let (rows, width) = (self.dims[self.axes.slow], self.levels_per_row);
-        let mut levels = vec![0_i16; (1 + rows * self.dims[self.axes.v]) * width];
-        let planes = self.data[self.row_cells..].par_chunks(self.plane_cells);
-        levels[width..].par_chunks_mut(rows * width).zip(planes).for_each(|(levels, plane)| {
-            for (levels, row) in levels.chunks_mut(width).zip(plane.chunks(self.row_cells)) {
-                for (level, cell) in levels.iter_mut().zip(row) {
-                    *level = value_of::<T>(cell);
-                }
-            }
-        });
-        levels
-    }
-
-    /// The largest value.
+    /// The largest value that it was made with.
     pub fn largest(&self) -> i16 {
-        let largest = |cells: &[T::Cell]| voxels::<T>(cells).iter().map(|v| v.value()).max().unwrap_or(0);
-        self.data.par_chunks(1 << 11).map(largest).max().unwrap_or(0)
+        self.largest
     }
 
     /// First cell of a row, and its first level.
@@ -308,6 +297,24 @@ impl<T: Voxel> Copy3<T> {
             mixed: count(|level| *level == MIXED) / cells,
         }
     }
+}
+
+/// Notes for each cell of a plane's rows the value of all of its voxels as used in sums, negative if they differ. Returns the largest stored value.
+fn values_of_cells<'a, T: Voxel>(
+    rows: impl Iterator<Item = &'a [T::Cell]>,
+    levels: impl Iterator<Item = &'a mut [i16]>,
+) -> i16
+where
+    T::Cell: 'a,
+{
+    let mut largest = T::default();
+    for (row, levels) in rows.zip(levels) {
+        for (cell, level) in row.iter().zip(levels) {
+            *level = value_of::<T>(cell);
+        }
+        largest = voxels::<T>(row).iter().copied().fold(largest, T::max);
+    }
+    largest.value()
 }
 
 /// The value of all of a cell's voxels as used in sums; negative if they differ.

@@ -59,6 +59,10 @@ impl Start<'_> {
 
     /// The volume's largest value, if it is below the threshold.
     fn below_threshold(&self) -> Option<(i16, i16)> {
+        // Saves a search through a CT.
+        if self.voxels()?.solid_count() > 0 {
+            return None;
+        }
         let threshold_hu = self.scene.volume.as_ref()?.bone_threshold_hu;
         self.most_hu().filter(|most_hu| *most_hu < threshold_hu).map(|most_hu| (most_hu, threshold_hu))
     }
