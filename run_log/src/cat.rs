@@ -42,23 +42,38 @@ impl CatOptions {
     }
 }
 
+/// What [`cat`] has written.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Written {
+    /// How many messages.
+    pub messages: u64,
+    /// Tick of the last message of the selected topics, written or not; `None` if there is none.
+    pub last_tick: Option<Tick>,
+    /// What can be said of the log.
+    pub verdict: Verdict,
+}
+
 /// Writes the selected messages. Floats are printed with just enough digits to round-trip; infinities and NaN become
 /// strings.
 ///
 /// # Errors
 /// [`LogError::NoSuchField`]; [`LogError::NoSuchTopic`], after the messages of the other topics; a log that cannot be
 /// read.
-pub fn cat(log: &dyn LogSource, options: &CatOptions, out: &mut dyn Write) -> Result<Verdict, LogError> {
+pub fn cat(log: &dyn LogSource, options: &CatOptions, out: &mut dyn Write) -> Result<Written, LogError> {
     check_fields(&options.fields, &options.topics)?;
     let mut stream = match options.topics.as_slice() {
         [] => MessageStream::open(log, options.read)?,
         topics => MessageStream::open_topics(log, topics, options.read)?,
     };
     let dt_ns = stream.header().dt_ns.max(1);
+    let (mut messages, mut last_tick) = (0, None);
     while let Some(message) = stream.next_message()? {
         let tick = Tick(message.log_time_ns / dt_ns);
-        let chosen = options.topics.is_empty() || options.topics.iter().any(|topic| topic == message.topic);
-        if !chosen || !options.takes(tick, message.log_time_ns) {
+        if !options.topics.is_empty() && !options.topics.iter().any(|topic| topic == message.topic) {
+            continue;
+        }
+        last_tick = last_tick.max(Some(tick));
+        if !options.takes(tick, message.log_time_ns) {
             continue;
         }
         let Some(content) = content(&message, &options.fields) else { continue };
@@ -68,11 +83,12 @@ pub fn cat(log: &dyn LogSource, options: &CatOptions, out: &mut dyn Write) -> Re
         line.insert("log_time_ns".to_string(), json!(message.log_time_ns));
         line.insert("message".to_string(), content);
         writeln!(out, "{}", Value::Object(line))?;
+        messages += 1;
     }
     let topics = stream.topics();
     match options.topics.iter().find(|topic| !topics.contains(topic.as_str())) {
         Some(unknown) => Err(stream.no_such_topic(unknown)),
-        None => Ok(stream.verdict()),
+        None => Ok(Written { messages, last_tick, verdict: stream.verdict() }),
     }
 }
 

@@ -109,7 +109,7 @@ pub mod verdict;
 pub mod verify;
 mod walk;
 
-pub use cat::{CatOptions, cat};
+pub use cat::{CatOptions, Written, cat};
 pub use continuity::{Gap, Stretch};
 pub use diff::{DiffReport, HeaderDifference, diff};
 pub use difference::{Divergence, FieldDifference};

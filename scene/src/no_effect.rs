@@ -1,6 +1,6 @@
 //! Keys of a valid scene that change nothing, because another key stands in their place.
 
-use crate::model::{Arm, ArmModel, Drr, Phantom, Scene, Tracker, Volume};
+use crate::model::{Arm, ArmModel, Drr, Phantom, Scene, TendonCable, ToolDescription, Tracker, Volume};
 
 /// A key with another value than its default, and why it changes nothing.
 pub type NoEffect = (&'static str, &'static str);
@@ -20,8 +20,10 @@ pub fn keys_without_effect(scene: &Scene) -> impl Iterator<Item = NoEffect> {
         [("sensor.encoders", has_encoders)],
     ));
     let of_volume = scene.volume.iter().flat_map(of_volume);
+    let of_tool = scene.manipulator.tool.iter().flat_map(of_tool);
     let of_drr = scene.drr.iter().flat_map(of_drr);
-    of_volume.chain(of_arm(&scene.arm)).chain(of_drr).chain(trackers.flat_map(of_tracker)).chain(of_scene)
+    let of_parts = of_volume.chain(of_tool).chain(of_arm(&scene.arm)).chain(of_drr);
+    of_parts.chain(trackers.flat_map(of_tracker)).chain(of_scene)
 }
 
 /// Of these keys, the ones that are given, if they change nothing.
@@ -48,6 +50,11 @@ fn of_volume(volume: &Volume) -> impl Iterator<Item = NoEffect> {
         "in the femur: it is for the phantom `block`",
         [("volume.block_density_ratio", volume.block_density_ratio != ratio)],
     ))
+}
+
+fn of_tool(tool: &ToolDescription) -> impl Iterator<Item = NoEffect> {
+    let is_given = tool.tendon_cable != TendonCable::default();
+    vain(tool.tendon.is_empty(), "on a tool without tendons", [("manipulator.tool.tendon_cable", is_given)])
 }
 
 fn of_arm(arm: &Arm) -> impl Iterator<Item = NoEffect> {

@@ -113,6 +113,19 @@ impl Batch {
         index: usize,
         work: impl FnOnce(&mut Sim) -> Result<R, SimError> + Send + 'static,
     ) -> Result<R, SimError> {
+        self.with_watched(index, work, &mut || ())
+    }
+
+    /// As [`Batch::with`]; calls `look` every 50 ms while it waits.
+    ///
+    /// # Errors
+    /// As [`Batch::with`].
+    pub fn with_watched<R: Send + 'static>(
+        &self,
+        index: usize,
+        work: impl FnOnce(&mut Sim) -> Result<R, SimError> + Send + 'static,
+        look: &mut dyn FnMut(),
+    ) -> Result<R, SimError> {
         let none = SimError::NoSimulation { index, count: self.count };
         if index >= self.count {
             return Err(none);
@@ -121,7 +134,7 @@ impl Batch {
         let answer = self.ask(worker, move |held| {
             held.iter_mut().find(|held| held.index == index).map(|held| work(&mut held.sim))
         })?;
-        received(&answer).map_err(|_| SimError::Gone)?.unwrap_or(Err(none))
+        received_watched(&answer, look).map_err(|_| SimError::Gone)?.unwrap_or(Err(none))
     }
 
     /// Makes `ticks` ticks with every simulation and returns their states, in order. `commands` holds those of the first, then those of the second and so on,

@@ -294,10 +294,23 @@ impl Sim {
     /// # Errors
     /// As [`Sim::render`]; nothing has been rendered then.
     pub fn render_many(&mut self, from: &[View]) -> Result<Vec<Rendered>, SimError> {
-        let first = self.frames_rendered + 1;
+        self.render_many_unless(from, &AtomicBool::new(false))
+    }
+
+    /// As [`Sim::render_many`], but gives up once another thread has set `is_to_end`.
+    ///
+    /// # Errors
+    /// As [`Sim::render_many`]; [`SimError::GivenUp`].
+    pub fn render_many_unless(
+        &mut self,
+        from: &[View],
+        is_to_end: &AtomicBool,
+    ) -> Result<Vec<Rendered>, SimError> {
+        let numbered = (from, self.frames_rendered + 1);
         self.frames_rendered += from.len() as u64;
         let Sim { shared, plant, drilled, x_ray, .. } = self;
-        XRay::of(x_ray, shared, plant.predrilled())?.render_many(shared, plant.state(), drilled, from, first)
+        let x_ray = XRay::of(x_ray, shared, plant.predrilled())?;
+        x_ray.render_many(shared, plant.state(), drilled, numbered, is_to_end)
     }
 
     /// The X-ray of the present state as [`Sim::render`] gives it, and its labels. Voxels at or above `bone_from_hu` are bone; without it,

@@ -1,9 +1,10 @@
 //! The X-ray of a simulation's state.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use drr_proc::{ThisMachine, arm_model};
-use messages::{CArmGeometry, Restores, State};
+use messages::{CArmGeometry, Restores, State, Tick};
 use xray::arm_model::ArmModel;
 use xray::frame::{Cache, Job, Rendered, label_job, render_job, render_poses};
 use xray::from_scene::{renderer_parameters, scene_c_arm, scene_isocentre_m};
@@ -13,6 +14,9 @@ use zerocopy::IntoBytes;
 
 use crate::error::SimError;
 use crate::shared::SharedScene;
+
+/// Frames rendered together before it is asked whether to give up: a second of a large volume. A thread without a frame waits for the last one of them.
+const POSES_AT_ONCE: usize = 64;
 
 /// The renderer of a simulation, and how much of the drilling it has been told.
 pub(crate) struct XRay {
@@ -66,14 +70,14 @@ impl XRay {
         self.render_job(shared, &job, drilled.len())
     }
 
-    /// A frame from each of these, numbered from `sequence` on.
+    /// A frame from each of these, numbered from `sequence` on; gives up once `is_to_end` is set.
     pub(crate) fn render_many(
         &mut self,
         shared: &SharedScene,
         state: &State,
         drilled: &[u32],
-        from: &[View],
-        sequence: u64,
+        (from, sequence): (&[View], u64),
+        is_to_end: &AtomicBool,
     ) -> Result<Vec<Rendered>, SimError> {
         let c_arm = |(frame, view): (usize, &View)| match view.c_arm(shared) {
             Ok(c_arm) => Ok(c_arm.unwrap_or(self.c_arm)),
@@ -81,11 +85,25 @@ impl XRay {
             Err(other) => Err(other),
         };
         let c_arms = from.iter().enumerate().map(c_arm).collect::<Result<Vec<CArm>, SimError>>()?;
-        let job = self.job(shared, state, drilled, View::Scene, sequence)?;
-        // Frames that fail leave the renderer between two states.
-        self.told = None;
-        let rendered = render_poses(&mut self.renderer, &volume(shared)?, &job, &c_arms)?;
-        self.told = Some(drilled.len());
+        let mut job = self.job(shared, state, drilled, View::Scene, sequence)?;
+        let mut rendered: Vec<Rendered> = Vec::with_capacity(from.len());
+        for some in c_arms.chunks(POSES_AT_ONCE) {
+            if is_to_end.load(Ordering::Relaxed) {
+                return Err(SimError::GivenUp { tick: Tick(state.tick) });
+            }
+            // Frames that fail leave the renderer between two states.
+            self.told = None;
+            let of_all = |error| match error {
+                DrrError::Frame { frame, cause } => DrrError::Frame { frame: rendered.len() + frame, cause },
+                other => other,
+            };
+            let more = render_poses(&mut self.renderer, &volume(shared)?, &job, some).map_err(of_all)?;
+            rendered.extend(more);
+            self.told = Some(drilled.len());
+            // The renderer has the voxels of this state now.
+            (job.restores, job.removed) = (Restores::Nothing, Vec::new());
+            job.sequence += some.len() as u64;
+        }
         Ok(rendered)
     }
 

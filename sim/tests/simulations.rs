@@ -349,6 +349,28 @@ fn pictures_from_many_c_arms_are_those_from_each_and_change_nothing() {
     assert!(sim.render_many(&[]).unwrap().is_empty());
 }
 
+/// Ctrl-C waited in Python until the last of many frames.
+#[test]
+fn many_pictures_are_given_up_when_asked_to_and_their_number_changes_none() {
+    let place = Place::with(DRILL);
+    let mut sim = Sim::new(&place.scene(), &Drive::Nothing).unwrap();
+    sim.step(&[], 400).unwrap();
+    let view = |n: usize| View::Angles { primary_deg: n as f64, secondary_deg: 0.0 };
+    let from: Vec<View> = (0..150).map(view).collect();
+    let given_up = sim.render_many_unless(&from, &AtomicBool::new(true)).unwrap_err();
+    assert!(matches!(given_up, SimError::GivenUp { .. }), "{given_up}");
+    // Drilled on since: what is rendered next has the voxels of then.
+    sim.step(&[], 400).unwrap();
+    let many = sim.render_many(&from).unwrap();
+    assert!(many.windows(2).all(|pair| pair[1].frame.sequence == pair[0].frame.sequence + 1));
+    for n in [0, 63, 64, 149] {
+        assert!(many[n].pixels == sim.render(from[n]).unwrap().pixels, "frame {n}");
+    }
+    let wrong = [&from[..], &[View::Angles { primary_deg: f64::NAN, secondary_deg: 0.0 }]].concat();
+    let refused = sim.render_many(&wrong).unwrap_err().to_string();
+    assert!(refused.contains("frame 150 of the batch"), "{refused}");
+}
+
 #[test]
 fn scenes_of_the_same_synthetic_volume_share_it() {
     let place = Place::with(DRILL);

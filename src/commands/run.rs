@@ -167,10 +167,12 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
         false => {
             let made = interrupts.make_folder(&arguments.output, |parent| output_folder(parent, &scene));
             Some(made.map_err(|cause| {
-                Failure::bad_input(format!(
-                    "--output {}: cannot be created ({cause})",
-                    arguments.output.display()
-                ))
+                let output = &arguments.output;
+                let why = match output.is_file() {
+                    true => "it is a file; expected a folder, or a name that is free".to_owned(),
+                    false => format!("cannot be created ({cause})"),
+                };
+                Failure::bad_input(format!("--output {}: {why}", output.display()))
             })?)
         }
     };

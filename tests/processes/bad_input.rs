@@ -315,7 +315,14 @@ fn an_output_that_cannot_be_made_is_named() {
     let scene = place.scene(&scenes::hold("lockstep", 1.0));
     let done = trabecula(&[&"run", &scene, &"--output", &scene]);
     assert_eq!(done.code, Some(2), "{}", done.err);
-    assert!(done.err.contains("--output") && done.err.contains("scene.toml"), "{}", done.err);
+    assert!(
+        done.err.contains("--output") && done.err.contains("scene.toml: it is a file; expected a folder"),
+        "{}",
+        done.err
+    );
+    let below = trabecula(&[&"run", &scene, &"--output", &scene.join("runs")]);
+    assert_eq!(below.code, Some(2), "{}", below.err);
+    assert!(below.err.contains("runs: cannot be created"), "{}", below.err);
 }
 
 /// A scene may come from a stranger; looking at it must start none of its programs.

@@ -100,6 +100,14 @@ fn logs_are_packed_joined_split_and_exported() {
     let lines =
         run(&[&"log", &"cat", &folder, &"--topic", &"/state", &"--from-s", &"0.1", &"--to-s", &"0.105"]);
     assert_eq!(lines.lines().count(), 6);
+    // A range beyond the end printed nothing, as if the run had no states.
+    let beyond = trabecula(&[&"log", &"cat", &folder, &"--topic", &"/state", &"--from", &"90000"]);
+    assert_eq!((beyond.code, beyond.out.as_str()), (Some(0), ""));
+    assert!(
+        beyond.err.contains("no message is in this range; the last one of these topics is of tick"),
+        "{}",
+        beyond.err
+    );
     for bad in [
         &["cat", "--from-s", "-1"][..],
         &["export", "-o", "x.xls"],

@@ -347,6 +347,9 @@ def interrupted(folder: Path) -> None:
     assert all(0 <= tick < 80_000_000 for tick in batch.states["tick"]), batch.states["tick"]
     batch.reset()
     assert batch.step(pushing(0), ticks=2)["tick"].tolist() == [2, 2, 2]
+    before = sim.render().pixels.tolist()
+    ended_early(lambda: sim.render_many([(angle % 180.0, 0.0) for angle in range(20_000)]))
+    assert sim.render().pixels.tolist() == before
 
 
 def memory(folder: Path) -> None:

@@ -153,3 +153,16 @@ fn keys_of_another_phantom_and_of_a_holder_that_is_not_there_change_nothing() {
     assert_eq!(vain(holder), ["arm.holder_length_mm", "arm.holder_diameter_mm"]);
     assert!(vain(&format!("{holder}tool_position_mm = [0.0, 0.0, 100.0]\n")).is_empty());
 }
+
+#[test]
+fn a_cable_without_tendons_changes_nothing() {
+    let vain = |name: &str, more: &str| -> Vec<&str> {
+        let tools = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/tools");
+        let text = format!("{LEAST}[manipulator]\nfile = \"{name}.toml\"\n");
+        let read = |file: &Path| Ok(std::fs::read_to_string(file)? + more);
+        let scene = Scene::parse_with(&text, &tools.join("scene.toml"), &read).unwrap();
+        keys_without_effect(&scene).map(|(key, _)| key).collect()
+    };
+    assert_eq!(vain("rigid_drill", "[tendon_cable]\nfriction = 0.3\n"), ["manipulator.tool.tendon_cable"]);
+    assert!(vain("rigid_drill", "").is_empty() && vain("jhu_27", "").is_empty());
+}

@@ -6,7 +6,7 @@ use clap::Args;
 use ipc_types::messages::{Tick, TickRange};
 use recorder_proc::exit_code::exit_code;
 use recorder_proc::log_file::{LogFile, log_path};
-use run_log::{CatOptions, ReadOptions, cat};
+use run_log::{CatOptions, ReadOptions, Written, cat};
 
 use super::{Out, answered, concluded};
 use crate::commands::in_order;
@@ -52,10 +52,17 @@ pub fn run(arguments: &CatArguments, out: &mut Out<'_>) -> Result<(), Failure> {
         read: ReadOptions::default(),
     };
     let log = log_path(&arguments.log);
-    let verdict = match cat(&LogFile::at(&log), &options, out) {
-        Ok(verdict) => verdict,
+    let Written { messages, last_tick, verdict } = match cat(&LogFile::at(&log), &options, out) {
+        Ok(written) => written,
         Err(error) => return answered(Err(error)),
     };
+    if let Some(last) = last_tick.filter(|_| messages == 0) {
+        let log = log.display();
+        tell!(
+            "trabecula: {log}: no message is in this range; the last one of these topics is of tick {}",
+            last.0
+        );
+    }
     if !verdict.is_intact() {
         tell!("trabecula: {}: {verdict}", log.display());
     }

@@ -216,7 +216,12 @@ impl Sim {
         let view =
             |(geometry, angles_deg): &(Option<Vec<u8>>, _)| view_of(py, geometry.as_deref(), *angles_deg);
         let views = given.iter().map(view).collect::<PyResult<Vec<View>>>()?;
-        let rendered = self.with(py, move |sim| sim.render_many(&views))?;
+        let is_to_end = Arc::new(AtomicBool::new(false));
+        let is_ended = Arc::clone(&is_to_end);
+        let rendered = watched(py, |is_raised| {
+            let work = move |sim: &mut ::sim::Sim| sim.render_many_unless(&views, &is_ended);
+            self.0.with_watched(0, work, &mut || is_to_end.store(is_raised(), Ordering::Relaxed))
+        })?;
         let bytes = |bytes: &[u8]| PyBytes::new(py, bytes);
         Ok(rendered.iter().map(|one| (bytes(one.frame.as_bytes()), bytes(one.pixels.as_bytes()))).collect())
     }

@@ -210,6 +210,24 @@ pub(super) fn burr_thinner_than_tool(start: &Start) -> Option<String> {
         .then(|| format!("is {burr_mm}: the shaft, {tube_mm:.1} mm thick, does not follow so thin a burr"))
 }
 
+/// Guides beside a tube hold a tendon, too, but contact and X-ray know nothing of them.
+pub(super) fn tendon_outside_tube(start: &Start) -> Option<String> {
+    let tool = start.scene.manipulator.tool.as_ref()?;
+    let wall_mm = 0.5 * tool.tube.outer_diameter_mm;
+    let from_axis_mm = |tendon: &scene::ToolTendon| libm::hypot(tendon.toward_mm, tendon.across_mm);
+    let (index, tendon) = tool
+        .tendon
+        .iter()
+        .enumerate()
+        .find(|(_, tendon)| from_axis_mm(tendon) > wall_mm * (1.0 + ROUNDING))?;
+    Some(format!(
+        "{} is {:.2} mm from the tool's axis, and the tube ends {wall_mm:.2} mm from it: a tendon outside of the tube touches nothing and is \
+         in no X-ray frame",
+        index + 1,
+        from_axis_mm(tendon)
+    ))
+}
+
 /// The smoothed surface of bone and the voxels that are cut from it differ by up to half a voxel: a tip that is thinner catches on one and
 /// does not reach the other.
 pub(super) fn tip_thinner_than_voxels(start: &Start) -> Option<String> {

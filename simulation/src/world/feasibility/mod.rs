@@ -66,7 +66,7 @@ const fn unlikely(key: &'static str, find: fn(&Start) -> Option<String>) -> Rule
 }
 
 /// Every rule, in the order in which findings are told.
-const RULES: [Rule; 28] = [
+const RULES: [Rule; 29] = [
     impossible("controller.command", controllers::program_is_missing),
     impossible("volume.bone_threshold_hu", geometry::nothing_to_drill),
     unlikely("volume.bone_threshold_hu", geometry::no_bone),
@@ -79,6 +79,7 @@ const RULES: [Rule; 28] = [
     unlikely("predrill.diameter_mm", geometry::hole_thinner_than_burr),
     unlikely("manipulator.burr_diameter_mm", geometry::burr_thinner_than_tool),
     unlikely("manipulator.tool.burr.tip_diameter_mm", geometry::tip_thinner_than_voxels),
+    unlikely("manipulator.tool.tendon", geometry::tendon_outside_tube),
     impossible("body.position_mm", geometry::body_in_tool),
     impossible("arm.model", controllers::no_arm_to_move),
     impossible("arm.initial_joints_deg", controllers::no_path_from_singular_start),

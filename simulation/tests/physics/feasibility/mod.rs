@@ -92,6 +92,32 @@ fn a_long_step_is_told_of_a_pre_curved_tool_alone_and_not_of_the_other_integrato
     }
 }
 
+/// A slip of the decimal point pulled on a lever three times as long, and was run without a word.
+#[test]
+fn a_tendon_outside_of_the_tube_is_told_and_one_in_its_wall_is_not() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/tools");
+    let said = |toward_mm: &str| {
+        let text = format!(
+            "name = \"a\"\nrun = {{ mode = \"lockstep\", duration_s = 1.0 }}\n[manipulator]\nfile = \"jhu_27.toml\"\nmodel = \"spatial\"\n{TOOL}"
+        );
+        let read = |file: &Path| Ok(std::fs::read_to_string(file)?.replace("toward_mm = -2.5", toward_mm));
+        let scene = Scene::parse_with(&text, &folder.join("scene.toml"), &read).unwrap();
+        findings(&scene, None, &|_| true).unwrap()
+    };
+    assert_eq!(said("toward_mm = -2.5"), []);
+    assert_eq!(said("toward_mm = -1.8\nacross_mm = 2.4"), []);
+    for toward in ["toward_mm = -8.5", "toward_mm = -2.5\nacross_mm = 2.5"] {
+        let found = said(toward);
+        assert_eq!(found.len(), 1, "{found:?}");
+        assert_eq!((found[0].verdict, found[0].key), (Verdict::Unlikely, "manipulator.tool.tendon"));
+        assert!(
+            found[0].problem.starts_with("2 is ") && found[0].problem.contains("3.00 mm"),
+            "{}",
+            found[0]
+        );
+    }
+}
+
 /// Moment modes do not follow flexures on their stops, which the softest of the standard tool reaches at 10.7 N.
 #[test]
 fn modes_are_told_of_stops_that_the_controllers_may_reach() {
