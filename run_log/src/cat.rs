@@ -45,7 +45,7 @@ impl CatOptions {
 /// What [`cat`] has written.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Written {
-    /// How many messages.
+    /// How many messages of the selected topics are in the range.
     pub messages: u64,
     /// Tick of the last message of the selected topics, written or not; `None` if there is none.
     pub last_tick: Option<Tick>,
@@ -76,6 +76,7 @@ pub fn cat(log: &dyn LogSource, options: &CatOptions, out: &mut dyn Write) -> Re
         if !options.takes(tick, message.log_time_ns) {
             continue;
         }
+        messages += 1;
         let Some(content) = content(&message, &options.fields) else { continue };
         let mut line = Map::new();
         line.insert("topic".to_string(), json!(message.topic));
@@ -83,7 +84,6 @@ pub fn cat(log: &dyn LogSource, options: &CatOptions, out: &mut dyn Write) -> Re
         line.insert("log_time_ns".to_string(), json!(message.log_time_ns));
         line.insert("message".to_string(), content);
         writeln!(out, "{}", Value::Object(line))?;
-        messages += 1;
     }
     let topics = stream.topics();
     match options.topics.iter().find(|topic| !topics.contains(topic.as_str())) {
