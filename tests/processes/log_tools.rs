@@ -108,6 +108,8 @@ fn logs_are_packed_joined_split_and_exported() {
         "{}",
         beyond.err
     );
+    let of_others = trabecula(&[&"log", &"cat", &folder, &"--topic", &"/state", &"--field", &"sequence"]);
+    assert_eq!((of_others.out.as_str(), of_others.err.as_str()), ("", ""));
     for bad in [
         &["cat", "--from-s", "-1"][..],
         &["export", "-o", "x.xls"],
