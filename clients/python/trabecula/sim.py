@@ -260,6 +260,7 @@ class Sim:
         Raises:
             ArgumentError: A C-arm is refused, and named by its position; nothing is rendered.
             Error: The scene has no X-ray.
+            KeyboardInterrupt: Ctrl-C, or what another signal handler raises; then no image is returned.
         """
         rendered = self._native.render_many([_seen_from(c_arm) for c_arm in c_arms])
         return [_image(frame_bytes, pixels) for frame_bytes, pixels in rendered]
