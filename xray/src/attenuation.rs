@@ -148,11 +148,6 @@ impl MuTable {
         // Flipping the sign bit maps -32768..=32767 to 0..=65535, which removes the bounds check.
         self.mu_per_m[usize::from(hu as u16 ^ 0x8000)]
     }
-
-    /// The lowest Hounsfield value that attenuates; the highest of all if none does.
-    pub(crate) fn least_that_attenuates(&self) -> i16 {
-        (i16::MIN..i16::MAX).find(|hu| self.mu_per_m(*hu) > 0.0).unwrap_or(i16::MAX)
-    }
 }
 
 /// Hounsfield value of ICRU-44 cortical bone in a CT of the given effective energy.

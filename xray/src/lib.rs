@@ -71,6 +71,7 @@ pub mod lane_math;
 mod lanes;
 pub mod machine;
 pub mod message;
+mod pieces;
 mod placement;
 pub mod ray;
 pub mod reference;

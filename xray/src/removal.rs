@@ -5,12 +5,12 @@ use rayon::prelude::*;
 use crate::attenuation::MuTable;
 use crate::error::DrrError;
 use crate::grid::{Grid, VolumeView};
+use crate::pieces::{PIECE, least_hu, pieces_from};
 
 /// log2 of a block's side.
 pub(crate) const BLOCK_SHIFT: usize = 3;
 const BLOCK: usize = 1 << BLOCK_SHIFT;
-/// Voxels of a row that are compared at a time.
-const PIECE: usize = 8 * BLOCK;
+const _: () = assert!(PIECE.is_multiple_of(BLOCK), "a block lies in one piece");
 
 /// A block where nothing attenuates.
 const EMPTY: u8 = 0;
@@ -100,23 +100,16 @@ impl BlockMap {
         let dims = view.grid().dims();
         let blocks = dims.map(|n| n.div_ceil(BLOCK));
         let mut flags = vec![EMPTY; blocks[0] * blocks[1] * blocks[2]];
-        let least = table.least_that_attenuates();
+        let least = least_hu(|hu| table.mu_per_m(hu) > 0.0);
         flags.par_chunks_mut(blocks[0] * blocks[1]).enumerate().for_each(|(bz, layer)| {
-            let first = bz << BLOCK_SHIFT;
             let mut of_row = vec![EMPTY; blocks[0]];
-            for (z, y) in
-                (first..dims[2].min(first + BLOCK + 1)).flat_map(|z| (0..dims[1]).map(move |y| (z, y)))
-            {
-                let start = dims[0] * (y + dims[1] * z);
-                mark_occupied(
-                    view.hu().get(start..start + dims[0]).unwrap_or(&[]),
-                    table,
-                    least,
-                    &mut of_row,
-                );
-                let (before, own) = (y.saturating_sub(1) >> BLOCK_SHIFT, y >> BLOCK_SHIFT);
-                for flags in layer.chunks_mut(blocks[0]).take(own + 1).skip(before) {
-                    flags.iter_mut().zip(&of_row).for_each(|(flag, of_row)| *flag |= of_row);
+            for z in bz << BLOCK_SHIFT..dims[2].min((bz << BLOCK_SHIFT) + BLOCK + 1) {
+                for (y, row) in view.hu()[dims[0] * dims[1] * z..].chunks(dims[0]).take(dims[1]).enumerate() {
+                    mark_occupied(row, table, least, &mut of_row);
+                    let (before, own) = (y.saturating_sub(1) >> BLOCK_SHIFT, y >> BLOCK_SHIFT);
+                    for flags in layer[blocks[0] * before..blocks[0] * (own + 1)].chunks_mut(blocks[0]) {
+                        flags.iter_mut().zip(&of_row).for_each(|(flag, of_row)| *flag |= of_row);
+                    }
                 }
             }
         });
@@ -172,11 +165,8 @@ pub(crate) fn is_drilled(flags: u8) -> bool {
 fn mark_occupied(row: &[i16], table: &MuTable, least: i16, blocks: &mut [u8]) {
     blocks.fill(EMPTY);
     let attenuates = |hu: &i16| table.mu_per_m(*hu) > 0.0;
-    let places = (0_usize..).step_by(PIECE / BLOCK).zip(row.chunks(PIECE));
-    // Compares many voxels at a time, before any of them is looked up.
-    for (first, piece) in places.filter(|(_, piece)| piece.iter().copied().fold(i16::MIN, i16::max) >= least)
-    {
-        for (block, voxels) in (first..).zip(piece.chunks(BLOCK)) {
+    for (first, piece) in pieces_from(row, least) {
+        for (block, voxels) in (first / BLOCK..).zip(piece.chunks(BLOCK)) {
             if voxels.iter().any(attenuates) {
                 blocks[block] = OCCUPIED;
             }

@@ -78,8 +78,10 @@ pub(super) fn head(key: &Key, made: &Made, voxels_sum: u128) -> io::Result<Vec<u
 }
 
 /// The checksum of the voxels from the checksums of their pieces.
-pub(super) fn sum_of(pieces: &[u128]) -> u128 {
-    xxh3_128(&pieces.iter().flat_map(|sum| sum.to_le_bytes()).collect::<Vec<u8>>())
+pub(super) fn sum_of(pieces: impl IntoIterator<Item = io::Result<u128>>) -> io::Result<u128> {
+    let sums: Vec<[u8; 16]> =
+        pieces.into_iter().map(|sum| sum.map(u128::to_le_bytes)).collect::<io::Result<_>>()?;
+    Ok(xxh3_128(sums.as_flattened()))
 }
 
 /// Reads and checks the file of a volume.
@@ -135,21 +137,19 @@ pub fn read(mut file: &File, bytes: u64, key: &Key) -> Result<Made, Damage> {
 /// Reads the voxels that begin at `start`, and returns their checksum.
 fn read_pieces(file: &File, start: u64, hu: &mut [i16]) -> io::Result<u128> {
     let starts = (start..).step_by(2 * PIECE_VOXELS);
-    let sums = on_all_cores(hu.chunks_mut(PIECE_VOXELS).zip(starts), |(piece, start)| {
+    sum_of(on_all_cores(hu.chunks_mut(PIECE_VOXELS).zip(starts), |(piece, start)| {
         file.read_exact_at(piece.as_mut_bytes(), start)?;
         Ok(xxh3_128(piece.as_bytes()))
-    });
-    Ok(sum_of(&sums.into_iter().collect::<io::Result<Vec<u128>>>()?))
+    }))
 }
 
 /// Writes the voxels to `start`, and returns their checksum.
 fn write_pieces(file: &File, start: u64, hu: &[i16]) -> io::Result<u128> {
     let starts = (start..).step_by(2 * PIECE_VOXELS);
-    let write = |(piece, start): (&[i16], u64)| {
+    sum_of(hu.chunks(PIECE_VOXELS).zip(starts).map(|(piece, start)| {
         file.write_all_at(piece.as_bytes(), start)?;
         Ok(xxh3_128(piece.as_bytes()))
-    };
-    Ok(sum_of(&hu.chunks(PIECE_VOXELS).zip(starts).map(write).collect::<io::Result<Vec<u128>>>()?))
+    }))
 }
 
 /// Has the file of a volume written by `write`, which takes its length, and hashes the volume in a second thread meanwhile. Returns what is

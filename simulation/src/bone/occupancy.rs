@@ -66,16 +66,8 @@ pub(super) struct WindowPlace {
     shift: u32,
 }
 
-fn largest(values: &[i16]) -> i16 {
-    values.iter().copied().fold(i16::MIN, i16::max)
-}
-
 /// A bit for each of up to 64 values that is at least the threshold, the first one lowest.
 fn bits_of(values: &[i16], threshold_hu: i16) -> u64 {
-    // Of most of a CT none is.
-    if largest(values) < threshold_hu {
-        return 0;
-    }
     // A byte for each value, which the compiler's vector instructions compare sixteen at a time.
     let mut bytes = [0u8; 64];
     for (byte, value) in bytes.iter_mut().zip(values) {
@@ -105,15 +97,13 @@ impl Occupancy {
             solid_count: 0,
         };
         for (row, values) in hu.chunks_exact(dims[0]).enumerate() {
-            if largest(values) < threshold_hu {
-                continue;
-            }
             let (j, k) = (row % dims[1], row / dims[1]);
             for (word_index, chunk) in values.chunks(64).enumerate() {
-                let word = bits_of(chunk, threshold_hu);
-                if word == 0 {
+                // Of most of a CT no voxel is bone.
+                if chunk.iter().copied().fold(i16::MIN, i16::max) < threshold_hu {
                     continue;
                 }
+                let word = bits_of(chunk, threshold_hu);
                 let cell = occupancy.cell_index(word_index, j, k);
                 let byte = row * row_stride + (1 + word_index) * ROW_PADDING;
                 occupancy.bytes[byte..byte + ROW_PADDING].copy_from_slice(&word.to_le_bytes());

@@ -3,10 +3,8 @@
 
 use rayon::prelude::*;
 
+use crate::pieces::pieces_from;
 use crate::vector::Vec3;
-
-/// Voxels of a row that are compared at a time.
-const PIECE: usize = 64;
 
 /// Voxels `low..end` along each axis; those outside attenuate nothing. Empty if nothing does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,8 +22,6 @@ impl Occupied {
         T: Copy + Sync + PartialOrd,
     {
         let [nx, ny, _] = dims;
-        // Compares many voxels at a time, before any of them is looked up.
-        let may_attenuate = |voxels: &&[T]| voxels.iter().fold(false, |may, voxel| may | (*voxel >= least));
         let row = |(n, row): (usize, &[T])| {
             let first_of = |(start, voxels): (usize, &[T])| {
                 voxels.iter().position(|voxel| attenuates(*voxel)).map(|x| start + x)
@@ -33,10 +29,8 @@ impl Occupied {
             let last_of = |(start, voxels): (usize, &[T])| {
                 voxels.iter().rposition(|voxel| attenuates(*voxel)).map(|x| start + x)
             };
-            let pieces =
-                || (0..nx).step_by(PIECE).zip(row.chunks(PIECE)).filter(|(_, voxels)| may_attenuate(voxels));
-            let Some(first) = pieces().find_map(first_of) else { return Self::NOTHING };
-            let last = pieces().rev().find_map(last_of).unwrap_or(first);
+            let Some(first) = pieces_from(row, least).find_map(first_of) else { return Self::NOTHING };
+            let last = pieces_from(row, least).rev().find_map(last_of).unwrap_or(first);
             let (y, z) = (n % ny, n / ny);
             Self { low: [first, y, z], end: [last + 1, y + 1, z + 1] }
         };

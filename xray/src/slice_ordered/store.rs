@@ -17,6 +17,7 @@ use super::standing::Standing;
 use crate::attenuation::MuTable;
 use crate::error::DrrError;
 use crate::grid::{Grid, VolumeView};
+use crate::pieces::least_hu;
 use crate::removal::RemovedVoxels;
 
 /// The copy for slices across z, which another can serve, is made if it takes at most this part of the free memory.
@@ -142,8 +143,7 @@ impl Store {
         match self {
             Self::Whole(_) => {
                 let attenuates = |hu: i16| values.of(hu) > 0;
-                let least = (i16::MIN..i16::MAX).find(|hu| attenuates(*hu)).unwrap_or(i16::MAX);
-                Occupied::of(view.grid().dims(), view.hu(), least, attenuates)
+                Occupied::of(view.grid().dims(), view.hu(), least_hu(attenuates), attenuates)
             }
             Self::Preview { blocks, .. } => {
                 Occupied::of(blocks.dims, &blocks.sums, 1, |sum| blocks.value(sum) > 0)
