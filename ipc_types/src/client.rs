@@ -20,7 +20,7 @@ use crate::own::Own;
 use crate::ports::{Publisher, Subscriber};
 use crate::services::{self, CONNECTIONS_BYTES, Service};
 use crate::session::{
-    ANNOUNCEMENT_FILE, Announcement, Blame, ByteService, CONTROLLER_VARIABLE, PAGE_FILE, Reader,
+    ANNOUNCEMENT_FILE, Announcement, Blame, ByteService, CONTROLLER_VARIABLE, PAGE_FILE, Reader, Remains,
     SESSION_VARIABLE, Session, SessionError, SessionId, await_announcement, check_layouts, create_node,
     file_error, is_locked, open_folder, short_memory, transported,
 };
@@ -55,9 +55,11 @@ impl Session {
         check_layouts(&announcement)?;
         let none = || SessionError::NotASession { given: foreign_path(folder) };
         let id = SessionId::of(folder).ok_or_else(none)?;
+        // Before the node, so that it is dropped after it.
+        let remains = Own::new(Remains::of(folder, &id, &handle).map_err(file_error(folder))?);
         let node = Own::new(create_node(folder, &id)?);
         let page = SharedPage::open(&handle).map_err(file_error(&folder.join(PAGE_FILE)))?;
-        Ok(Session { folder: folder.to_owned(), handle, id, announcement, node, page })
+        Ok(Session { folder: folder.to_owned(), handle, id, announcement, node, _remains: remains, page })
     }
 
     /// Whether the session's host is running; works even if its folder has been removed.

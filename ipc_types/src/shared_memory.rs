@@ -15,6 +15,34 @@ const FOLDER: &str = "/dev/shm";
 #[derive(Debug)]
 pub(crate) struct SharedMemory(OwnedFd);
 
+/// A number that the kernel draws at each start (random(4)).
+const BOOT_ID: &str = "/proc/sys/kernel/random/boot_id";
+
+/// Which `/dev/shm` a program sees: the machine's, or that of a container. Its text is what a session's folder keeps.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Identity {
+    /// The machine's start, which ends all shared memory before it.
+    boot: String,
+    /// Number of the file system; each that is mounted has its own.
+    device: u64,
+}
+
+impl Identity {
+    /// Whether what remains of the memory of a session that has kept this text is in this one: it is the same one, or that one ended with the
+    /// machine's last start.
+    pub(crate) fn holds_what_remains_of(&self, text: &str) -> bool {
+        let Some((boot, device)) = text.split_once(' ') else { return false };
+        let has_ended = boot != self.boot && !boot.is_empty() && !self.boot.is_empty();
+        has_ended || device == self.device.to_string()
+    }
+}
+
+impl Display for Identity {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        write!(f, "{} {}", self.boot, self.device)
+    }
+}
+
 /// A segment whose memory could not be reserved.
 #[derive(Debug)]
 pub(crate) struct Short {
@@ -26,6 +54,13 @@ impl SharedMemory {
     pub(crate) fn open() -> io::Result<SharedMemory> {
         let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::CLOEXEC;
         Ok(SharedMemory(rustix::fs::openat(CWD, FOLDER, flags, Mode::empty())?))
+    }
+
+    /// Which of the machine's shared memories this one is.
+    pub(crate) fn identity(&self) -> io::Result<Identity> {
+        // Not readable in some containers.
+        let boot = std::fs::read_to_string(BOOT_ID).unwrap_or_default().trim().to_owned();
+        Ok(Identity { boot, device: rustix::fs::fstat(&self.0)?.st_dev })
     }
 
     fn names(&self, prefix: &str) -> Vec<String> {

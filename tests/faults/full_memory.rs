@@ -1,10 +1,14 @@
-//! Shared memory that is full, read-only, or has no room for more files.
+//! Shared memory that is full, read-only, has no room for more files, or is another container's.
 
 use std::fs::Permissions;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
+use std::process::Command;
 
-use crate::common::program::{Ended, Place, Run};
+use ipc_types::session::SessionId;
+use rustix::process::Signal;
+
+use crate::common::program::{Ended, Place, Run, parts_of, signal, wait_for};
 use crate::common::scenes;
 use crate::name_space::NameSpace;
 use crate::scarce::{MEMORY, memory_left, start_in};
@@ -43,27 +47,37 @@ fn the_default_scene_runs_with_one_gibibyte_of_shared_memory() {
     assert_eq!(memory_left(&space), Vec::<String>::new());
 }
 
-/// A run in a namespace of this user's own, with its sessions in the test's folder; none, aloud, where that is not permitted.
+/// A run with such a shared memory.
 fn run_with_memory(options: &str) -> Option<Ended> {
-    let space = match NameSpace::of_own_user(Path::new(MEMORY), options) {
-        Ok(space) => space,
-        Err(reason) => {
-            println!("\n*** SKIPPED: {reason} ***\n");
-            return None;
-        }
-    };
-    let place = Place::new();
-    std::fs::set_permissions(place.path(""), Permissions::from_mode(0o700)).unwrap();
-    let (scene, output) = (place.scene(&scenes::hold("lockstep", 0.02)), place.path("out"));
-    let mut command = space.command();
-    command.arg(env!("CARGO_BIN_EXE_trabecula")).arg("run").arg(scene).arg("--output").arg(&output);
-    command.arg("--quiet").env("XDG_RUNTIME_DIR", place.path(""));
-    let ended = Run::of(command, output).end();
+    let space = own_memory(options)?;
+    let place = private_place();
+    let ended = start(space.command(), &place, &scenes::hold("lockstep", 0.02)).end();
     assert_eq!(memory_left(&space), Vec::<String>::new(), "{options}");
     let sessions = std::fs::read_dir(place.path("trabecula-hubs"));
     let sessions = sessions.unwrap_or_else(|cause| panic!("{options}: {cause}: {}", ended.err)).count();
     assert_eq!(sessions, 0, "{options}: a session is left");
     Some(ended)
+}
+
+/// A namespace of this user's own with such a shared memory; none, aloud, where that is not permitted.
+fn own_memory(options: &str) -> Option<NameSpace> {
+    let space = NameSpace::of_own_user(Path::new(MEMORY), options);
+    space.inspect_err(|reason| println!("\n*** SKIPPED: {reason} ***\n")).ok()
+}
+
+/// A place that may be the user's run-time folder.
+fn private_place() -> Place {
+    let place = Place::new();
+    std::fs::set_permissions(place.path(""), Permissions::from_mode(0o700)).unwrap();
+    place
+}
+
+/// Starts a run by a command that takes a program as its arguments, with its sessions in the test's folder.
+fn start(mut command: Command, place: &Place, scene: &str) -> Run {
+    let (scene, output) = (place.scene(scene), place.path("out"));
+    command.arg(env!("CARGO_BIN_EXE_trabecula")).arg("run").arg(scene).arg("--output").arg(&output);
+    command.arg("--quiet").env("XDG_RUNTIME_DIR", place.path(""));
+    Run::of(command, output)
 }
 
 /// "creating a node failed (UnableToGenerateUniqueNodeId)": not where, nor why, nor what to do.
@@ -90,4 +104,35 @@ fn a_shared_memory_with_no_room_for_more_files_is_named() {
         assert!(words.iter().all(|word| ended.err.contains(word)), "{files}: {}", ended.err);
     }
     assert_eq!((codes[0], codes.last()), (Some(1), Some(&Some(0))), "{codes:?}");
+}
+
+/// Two containers with one `/tmp`, each with a `/dev/shm` of its own: the hub of one removed the folder of a killed session of the other, and
+/// nobody knew of that one's memory any more.
+#[test]
+fn a_killed_session_in_another_shared_memory_is_left_to_a_hub_that_sees_it() {
+    let Some(space) = own_memory("size=1g") else { return };
+    let place = private_place();
+    let killed = start(Command::new("env"), &place, &scenes::hold("realtime", 60.0));
+    let session = wait_for("the session", || {
+        let folders = std::fs::read_dir(place.path("trabecula-hubs")).ok()?.flatten();
+        folders.map(|entry| entry.path()).find(|folder| folder.join("session.json").exists())
+    });
+    wait_for("its parts", || (parts_of(&session).len() >= 3).then_some(()));
+    signal(killed.pid(), Signal::STOP);
+    parts_of(&session).iter().for_each(|(_, pid)| signal(*pid, Signal::KILL));
+    signal(killed.pid(), Signal::KILL);
+    assert_eq!(killed.end().code, None);
+    wait_for("the end of its parts", || parts_of(&session).is_empty().then_some(()));
+    let prefix = SessionId::of(&session).unwrap().shared_memory_prefix();
+    let memory = || {
+        let names = std::fs::read_dir(MEMORY).unwrap().flatten().map(|entry| entry.file_name());
+        names.filter(|name| name.to_string_lossy().starts_with(&prefix)).count()
+    };
+    let left = memory();
+    assert!(left > 10, "{left}");
+    let short = scenes::hold("lockstep", 0.02);
+    assert_eq!(start(space.command(), &place, &short).end().code, Some(0));
+    assert_eq!((session.exists(), memory()), (true, left), "of a hub that does not see its memory");
+    assert_eq!(start(Command::new("env"), &place, &short).end().code, Some(0));
+    assert_eq!((session.exists(), memory()), (false, 0), "of a hub that sees its memory");
 }

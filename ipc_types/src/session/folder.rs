@@ -14,7 +14,9 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use foreign_text::foreign_line;
-use rustix::fs::{AtFlags, Dir, FileType, FlockOperation, Mode, OFlags, flock, openat, unlinkat};
+use rustix::fs::{
+    AtFlags, CWD, Dir, FileType, FlockOperation, Mode, OFlags, flock, openat, statat, unlinkat,
+};
 use rustix::io::Errno;
 
 use super::id::{PREFIX_LENGTH, SessionId};
@@ -25,6 +27,10 @@ use crate::shared_memory::SharedMemory;
 
 /// File that holds the session's name.
 const MARKER: &str = "session.id";
+/// File that tells in which `/dev/shm` the session's memory is: programs in two containers may share the folder and not the memory.
+const MEMORY: &str = "session.memory";
+/// The folder that the transport creates below a session's for its nodes.
+const NODES: &str = "nodes";
 /// Longest socket name, bytes (unix(7)).
 const MAX_SOCKET_NAME: usize = 108;
 /// Digits of a listener's number in its socket name, in a process that has made ten thousand ports. With more digits the transport refuses
@@ -65,7 +71,14 @@ impl HostFolder {
             };
             flock(&handle, FlockOperation::LockExclusive).map_err(system)?;
             match create_file(&handle, MARKER, id.to_string().as_bytes()) {
-                Ok(()) => return Ok(HostFolder { path, id, handle, above }),
+                Ok(()) => {
+                    // Before there is any memory. Without a shared memory the session's first node fails, and says why.
+                    if let Ok(memory) = SharedMemory::open().and_then(|memory| memory.identity()) {
+                        create_file(&handle, MEMORY, memory.to_string().as_bytes())
+                            .map_err(file_error(&path))?;
+                    }
+                    return Ok(HostFolder { path, id, handle, above });
+                }
                 // The same race, a moment later.
                 Err(cause) if cause.kind() == io::ErrorKind::NotFound => {}
                 Err(cause) => return Err(file_error(&path)(cause)),
@@ -230,8 +243,9 @@ fn wipe_dead_in(sessions: &OwnedFd) -> usize {
     session_names(sessions).map(|id| wipe_if_dead(sessions, &id)).filter(|wiped| *wiped).count()
 }
 
-/// Removes a session's folder if it is safe to: a real folder of this user, closed to others, whose lock is free and whose marker holds its
-/// own name; or an empty one, left by a host killed before it wrote the marker.
+/// Removes a session's folder and memory if it is safe to: a real folder of this user, closed to others, whose lock is free and whose marker
+/// holds its own name; or an empty one, left by a host killed before it wrote the marker. A session whose memory this program does not see is
+/// left to a host that does: without the folder nobody would ever remove the memory.
 fn wipe_if_dead(sessions: &OwnedFd, id: &SessionId) -> bool {
     let name = id.to_string();
     let Ok(folder) = open_private(sessions, Path::new(&name)) else { return false };
@@ -239,16 +253,35 @@ fn wipe_if_dead(sessions: &OwnedFd, id: &SessionId) -> bool {
         return false;
     }
     match read_file(&folder, MARKER) {
-        Ok(text) if text == name => {
+        Ok(text) if text == name && has_its_memory_here(&folder) => {
             remove(sessions, id, &folder);
             true
         }
-        // The system refuses to remove a folder that is not empty.
-        Err(cause) if cause.kind() == io::ErrorKind::NotFound => {
-            unlinkat(sessions, &name, AtFlags::REMOVEDIR).is_ok()
-        }
+        Err(cause) if cause.kind() == io::ErrorKind::NotFound => remove_empty(sessions, id, &folder),
         _ => false,
     }
+}
+
+/// Whether a session's memory is in the `/dev/shm` that this program sees, or is no more: its host was killed before it made any, or in the
+/// middle of its removal.
+fn has_its_memory_here(folder: &OwnedFd) -> bool {
+    let here = SharedMemory::open().and_then(|memory| memory.identity());
+    match (read_file(folder, MEMORY), here) {
+        (Ok(there), Ok(here)) => here.holds_what_remains_of(&there),
+        (Err(cause), _) => cause.kind() == io::ErrorKind::NotFound,
+        (Ok(_), Err(_)) => false,
+    }
+}
+
+/// Removes a folder in which there is nothing, or nothing but an empty folder of nodes, as a killed client leaves it ([`Remains`]). The system
+/// refuses to remove a folder that is not empty.
+fn remove_empty(sessions: &OwnedFd, id: &SessionId, folder: &OwnedFd) -> bool {
+    let _ = unlinkat(folder, NODES, AtFlags::REMOVEDIR);
+    let is_removed = unlinkat(sessions, id.to_string(), AtFlags::REMOVEDIR).is_ok();
+    if is_removed && let Ok(memory) = SharedMemory::open() {
+        memory.remove(&id.shared_memory_prefix());
+    }
+    is_removed
 }
 
 /// Locks a session's folder unless its host is alive. A host's lock is exclusive, one of a program that only looks ([`is_locked`]) is
@@ -287,7 +320,42 @@ fn remove(sessions: &OwnedFd, id: &SessionId, folder: &OwnedFd) {
     }
     remove_content(folder, Some(MARKER));
     let _ = unlinkat(folder, MARKER, AtFlags::empty());
-    let _ = unlinkat(sessions, id.to_string(), AtFlags::REMOVEDIR);
+    remove_empty(sessions, id, folder);
+}
+
+/// What a client that joins a session in the moment of its removal creates anew: the folder of nodes, and a segment for all nodes. Removed on
+/// drop, after the client's node, if the session is gone and no other client is left in it.
+#[derive(Debug)]
+pub(crate) struct Remains {
+    path: PathBuf,
+    id: SessionId,
+    /// Tells whether the session is gone.
+    handle: OwnedFd,
+}
+
+impl Remains {
+    pub(crate) fn of(path: &Path, id: &SessionId, handle: &OwnedFd) -> io::Result<Remains> {
+        Ok(Remains { path: path.to_owned(), id: id.clone(), handle: handle.try_clone()? })
+    }
+}
+
+impl Drop for Remains {
+    fn drop(&mut self) {
+        let is_gone = matches!(statat(&self.handle, MARKER, AtFlags::SYMLINK_NOFOLLOW), Err(Errno::NOENT));
+        if !is_gone {
+            return;
+        }
+        // The system refuses to remove folders with anything in them.
+        let _ = unlinkat(CWD, self.path.join(NODES), AtFlags::REMOVEDIR);
+        let is_last = !matches!(unlinkat(CWD, &self.path, AtFlags::REMOVEDIR), Err(Errno::NOTEMPTY));
+        // A host whose folder somebody else has removed goes on.
+        if is_last
+            && !is_locked(&self.handle)
+            && let Ok(memory) = SharedMemory::open()
+        {
+            memory.remove(&self.id.shared_memory_prefix());
+        }
+    }
 }
 
 /// Removes the content of an open folder, but follows no link.

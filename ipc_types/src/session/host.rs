@@ -10,8 +10,8 @@ use super::announcement::ANNOUNCEMENT_FILE;
 use super::folder::{self, HostFolder, wipe_dead_sessions};
 use super::places::{Searched, choose, places};
 use super::{
-    Announcement, ByteService, EventService, ICEORYX2_VERSION, PAGE_FILE, Reader, Session, SessionError,
-    create_node, file_error, transported,
+    Announcement, ByteService, EventService, ICEORYX2_VERSION, PAGE_FILE, Reader, Remains, Session,
+    SessionError, create_node, file_error, transported,
 };
 use crate::half_made::HalfMadeSweeper;
 use crate::messages::{ControllerIndex, Part};
@@ -98,13 +98,16 @@ impl SessionHost {
             wait: plan.wait,
             policy: plan.policy,
         };
+        // A new handle: testing the lock through the handle that holds it would release it.
+        let handle = folder::open(&folder.path)?;
+        let remains = Remains::of(&folder.path, &folder.id, &handle).map_err(file_error(&folder.path))?;
         let session = Session {
-            // A new handle: testing the lock through the handle that holds it would release it.
-            handle: folder::open(&folder.path)?,
+            handle,
             folder: folder.path.clone(),
             id: folder.id.clone(),
             announcement,
             node: Own::new(node),
+            _remains: Own::new(remains),
             page,
         };
         session.claim(Part::Host)?;

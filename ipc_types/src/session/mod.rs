@@ -34,7 +34,7 @@ pub(crate) use error::{file_error, short_memory, transported};
 pub use folder::{
     Blame, announced_sessions, host_is_alive, only_session, running_sessions, wipe_dead_sessions,
 };
-pub(crate) use folder::{create_file, is_locked, open as open_folder};
+pub(crate) use folder::{Remains, create_file, is_locked, open as open_folder};
 pub use host::{SessionHost, SessionPlan};
 pub use id::SessionId;
 pub(crate) use id::prefix_of;
@@ -62,6 +62,8 @@ pub struct Session {
     pub(crate) id: SessionId,
     pub(crate) announcement: Announcement,
     pub(crate) node: Own<Node<ipc::Service>>,
+    /// Dropped after the node.
+    pub(crate) _remains: Own<Remains>,
     pub(crate) page: SharedPage,
 }
 

@@ -1,12 +1,12 @@
 //! Starting the program, looking at its processes, and what it leaves behind.
 
-use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{LazyLock, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use test_support::limited::Limited;
 
@@ -151,6 +151,7 @@ impl Run {
 
     /// Starts a command that becomes the launcher of a run with this output.
     pub fn of(mut command: Command, output: PathBuf) -> Run {
+        LazyLock::force(&BEFORE);
         let words = tempfile::tempdir().unwrap();
         let file = |name: &str| File::create(words.path().join(name)).unwrap();
         let command = command.stdin(Stdio::null()).stdout(file("out")).stderr(file("err"));
@@ -287,6 +288,13 @@ fn threads_of(root: u32) -> String {
     text
 }
 
+fn names_in_shared_memory() -> impl Iterator<Item = String> {
+    fs::read_dir("/dev/shm").unwrap().flatten().map(|entry| entry.file_name().to_string_lossy().into_owned())
+}
+
+/// What lay in /dev/shm before the first run of these tests: of processes long gone, with whose numbers new ones begin again.
+static BEFORE: LazyLock<BTreeSet<String>> = LazyLock::new(|| names_in_shared_memory().collect());
+
 /// Names in /dev/shm that belong to the sessions of a launcher. The transport numbers what it makes, and bits 64 to 95 of
 /// each number are the process that has made it.
 pub fn shared_memory_of(launcher: u32) -> Vec<String> {
@@ -294,9 +302,7 @@ pub fn shared_memory_of(launcher: u32) -> Vec<String> {
     let is_its = |name: &String| {
         name.starts_with("trabecula010_") && name.split(['_', '.']).any(|part| made_by(part) == Ok(launcher))
     };
-    let names =
-        fs::read_dir("/dev/shm").unwrap().flatten().map(|e| e.file_name().to_string_lossy().into_owned());
-    names.filter(is_its).collect()
+    names_in_shared_memory().filter(|name| !BEFORE.contains(name)).filter(is_its).collect()
 }
 
 /// No process, no session, no shared memory of a launcher.
