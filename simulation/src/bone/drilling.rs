@@ -13,10 +13,9 @@
 //! for a cylinder pressed sideways. No part counts twice, since no voxel and no force does.
 //!
 //! **Edge.** Edges that are not sharp plough before they cut: of the forces' sum F only what exceeds
-//! `F_edge = sum of p_e(HU) x area` over the touched voxels cuts, so E is multiplied by `max(1 - F_edge / F, 0)`, and below F_edge nothing
-//! is cut at any speed. The area of a voxel is that of its faces toward the burr that no other bone covers, as seen along the contacts'
-//! normals, weighted by their forces: a burr that fills its hole touches the hole's cross-section, whatever the voxels' size.
-//! The split into ploughing and shearing is that of measured sawing forces (J. Manuf. Sci. Eng. 143:121009).
+//! `F_edge = sum of p_e(HU) x area` over the touched voxels ([`super::edge`]) cuts, so E is multiplied by `max(1 - F_edge / F, 0)`, and
+//! below F_edge nothing is cut at any speed. The split into ploughing and shearing is that of measured sawing forces (J. Manuf. Sci. Eng.
+//! 143:121009).
 //!
 //! **Sharing.** The voxels whose surface (as defined in [`super::query`]) lies within the burr grown by `reach_m` share the energy by
 //! pressure times area. The pressure is proportional to the depth (an elastic foundation of thickness `reach_m`), so the weight is
@@ -45,7 +44,7 @@ use pulp::Arch;
 use scene::MAX_CUTTER_BALLS;
 
 use super::BoneError;
-use super::cutting::{BurrContact, Work, check_time_step};
+use super::cutting::{Work, check_time_step};
 use super::patch::Patch;
 use super::reach::{Press, PressedBall, ReachedVoxels};
 use super::removal::Removal;
@@ -312,37 +311,6 @@ impl DrillTick<'_> {
     fn recession_m_per_j(&self, arch: Arch) -> f64 {
         let sum: f64 = self.scratch.weight[..self.scratch.count].iter().fold(0.0, |sum, depth| sum + depth);
         if sum > 0.0 { self.reached.most_recession_m_per_j(arch) / sum } else { 0.0 }
-    }
-
-    /// Sum of edge pressure times projected area over the touched voxels, N: see the module. Without contacts the burr's own direction is
-    /// unknown, and each voxel counts with its whole face toward the burr.
-    fn edge_force_n(&self, hu: &[i16], press: &Press, contacts: &[BurrContact]) -> f64 {
-        let geometry = self.edit.geometry();
-        // Normals weighted by force, apart by sign: a face is seen by the contacts whose normal has its direction.
-        let mut seen = [[0.0; 2]; 3];
-        let force_n: f64 = contacts.iter().map(|contact| contact.normal_force_n).sum();
-        for contact in contacts {
-            let normal =
-                geometry.direction_world_grid.tr_mul(&contact.normal) * (contact.normal_force_n / force_n);
-            for axis in 0..3 {
-                seen[axis][usize::from(normal[axis] >= 0.0)] += normal[axis].abs();
-            }
-        }
-        if contacts.is_empty() {
-            seen = [[1.0; 2]; 3];
-        }
-        let mut edge_n = 0.0;
-        for voxel in (0..self.reached.index.len()).filter(|voxel| self.reached.depth[*voxel] > 0.0) {
-            let index = self.reached.index[voxel];
-            let offset = self.reached.offset(voxel, &self.reached.ball_in(voxel, press).centre);
-            let faces_m2 = self.bare_faces_m2(voxel, &offset);
-            let mut area_m2 = 0.0;
-            for axis in 0..3 {
-                area_m2 += faces_m2[axis] * seen[axis][usize::from(offset[axis] >= 0.0)];
-            }
-            edge_n += self.edit.material().edge_pressure_pa(hu[index.at()]) * area_m2;
-        }
-        edge_n
     }
 
     /// Areas in m^2 of a voxel's faces toward the burr across each grid axis, 0 of one that other bone covers; `offset` runs from the voxel

@@ -18,6 +18,7 @@ mod buried;
 pub mod cutting;
 mod distance;
 pub mod drilling;
+mod edge;
 mod error;
 mod field;
 mod gather;

@@ -184,18 +184,17 @@ fn the_force_that_widens_a_hole_is_in_proportion_to_the_bone_cut() {
 }
 
 /// The forces on a burr that fills its hole add up to `p_e(rho) pi (r + reach)^2 + K A v / (w r_eff)`: the edge's part whatever the feed,
-/// and the cut's in proportion to it. 5 %, as above, in voxels of 0.25 mm. In voxels of 0.5 mm the burr, whose reach is a fifth of a voxel,
-/// does not touch all of the bottom at a time: 15 %. Up to a tenth of the forces is not thrust: at such forces the planes beside the pole
-/// carry some.
+/// and the cut's in proportion to it. 5 %, as above, in voxels of any size: with the hole's rim left out, S was 11 % too small in voxels of
+/// 0.5 mm and 27 % in voxels of 1 mm. Up to a tenth of the forces is not thrust: at such forces the planes beside the pole carry some.
 #[test]
 fn the_force_of_an_edge_is_a_constant_and_a_part_in_proportion_to_the_feed() {
     let edge_mpa = 2.3;
     let (law, cutting) = (MaterialLaw::default(), CuttingLaw::default());
     let pressure_pa = edge_mpa * 1e6 * (law.density_kg_m3(HU) / 1900.0).powf(1.7);
     let area_m2 = PI * (RADIUS_M + cutting.reach_m).powi(2);
-    println!("voxel mm | feed mm/s | S, N | thrust, N | edge, N | edge and cut, N");
-    for (voxel_m, feed_m_per_s, within) in
-        [(0.25e-3, 0.25e-3, 0.05), (0.25e-3, 1.0e-3, 0.05), (0.5e-3, 0.5e-3, 0.15)]
+    println!("voxel mm | feed mm/s | S, N | thrust, N | edge, N | edge and cut, N | ratio");
+    for (voxel_m, feed_m_per_s) in
+        [(0.25e-3, 0.25e-3), (0.25e-3, 1.0e-3), (0.5e-3, 0.5e-3), (0.5e-3, 2.0e-3), (1.0e-3, 0.5e-3)]
     {
         let means = widen(0.0, voxel_m, (edge_mpa, feed_m_per_s));
         let lever_m = means.force_lever_nm / means.sum_n;
@@ -203,13 +202,14 @@ fn the_force_of_an_edge_is_a_constant_and_a_part_in_proportion_to_the_feed() {
             / (cutting.cutting_friction * SPEED_RAD_S * lever_m);
         let (edge_n, closed_n) = (pressure_pa * area_m2, pressure_pa * area_m2 + cut_n);
         println!(
-            "{} | {} | {:.3} | {:.3} | {edge_n:.3} | {closed_n:.3}",
+            "{} | {} | {:.3} | {:.3} | {edge_n:.3} | {closed_n:.3} | {:.3}",
             voxel_m * 1e3,
             feed_m_per_s * 1e3,
             means.sum_n,
-            means.thrust_n
+            means.thrust_n,
+            means.sum_n / closed_n
         );
-        assert!((means.sum_n / closed_n - 1.0).abs() < within, "{} of {closed_n} N", means.sum_n);
+        assert!((means.sum_n / closed_n - 1.0).abs() < 0.05, "{} of {closed_n} N", means.sum_n);
         assert!(means.thrust_n > 0.9 * means.sum_n, "{} of {} N", means.thrust_n, means.sum_n);
     }
 }
