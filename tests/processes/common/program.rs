@@ -155,7 +155,10 @@ impl Run {
         let words = tempfile::tempdir().unwrap();
         let file = |name: &str| File::create(words.path().join(name)).unwrap();
         let command = command.stdin(Stdio::null()).stdout(file("out")).stderr(file("err"));
-        Run { child: command.spawn().unwrap(), output, words }
+        let child = command.spawn().unwrap();
+        // The number may have been another launcher's.
+        SEEN.lock().unwrap_or_else(PoisonError::into_inner).remove(&child.id());
+        Run { child, output, words }
     }
 
     /// What the launcher has said on standard error so far.
@@ -228,10 +231,12 @@ impl Drop for Run {
     }
 }
 
+/// Sessions by their launchers.
+static SEEN: Mutex<BTreeMap<u32, PathBuf>> = Mutex::new(BTreeMap::new());
+
 /// The session of a launcher, which its announcement names. It is remembered: what is left behind is looked for under its
 /// name.
 fn session_of(launcher: u32) -> Option<PathBuf> {
-    static SEEN: Mutex<BTreeMap<u32, PathBuf>> = Mutex::new(BTreeMap::new());
     let mut seen = SEEN.lock().unwrap_or_else(PoisonError::into_inner);
     if let Entry::Vacant(place) = seen.entry(launcher) {
         let entries = places().into_iter().flat_map(|place| fs::read_dir(place.path()).into_iter().flatten());
@@ -292,7 +297,7 @@ fn names_in_shared_memory() -> impl Iterator<Item = String> {
     fs::read_dir("/dev/shm").unwrap().flatten().map(|entry| entry.file_name().to_string_lossy().into_owned())
 }
 
-/// What lay in /dev/shm before the first run of these tests: of processes long gone, with whose numbers new ones begin again.
+/// What lay in /dev/shm before the first run of these tests. A new process may get the number of one that left something there.
 static BEFORE: LazyLock<BTreeSet<String>> = LazyLock::new(|| names_in_shared_memory().collect());
 
 /// Names in /dev/shm that belong to the sessions of a launcher. The transport numbers what it makes, and bits 64 to 95 of
