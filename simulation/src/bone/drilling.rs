@@ -13,7 +13,7 @@
 //! for a cylinder pressed sideways. No part counts twice, since no voxel and no force does.
 //!
 //! **Edge.** Edges that are not sharp plough before they cut: of the forces' sum F only what exceeds
-//! `F_edge = sum of p_e(HU) x area` over the touched voxels ([`super::edge`]) cuts, so E is multiplied by `max(1 - F_edge / F, 0)`, and
+//! `F_edge = sum of p_e(HU) x area` over the touched voxels (`edge.rs`) cuts, so E is multiplied by `max(1 - F_edge / F, 0)`, and
 //! below F_edge nothing is cut at any speed. The split into ploughing and shearing is that of measured sawing forces (J. Manuf. Sci. Eng.
 //! 143:121009).
 //!
