@@ -28,6 +28,13 @@ pub(crate) struct Identity {
 }
 
 impl Identity {
+    /// That of the `/dev/shm` that this program sees.
+    pub(crate) fn here() -> io::Result<Identity> {
+        // Not readable in some containers.
+        let boot = std::fs::read_to_string(BOOT_ID).unwrap_or_default().trim().to_owned();
+        Ok(Identity { boot, device: rustix::fs::fstat(SharedMemory::open()?.0)?.st_dev })
+    }
+
     /// Whether what remains of the memory of a session that has kept this text is in this one: it is the same one, or that one ended with the
     /// machine's last start.
     pub(crate) fn holds_what_remains_of(&self, text: &str) -> bool {
@@ -54,13 +61,6 @@ impl SharedMemory {
     pub(crate) fn open() -> io::Result<SharedMemory> {
         let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::CLOEXEC;
         Ok(SharedMemory(rustix::fs::openat(CWD, FOLDER, flags, Mode::empty())?))
-    }
-
-    /// Which of the machine's shared memories this one is.
-    pub(crate) fn identity(&self) -> io::Result<Identity> {
-        // Not readable in some containers.
-        let boot = std::fs::read_to_string(BOOT_ID).unwrap_or_default().trim().to_owned();
-        Ok(Identity { boot, device: rustix::fs::fstat(&self.0)?.st_dev })
     }
 
     fn names(&self, prefix: &str) -> Vec<String> {
@@ -95,6 +95,13 @@ impl SharedMemory {
             }
         }
         Ok(())
+    }
+
+    /// [`Self::remove`], if there is a shared memory.
+    pub(crate) fn remove_all(prefix: &str) {
+        if let Ok(memory) = SharedMemory::open() {
+            memory.remove(prefix);
+        }
     }
 
     /// Removes a session's names.

@@ -5,10 +5,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::Command;
 
-use ipc_types::session::SessionId;
-use rustix::process::Signal;
-
-use crate::common::program::{Ended, Place, Run, parts_of, signal, wait_for};
+use crate::common::program::{Ended, Place, Run, kill_all, parts_of, segments_of, session_below, wait_for};
 use crate::common::scenes;
 use crate::name_space::NameSpace;
 use crate::scarce::{MEMORY, memory_left, start_in};
@@ -113,26 +110,20 @@ fn a_killed_session_in_another_shared_memory_is_left_to_a_hub_that_sees_it() {
     let Some(space) = own_memory("size=1g") else { return };
     let place = private_place();
     let killed = start(Command::new("env"), &place, &scenes::hold("realtime", 60.0));
-    let session = wait_for("the session", || {
-        let folders = std::fs::read_dir(place.path("trabecula-hubs")).ok()?.flatten();
-        folders.map(|entry| entry.path()).find(|folder| folder.join("session.json").exists())
-    });
+    let session = session_below(&place.path(""));
     wait_for("its parts", || (parts_of(&session).len() >= 3).then_some(()));
-    signal(killed.pid(), Signal::STOP);
-    parts_of(&session).iter().for_each(|(_, pid)| signal(*pid, Signal::KILL));
-    signal(killed.pid(), Signal::KILL);
+    kill_all(killed.pid(), &session);
     assert_eq!(killed.end().code, None);
     wait_for("the end of its parts", || parts_of(&session).is_empty().then_some(()));
-    let prefix = SessionId::of(&session).unwrap().shared_memory_prefix();
-    let memory = || {
-        let names = std::fs::read_dir(MEMORY).unwrap().flatten().map(|entry| entry.file_name());
-        names.filter(|name| name.to_string_lossy().starts_with(&prefix)).count()
-    };
-    let left = memory();
-    assert!(left > 10, "{left}");
+    let left = segments_of(&session);
+    assert!(left.len() > 10, "{left:?}");
     let short = scenes::hold("lockstep", 0.02);
     assert_eq!(start(space.command(), &place, &short).end().code, Some(0));
-    assert_eq!((session.exists(), memory()), (true, left), "of a hub that does not see its memory");
+    assert_eq!(
+        (session.exists(), segments_of(&session)),
+        (true, left),
+        "of a hub that does not see its memory"
+    );
     assert_eq!(start(Command::new("env"), &place, &short).end().code, Some(0));
-    assert_eq!((session.exists(), memory()), (false, 0), "of a hub that sees its memory");
+    assert_eq!((session.exists(), segments_of(&session)), (false, vec![]), "of a hub that sees its memory");
 }

@@ -13,7 +13,8 @@ use crate::clock::stepping_clock;
 use crate::common::client::Client;
 use crate::common::logs::{assert_replays, read};
 use crate::common::program::{
-    Ended, Place, Run, assert_nothing_left, parts_of, session_folder, shared_memory_of, signal, wait_for,
+    Ended, Place, Run, assert_nothing_left, kill_all, parts_of, session_folder, shared_memory_of, signal,
+    wait_for,
 };
 use crate::common::scenes;
 use crate::fault::{Fault, Victim};
@@ -199,13 +200,7 @@ fn act(fault: Fault, watched: &mut Watched, guests: &mut Vec<Guest>, random: &mu
             let limit = Some(3_000_000 + random.u64(..3_000_000));
             prlimit(Some(recorder), Resource::Fsize, Rlimit { current: limit, maximum: limit }).unwrap();
         }
-        Fault::AllKilled => {
-            signal(watched.run.pid(), Signal::STOP);
-            for (_, pid) in parts_of(&watched.session) {
-                signal(pid, Signal::KILL);
-            }
-            signal(watched.run.pid(), Signal::KILL);
-        }
+        Fault::AllKilled => kill_all(watched.run.pid(), &watched.session),
         Fault::TwoHubs => second_hub(random),
         Fault::OtherVersion => drop(guest(watched, Behaviour::OtherVersion, random)),
         // The clock steps all the time.

@@ -8,11 +8,10 @@ use std::process::Command;
 use test_support::limited::Limited;
 
 use ipc_types::messages::CONTROL_STOP;
-use ipc_types::session::SessionId;
 
 use crate::common::client::Client;
 use crate::common::logs::{rename_attachments, rewrite_as, verify};
-use crate::common::program::{Place, Run, assert_nothing_left, trabecula};
+use crate::common::program::{Place, Run, assert_nothing_left, segments_of, trabecula};
 use crate::common::scenes;
 
 /// A user who is not the one that runs the session.
@@ -20,10 +19,8 @@ const NOBODY: u32 = 65_534;
 
 /// All files of a session: its folder, what lies in it, and its shared memory.
 fn files_of(run: &Run) -> Vec<PathBuf> {
-    let prefix = SessionId::of(&run.session()).unwrap().shared_memory_prefix();
-    let memory = fs::read_dir("/dev/shm").unwrap().flatten().map(|entry| entry.path());
-    let of_run = |path: &PathBuf| path.file_name().unwrap().to_string_lossy().starts_with(&prefix);
-    let mut files: Vec<PathBuf> = memory.filter(of_run).collect();
+    let segments = segments_of(&run.session());
+    let mut files: Vec<PathBuf> = segments.iter().map(|name| Path::new("/dev/shm").join(name)).collect();
     assert!(files.len() > 10, "{files:?}");
     let mut folders = vec![run.session()];
     while let Some(folder) = folders.pop() {

@@ -7,14 +7,16 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use ipc_types::messages::{CONTROL_RESUME, CONTROL_STOP};
-use ipc_types::session::{SESSION_VARIABLE, SessionId};
+use ipc_types::session::SESSION_VARIABLE;
 use tempfile::TempDir;
 use trabecula_client::{Client, ClientError, Connection};
 
 use test_support::limited::{Watchdog, end_within};
 
 use crate::common::logs::{assert_replays, read};
-use crate::common::program::{LIMIT, Place, Run, assert_nothing_left, trabecula, wait_for};
+use crate::common::program::{
+    LIMIT, Place, Run, assert_nothing_left, segments_of, session_below, trabecula, wait_for,
+};
 use crate::common::scenes;
 use crate::languages::{output_within_limit, python, skip};
 use crate::strays::joined;
@@ -219,17 +221,8 @@ fn two_hubs_in_two_pid_namespaces_do_not_meet() {
             .env(VARIABLE, runtimes[index].path());
         Run::of(command, places[index].path("out"))
     };
-    let session = |index: usize| {
-        wait_for("a session", || {
-            let folders = fs::read_dir(runtimes[index].path().join("trabecula-hubs")).ok()?.flatten();
-            folders.map(|entry| entry.path()).find(|folder| folder.join("session.json").exists())
-        })
-    };
-    let memory = |session: &Path| {
-        let prefix = SessionId::of(session).unwrap().shared_memory_prefix();
-        let names = fs::read_dir("/dev/shm").unwrap().flatten().map(|entry| entry.file_name());
-        names.filter(|name| name.to_string_lossy().starts_with(&prefix)).count()
-    };
+    let session = |index: usize| session_below(runtimes[index].path());
+    let memory = |session: &Path| segments_of(session).len();
     let long = start(0, 30.0);
     let long_session = session(0);
     let short = start(1, 0.5);
@@ -263,7 +256,6 @@ fn a_run_whose_session_folder_is_removed_goes_on_with_its_clients() {
     client.run_control(CONTROL_RESUME, 0, LIMIT).unwrap();
     let first = client.wait_state(LIMIT).unwrap().tick;
     let session = run.session();
-    let memory = SessionId::of(&session).unwrap().shared_memory_prefix();
     fs::remove_dir_all(&session).unwrap();
     // Several looks at whether the hub lives, which a client makes ten times a second while it waits.
     while client.wait_state(LIMIT).unwrap().tick < first + 1500 {
@@ -290,8 +282,7 @@ fn a_run_whose_session_folder_is_removed_goes_on_with_its_clients() {
         ended.err
     );
     assert_nothing_left(ended.pid);
-    let left = fs::read_dir("/dev/shm").unwrap().flatten().map(|entry| entry.file_name());
-    assert_eq!(left.filter(|name| name.to_string_lossy().starts_with(&memory)).count(), 0);
+    assert_eq!(segments_of(&session), Vec::<String>::new());
     assert!(read(&ended.folder).marker.unwrap().lost.is_empty());
     assert_replays(&ended.folder);
 }

@@ -23,7 +23,7 @@ use super::id::{PREFIX_LENGTH, SessionId};
 use super::places::{Place, Unfit, open_private, places};
 use super::{SessionError, file_error};
 use crate::messages::EventCode;
-use crate::shared_memory::SharedMemory;
+use crate::shared_memory::{Identity, SharedMemory};
 
 /// File that holds the session's name.
 const MARKER: &str = "session.id";
@@ -73,9 +73,9 @@ impl HostFolder {
             match create_file(&handle, MARKER, id.to_string().as_bytes()) {
                 Ok(()) => {
                     // Before there is any memory. Without a shared memory the session's first node fails, and says why.
-                    if let Ok(memory) = SharedMemory::open().and_then(|memory| memory.identity()) {
-                        create_file(&handle, MEMORY, memory.to_string().as_bytes())
-                            .map_err(file_error(&path))?;
+                    if let Ok(here) = Identity::here() {
+                        let text = here.to_string();
+                        create_file(&handle, MEMORY, text.as_bytes()).map_err(file_error(&path))?;
                     }
                     return Ok(HostFolder { path, id, handle, above });
                 }
@@ -265,8 +265,7 @@ fn wipe_if_dead(sessions: &OwnedFd, id: &SessionId) -> bool {
 /// Whether a session's memory is in the `/dev/shm` that this program sees, or is no more: its host was killed before it made any, or in the
 /// middle of its removal.
 fn has_its_memory_here(folder: &OwnedFd) -> bool {
-    let here = SharedMemory::open().and_then(|memory| memory.identity());
-    match (read_file(folder, MEMORY), here) {
+    match (read_file(folder, MEMORY), Identity::here()) {
         (Ok(there), Ok(here)) => here.holds_what_remains_of(&there),
         (Err(cause), _) => cause.kind() == io::ErrorKind::NotFound,
         (Ok(_), Err(_)) => false,
@@ -278,8 +277,8 @@ fn has_its_memory_here(folder: &OwnedFd) -> bool {
 fn remove_empty(sessions: &OwnedFd, id: &SessionId, folder: &OwnedFd) -> bool {
     let _ = unlinkat(folder, NODES, AtFlags::REMOVEDIR);
     let is_removed = unlinkat(sessions, id.to_string(), AtFlags::REMOVEDIR).is_ok();
-    if is_removed && let Ok(memory) = SharedMemory::open() {
-        memory.remove(&id.shared_memory_prefix());
+    if is_removed {
+        SharedMemory::remove_all(&id.shared_memory_prefix());
     }
     is_removed
 }
@@ -315,9 +314,7 @@ fn names(folder: impl AsFd) -> Vec<(Box<CStr>, FileType)> {
 /// Removes a session's shared memory and folder, the marker last, so that the next host can finish an interrupted removal. What is already
 /// gone is no error.
 fn remove(sessions: &OwnedFd, id: &SessionId, folder: &OwnedFd) {
-    if let Ok(memory) = SharedMemory::open() {
-        memory.remove(&id.shared_memory_prefix());
-    }
+    SharedMemory::remove_all(&id.shared_memory_prefix());
     remove_content(folder, Some(MARKER));
     let _ = unlinkat(folder, MARKER, AtFlags::empty());
     remove_empty(sessions, id, folder);
@@ -349,11 +346,8 @@ impl Drop for Remains {
         let _ = unlinkat(CWD, self.path.join(NODES), AtFlags::REMOVEDIR);
         let is_last = !matches!(unlinkat(CWD, &self.path, AtFlags::REMOVEDIR), Err(Errno::NOTEMPTY));
         // A host whose folder somebody else has removed goes on.
-        if is_last
-            && !is_locked(&self.handle)
-            && let Ok(memory) = SharedMemory::open()
-        {
-            memory.remove(&self.id.shared_memory_prefix());
+        if is_last && !is_locked(&self.handle) {
+            SharedMemory::remove_all(&self.id.shared_memory_prefix());
         }
     }
 }

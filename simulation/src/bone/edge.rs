@@ -17,32 +17,11 @@ use super::cutting::BurrContact;
 use super::drilling::DrillTick;
 use super::reach::Press;
 
-/// A voxel beside another one.
-#[derive(Debug, Clone, Copy)]
-enum Beside {
-    /// No bone.
-    Open,
-    /// Bone of which this share is cut, out of the burr's touch.
-    Bone(f64),
-    /// Bone that the burr touches.
-    Touched(f64),
-}
-
-impl Beside {
-    /// The share that is cut.
-    fn cut(self) -> f64 {
-        match self {
-            Beside::Open => 1.0,
-            Beside::Bone(cut) | Beside::Touched(cut) => cut,
-        }
-    }
-}
-
 impl DrillTick<'_> {
     /// Sum of edge pressure times area over the touched voxels, N. Without contacts the burr's own direction is unknown, and each voxel
     /// counts with all that it turns toward the burr.
     pub(super) fn edge_force_n(&self, hu: &[i16], press: &Press, contacts: &[BurrContact]) -> f64 {
-        let to_grid = self.edit.geometry().direction_world_grid.transpose();
+        let to_world = self.edit.geometry().direction_world_grid;
         let force_n: f64 = contacts.iter().map(|contact| contact.normal_force_n).sum();
         let mut edge_n = 0.0;
         for voxel in (0..self.reached.index.len()).filter(|voxel| self.reached.depth[*voxel] > 0.0) {
@@ -51,9 +30,11 @@ impl DrillTick<'_> {
             let seen_m2 = if contacts.is_empty() {
                 area_m2.abs().sum()
             } else {
-                let along = contacts.iter().map(|contact| (to_grid * contact.normal, contact.normal_force_n));
-                let facing = along.filter(|(normal, _)| normal.dot(&to_burr) > 0.0);
-                facing.fold(0.0, |sum, (normal, n)| sum + normal.dot(&area_m2) * (n / force_n))
+                let (to_burr, area_m2) = (to_world * to_burr, to_world * area_m2);
+                let facing = contacts.iter().filter(|contact| contact.normal.dot(&to_burr) > 0.0);
+                facing.fold(0.0, |sum, contact| {
+                    sum + contact.normal.dot(&area_m2) * (contact.normal_force_n / force_n)
+                })
             };
             let pressure_pa = self.edit.material().edge_pressure_pa(hu[self.reached.index[voxel].at()]);
             edge_n += pressure_pa * seen_m2;
@@ -70,29 +51,33 @@ impl DrillTick<'_> {
         let own = self.reached.spent[voxel];
         Vector3::from([0, 1, 2].map(|axis| {
             let (step, sign) = if to_burr[axis] >= 0.0 { (1, 1.0) } else { (-1, -1.0) };
-            let before = self.beside(voxel, axis, step);
-            let after = match (before, self.beside(voxel, axis, -step)) {
-                // A shell of one voxel.
-                (Beside::Open, Beside::Open) => 0.0,
-                // The row goes on, or this is its end beyond the burr's middle.
-                (_, Beside::Touched(_) | Beside::Open) => own,
-                (_, Beside::Bone(cut)) => cut,
+            let beside = |step: i64| {
+                let mut at = self.reached.at[voxel];
+                at[axis] += step;
+                at
             };
-            sign * faces_m2[axis] * (before.cut() - after).max(0.0)
+            let (before, behind) = (self.cut_at(beside(step)), self.cut_at(beside(-step)));
+            let after = match (before, behind) {
+                // A shell of one voxel.
+                (None, None) => 0.0,
+                (_, Some(cut)) if !self.touches(beside(-step)) => cut,
+                // The row goes on, or this is its end beyond the burr's middle.
+                _ => own,
+            };
+            sign * faces_m2[axis] * (before.unwrap_or(1.0) - after).max(0.0)
         }))
     }
 
-    fn beside(&self, voxel: usize, axis: usize, step: i64) -> Beside {
-        let mut at = self.reached.at[voxel];
-        at[axis] += step;
-        if !self.edit.occupancy().is_solid_at(at) {
-            return Beside::Open;
-        }
-        let inside = at.map(|x| x as usize);
+    /// The share of a voxel that is cut; `None` if there is no bone.
+    fn cut_at(&self, at: [i64; 3]) -> Option<f64> {
+        let [i, j, k] = at.map(|x| x as usize);
+        self.edit.occupancy().is_solid_at(at).then(|| self.edit.pool().spent(i, j, k))
+    }
+
+    /// Whether the burr touches a voxel of the grid.
+    fn touches(&self, at: [i64; 3]) -> bool {
+        let index = self.edit.geometry().index(at.map(|x| x as usize));
         // The list is in grid order.
-        match self.reached.index.binary_search(&self.edit.geometry().index(inside)) {
-            Ok(other) if self.reached.depth[other] > 0.0 => Beside::Touched(self.reached.spent[other]),
-            _ => Beside::Bone(self.edit.pool().spent_at(self.edit.pool().place(inside))),
-        }
+        self.reached.index.binary_search(&index).is_ok_and(|other| self.reached.depth[other] > 0.0)
     }
 }

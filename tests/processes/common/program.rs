@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use test_support::limited::Limited;
 
 use ipc_types::family::descendants;
-use ipc_types::session::places;
+use ipc_types::session::{SessionId, places};
 use rustix::process::{Pid, Signal, kill_process};
 use tempfile::TempDir;
 
@@ -308,6 +308,27 @@ pub fn shared_memory_of(launcher: u32) -> Vec<String> {
         name.starts_with("trabecula010_") && name.split(['_', '.']).any(|part| made_by(part) == Ok(launcher))
     };
     names_in_shared_memory().filter(|name| !BEFORE.contains(name)).filter(is_its).collect()
+}
+
+/// Names of a session's segments in /dev/shm.
+pub fn segments_of(session: &Path) -> Vec<String> {
+    let prefix = SessionId::of(session).unwrap().shared_memory_prefix();
+    names_in_shared_memory().filter(|name| name.starts_with(&prefix)).collect()
+}
+
+/// The session that a run-time folder holds, once it is announced.
+pub fn session_below(runtime: &Path) -> PathBuf {
+    wait_for("a session", || {
+        let folders = fs::read_dir(runtime.join("trabecula-hubs")).ok()?.flatten();
+        folders.map(|entry| entry.path()).find(|folder| folder.join("session.json").exists())
+    })
+}
+
+/// Kills a launcher and all its parts, so that none of them clears up anything.
+pub fn kill_all(launcher: u32, session: &Path) {
+    signal(launcher, Signal::STOP);
+    parts_of(session).iter().for_each(|(_, pid)| signal(*pid, Signal::KILL));
+    signal(launcher, Signal::KILL);
 }
 
 /// No process, no session, no shared memory of a launcher.
