@@ -72,12 +72,13 @@ impl HostFolder {
             flock(&handle, FlockOperation::LockExclusive).map_err(system)?;
             match create_file(&handle, MARKER, id.to_string().as_bytes()) {
                 Ok(()) => {
-                    // Before there is any memory. Without a shared memory the session's first node fails, and says why.
+                    let host = HostFolder { path, id, handle, above };
+                    // Before there is any memory, and whole: of half a text no host would know what to do. Without a shared memory the
+                    // session's first node fails, and says why.
                     if let Ok(here) = Identity::here() {
-                        let text = here.to_string();
-                        create_file(&handle, MEMORY, text.as_bytes()).map_err(file_error(&path))?;
+                        host.write(MEMORY, here.to_string().as_bytes())?;
                     }
-                    return Ok(HostFolder { path, id, handle, above });
+                    return Ok(host);
                 }
                 // The same race, a moment later.
                 Err(cause) if cause.kind() == io::ErrorKind::NotFound => {}

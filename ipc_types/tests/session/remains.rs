@@ -72,6 +72,8 @@ fn the_session_of_a_dead_host_is_wiped_by_the_next_host() {
     std::os::unix::fs::symlink(home.path(), stale.path().join("link")).unwrap();
     // A host killed before it could mark its folder.
     fs::remove_file(marked.path().join("session.id")).unwrap();
+    // A host killed, or out of disk, while it wrote where its memory is.
+    fs::write(stale.path().join(".session.memory"), "da4d").unwrap();
     // A client killed while it joined a session that was being removed.
     fs::remove_file(joined.path().join("session.id")).unwrap();
     fs::create_dir(joined.path().join("nodes")).unwrap();
