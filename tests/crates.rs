@@ -26,7 +26,7 @@ const CORES: [(&str, &str); 16] = [
     ("xray", "xray"),
     ("sweep", "sweep"),
     ("hub", "hub"),
-    ("hub_simulator", "hub/simulator"),
+    ("hub_simulator", "crates/hub/simulator"),
 ];
 
 /// Crates that no core reaches, and why. Only normal dependencies count: tests and build scripts may use them.
@@ -55,7 +55,7 @@ const REACHED_ALL_THE_SAME: [(&str, &str, &str); 1] = [(
     "xray",
     "rayon",
     "each row of an image and each slab of a volume is computed whole by one thread, and what is added up are integers, so no schedule \
-     shows in a frame (tests in xray/tests/drr compare numbers of threads); the threads are those of a pool that the caller hands in",
+     shows in a frame (tests in crates/xray/tests/drr compare numbers of threads); the threads are those of a pool that the caller hands in",
 )];
 
 /// What no core's source says, and why.
@@ -85,7 +85,7 @@ const UNSAID: [(&str, &str); 21] = [
 
 /// What is said all the same: file, what, and why that is right. A line that is no longer needed fails the test.
 const SAID_ALL_THE_SAME: [(&str, &str, &str); 1] = [(
-    "scene/src/lib.rs",
+    "crates/scene/src/lib.rs",
     "std::path::absolute",
     "a scene's text is copied to other folders, so its relative paths are made absolute when it is read",
 )];

@@ -35,7 +35,9 @@ fn text_blocks(page: &str) -> Vec<Vec<String>> {
 #[test]
 fn the_tick_of_the_architecture_is_that_of_the_code() {
     let blocks = text_blocks(&read("ARCHITECTURE.md"));
-    for (source, first) in [("hub/src/lib.rs", "connect:"), ("simulation/src/world/mod.rs", "1. apply")] {
+    for (source, first) in
+        [("crates/hub/src/lib.rs", "connect:"), ("crates/simulation/src/world/mod.rs", "1. apply")]
+    {
         let block = blocks.iter().find(|block| block[0].starts_with(first));
         let block =
             block.unwrap_or_else(|| panic!("ARCHITECTURE.md has no block that begins with `{first}`"));
@@ -201,52 +203,52 @@ fn value(path: &str, expression: &str) -> u64 {
 /// listed constant, what a report or a terminal shows.
 const NO_CAPACITIES: &[(&str, &str)] = &[
     ("LONGEST", "ipc_types/src/session/folder.rs"),
-    ("LONGEST_GAP", "run_log/src/gaps.rs"),
-    ("LONGEST_LOOK_NS", "hub/src/patience.rs"),
+    ("LONGEST_GAP", "crates/run_log/src/gaps.rs"),
+    ("LONGEST_LOOK_NS", "crates/hub/src/patience.rs"),
     ("LONGEST_NS", "src/report/distribution.rs"),
-    ("LONGEST_STRIDE_NS", "viewer_proc/src/log/playback.rs"),
-    ("MAX_BACKLOG_STEPS", "viewer_proc/src/live/control.rs"),
-    ("MAX_CONTACTS", "simulation/src/manipulator/constant_curvature/mod.rs"),
-    ("MAX_CONTACTS", "simulation/src/manipulator/spatial/mod.rs"),
+    ("LONGEST_STRIDE_NS", "crates/viewer_proc/src/log/playback.rs"),
+    ("MAX_BACKLOG_STEPS", "crates/viewer_proc/src/live/control.rs"),
+    ("MAX_CONTACTS", "crates/simulation/src/manipulator/constant_curvature/mod.rs"),
+    ("MAX_CONTACTS", "crates/simulation/src/manipulator/spatial/mod.rs"),
     ("MAX_CORES", "physics_proc/src/process/disturbance.rs"),
-    ("MAX_EVALUATIONS", "simulation/src/rigid/coupling.rs"),
-    ("MAX_FILE_BYTES", "volume_io/src/dicom/file.rs"),
-    ("MAX_FREEDOMS", "simulation/src/manipulator/moment_modes/mod.rs"),
-    ("MAX_FREEDOMS", "simulation/src/manipulator/pressing.rs"),
-    ("MOST_FAR_PLANES", "simulation/src/bone/query.rs"),
-    ("MOST_PLANES", "simulation/src/bone/yielding.rs"),
-    ("MOST_NORMALS", "simulation/src/bone/yielding.rs"),
+    ("MAX_EVALUATIONS", "crates/simulation/src/rigid/coupling.rs"),
+    ("MAX_FILE_BYTES", "crates/volume_io/src/dicom/file.rs"),
+    ("MAX_FREEDOMS", "crates/simulation/src/manipulator/moment_modes/mod.rs"),
+    ("MAX_FREEDOMS", "crates/simulation/src/manipulator/pressing.rs"),
+    ("MOST_FAR_PLANES", "crates/simulation/src/bone/query.rs"),
+    ("MOST_PLANES", "crates/simulation/src/bone/yielding.rs"),
+    ("MOST_NORMALS", "crates/simulation/src/bone/yielding.rs"),
     ("MAX_GROUPS", "physics_proc/src/process/held_back.rs"),
-    ("MAX_HALVINGS", "xray/src/slice_ordered/parts.rs"),
-    ("MAX_JOINT_RAD", "ros_interface/src/incoming.rs"),
-    ("MAX_JOINT_RATE_RAD_PER_S", "ros_interface/src/incoming.rs"),
-    ("MAX_LAYERS", "xray/src/slice_ordered/plan.rs"),
-    ("MAX_SPEED_M_PER_S", "simulation/src/world/lost.rs"),
-    ("MAX_STRETCH", "simulation/src/world/lost.rs"),
+    ("MAX_HALVINGS", "crates/xray/src/slice_ordered/parts.rs"),
+    ("MAX_JOINT_RAD", "crates/ros_interface/src/incoming.rs"),
+    ("MAX_JOINT_RATE_RAD_PER_S", "crates/ros_interface/src/incoming.rs"),
+    ("MAX_LAYERS", "crates/xray/src/slice_ordered/plan.rs"),
+    ("MAX_SPEED_M_PER_S", "crates/simulation/src/world/lost.rs"),
+    ("MAX_STRETCH", "crates/simulation/src/world/lost.rs"),
     ("MAX_LINES", "src/commands/plot.rs"),
-    ("MAX_LINES", "xray/src/slice_ordered/plan.rs"),
-    ("MAX_LINE_EVALUATIONS", "simulation/src/rigid/descent.rs"),
+    ("MAX_LINES", "crates/xray/src/slice_ordered/plan.rs"),
+    ("MAX_LINE_EVALUATIONS", "crates/simulation/src/rigid/descent.rs"),
     ("MAX_PANELS", "src/commands/plot.rs"),
-    ("MAX_RECORD_BYTES", "run_log/src/records.rs"),
-    ("MAX_REMOVED_BYTES", "run_log/src/stream/in_chunk.rs"),
-    ("MAX_ROUNDS", "simulation/src/manipulator/step.rs"),
-    ("MAX_SPHERES", "simulation/src/manipulator/mod.rs"),
-    ("MAX_STEP", "xray/src/slice_ordered/plan.rs"),
-    ("MAX_STRAY_PIXELS", "controllers/src/tip_finder.rs"),
-    ("MAX_TENDONS", "simulation/src/manipulator/mod.rs"),
-    ("MAX_WAITING", "hub/src/x_ray/schedule.rs"),
-    ("MAX_WAITING", "run_log/src/order.rs"),
-    ("MOST", "viewer_proc/src/log/marks.rs"),
-    ("MOST", "xray/src/slice_ordered/splat.rs"),
-    ("MOST_ASKED", "viewer_proc/src/live/subscriptions.rs"),
-    ("MOST_COUNTED", "scene/src/cutter.rs"),
-    ("MOST_TWIST_DEG", "scene/src/check/tool.rs"),
-    ("MOST_CHARACTERS", "foreign_text/src/lib.rs"),
-    ("MOST_COMPLAINTS", "bridge_proc/src/igtl/connection.rs"),
-    ("MOST_LATE_NS", "viewer_proc/src/log/series/mod.rs"),
-    ("MOST_OF_A_LINE", "foreign_text/src/lib.rs"),
-    ("MOST_REMOVED", "viewer_proc/src/log/marks.rs"),
-    ("MOST_ROWS", "viewer_proc/src/log/compare.rs"),
+    ("MAX_RECORD_BYTES", "crates/run_log/src/records.rs"),
+    ("MAX_REMOVED_BYTES", "crates/run_log/src/stream/in_chunk.rs"),
+    ("MAX_ROUNDS", "crates/simulation/src/manipulator/step.rs"),
+    ("MAX_SPHERES", "crates/simulation/src/manipulator/mod.rs"),
+    ("MAX_STEP", "crates/xray/src/slice_ordered/plan.rs"),
+    ("MAX_STRAY_PIXELS", "crates/controllers/src/tip_finder.rs"),
+    ("MAX_TENDONS", "crates/simulation/src/manipulator/mod.rs"),
+    ("MAX_WAITING", "crates/hub/src/x_ray/schedule.rs"),
+    ("MAX_WAITING", "crates/run_log/src/order.rs"),
+    ("MOST", "crates/viewer_proc/src/log/marks.rs"),
+    ("MOST", "crates/xray/src/slice_ordered/splat.rs"),
+    ("MOST_ASKED", "crates/viewer_proc/src/live/subscriptions.rs"),
+    ("MOST_COUNTED", "crates/scene/src/cutter.rs"),
+    ("MOST_TWIST_DEG", "crates/scene/src/check/tool.rs"),
+    ("MOST_CHARACTERS", "crates/foreign_text/src/lib.rs"),
+    ("MOST_COMPLAINTS", "crates/bridge_proc/src/igtl/connection.rs"),
+    ("MOST_LATE_NS", "crates/viewer_proc/src/log/series/mod.rs"),
+    ("MOST_OF_A_LINE", "crates/foreign_text/src/lib.rs"),
+    ("MOST_REMOVED", "crates/viewer_proc/src/log/marks.rs"),
+    ("MOST_ROWS", "crates/viewer_proc/src/log/compare.rs"),
 ];
 
 fn sources(folder: &Path, found: &mut Vec<String>) {
@@ -280,7 +282,8 @@ fn the_table_of_capacities_holds_the_values_of_the_code() {
     let mut files = Vec::new();
     packages().iter().for_each(|(_, folder)| sources(&folder.join("src"), &mut files));
     sources(&root().join("src"), &mut files);
-    let ours = files.iter().filter(|path| !path.starts_with("fuzz") && !path.starts_with("hub/simulator"));
+    let ours =
+        files.iter().filter(|path| !path.starts_with("fuzz") && !path.starts_with("crates/hub/simulator"));
     for path in ours {
         for (name, _) in constants(path) {
             let capacity = ["MAX_", "MOST", "LONGEST"].iter().any(|start| name.starts_with(start));

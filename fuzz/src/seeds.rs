@@ -10,12 +10,12 @@ use run_log::{EndReason, RunLog, TimingLog, Topic};
 use volume_io::{IDENTITY_DIRECTION, Volume, write_nrrd};
 use zerocopy::IntoBytes;
 
-#[path = "../../volume_io/tests/common/dicom_bytes.rs"]
+#[path = "../../crates/volume_io/tests/common/dicom_bytes.rs"]
 #[allow(missing_docs, dead_code)]
 mod dicom_bytes;
-#[path = "../../run_log/tests/common/mod.rs"]
+#[path = "../../crates/run_log/tests/common/mod.rs"]
 mod log_bytes;
-#[path = "../../volume_io/tests/common/nifti_bytes.rs"]
+#[path = "../../crates/volume_io/tests/common/nifti_bytes.rs"]
 #[allow(missing_docs, dead_code)]
 mod nifti_bytes;
 

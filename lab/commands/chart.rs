@@ -36,12 +36,12 @@ pub struct DrrChartArguments {
     #[arg(long)]
     quick: bool,
     /// Also run other projectors on the same volume and poses, with this folder's scripts; each creates its own Python environment.
-    #[arg(long, value_name = "FOLDER", num_args = 0..=1, default_missing_value = "charts/peers")]
+    #[arg(long, value_name = "FOLDER", num_args = 0..=1, default_missing_value = "lab/peers")]
     peers: Option<PathBuf>,
     /// Timed frames per point, 1 to 100.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=100))]
     rounds: u32,
-    /// Instead of a chart, write the table that `tolerance.drr_rel` chooses from (`xray/src/rungs.csv`).
+    /// Instead of a chart, write the table that `tolerance.drr_rel` chooses from (`crates/xray/src/rungs.csv`).
     #[arg(long, value_name = "FILE", conflicts_with_all = ["quick", "peers"])]
     rungs: Option<PathBuf>,
 }
@@ -85,7 +85,7 @@ pub struct PhysicsChartArguments {
     #[command(flatten)]
     common: ChartArguments,
     /// Also run other simulators on the same beam, with this folder's scripts; each creates its own Python environment.
-    #[arg(long, value_name = "FOLDER", num_args = 0..=1, default_missing_value = "charts/peers/physics")]
+    #[arg(long, value_name = "FOLDER", num_args = 0..=1, default_missing_value = "lab/peers/physics")]
     peers: Option<PathBuf>,
     /// Measure only the settings that `trabecula plan` chooses from, and the drilled path.
     #[arg(long, conflicts_with = "peers")]
@@ -102,7 +102,7 @@ pub struct FlexureChartArguments {
     #[arg(short, long, default_value = "out/charts")]
     output: PathBuf,
     /// The folder of the script; it makes its own Python environment.
-    #[arg(long, value_name = "FOLDER", default_value = "charts/peers/flexure")]
+    #[arg(long, value_name = "FOLDER", default_value = "lab/peers/flexure")]
     peers: PathBuf,
     /// Mesh size at the webs, 0.05 to 0.5 mm.
     #[arg(long, default_value_t = 0.15)]

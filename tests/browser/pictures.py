@@ -60,7 +60,7 @@ def main() -> None:
             # The browser draws without a graphics card, on the cores that the run needs.
             run = start("run", SCENE, "--set", 'run.policy="fifo"', "--output", folder, "--images", "none", "--quiet")
             session = said(run, "session", r"^session\s+(\S+)")
-            view = start("view", "--session", session, "--port", "0", "--no-open", "--page-folder", ROOT / "viewer_proc/page")
+            view = start("view", "--session", session, "--port", "0", "--no-open", "--page-folder", ROOT / "crates/viewer_proc/page")
             shown = picture(said(view, "address", r"(http://\S+#token=\S+)"))
         finally:
             for process in reversed(started):

@@ -35,12 +35,12 @@ const WALL_CLOCK: [(&str, &str, &str); 6] = [
         "how long ago a file was used, to be shown; one of the future was used just now",
     ),
     (
-        "inputs/src/cache/mod.rs",
+        "crates/inputs/src/cache/mod.rs",
         "SystemTime",
         "which file was used longest ago and goes first; a wrong one is made again",
     ),
-    ("inputs/src/cache/tests.rs", "SystemTime", "times that a test gives to files"),
-    ("inputs/src/cache/tests.rs", ".modified()", "a test looks at a file's time"),
+    ("crates/inputs/src/cache/tests.rs", "SystemTime", "times that a test gives to files"),
+    ("crates/inputs/src/cache/tests.rs", ".modified()", "a test looks at a file's time"),
 ];
 
 /// Loops run by the monotonic clock (`Instant`, `CLOCK_MONOTONIC`): nobody reads another one.
@@ -50,22 +50,22 @@ fn no_loop_reads_the_wall_clock() {
     let mut folders: Vec<PathBuf> = [
         "src",
         "lab",
-        "inputs/src",
+        "crates/inputs/src",
         "ipc_types/src",
-        "volume_io/src",
-        "voxel_grid/src",
-        "counter_random/src",
-        "sensors/src",
+        "crates/volume_io/src",
+        "crates/voxel_grid/src",
+        "crates/counter_random/src",
+        "crates/sensors/src",
         "physics_proc/src",
-        "xray/src",
+        "crates/xray/src",
         "drr_proc/src",
-        "hub/src",
-        "simulation/src",
-        "scene/src",
-        "messages/src",
+        "crates/hub/src",
+        "crates/simulation/src",
+        "crates/scene/src",
+        "crates/messages/src",
     ]
     .into_iter()
-    .chain(["controller_proc/src", "recorder_proc/src", "viewer_proc/src", "clients/c/src"])
+    .chain(["controller_proc/src", "crates/recorder_proc/src", "crates/viewer_proc/src", "clients/c/src"])
     .map(|folder| root.join(folder))
     .collect();
     let mut found = Vec::new();

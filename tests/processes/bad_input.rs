@@ -55,7 +55,7 @@ fn a_value_out_of_range_is_named_with_the_range() {
     );
 }
 
-/// A tool that cannot stand: one error with file, key, value and range, and nothing starts. Every rule: `scene/tests/scenes/tools.rs`.
+/// A tool that cannot stand: one error with file, key, value and range, and nothing starts. Every rule: `crates/scene/tests/scenes/tools.rs`.
 #[test]
 fn a_tool_that_cannot_stand_is_named_with_its_file() {
     let shipped =
@@ -126,7 +126,7 @@ fn flags_without_effect_are_refused_and_a_winding_tool_is_shown() {
     assert!(shown.out.contains("planar              refused"), "{}", shown.out);
 }
 
-/// Meshes of an arm that are missing or hostile: one error with file, link or joint, and mesh. Every rule: `scene/tests/scenes/meshes.rs`.
+/// Meshes of an arm that are missing or hostile: one error with file, link or joint, and mesh. Every rule: `crates/scene/tests/scenes/meshes.rs`.
 #[test]
 fn a_mesh_of_an_arm_that_cannot_be_drawn_is_named() {
     let arms = concat!(env!("CARGO_MANIFEST_DIR"), "/configs/arms/puma560");

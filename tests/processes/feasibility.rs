@@ -1,4 +1,4 @@
-//! Scenes that make no sense: `scene check`, `run` and `plan` say the same of them. What is said of each: `simulation/tests/physics/feasibility/`.
+//! Scenes that make no sense: `scene check`, `run` and `plan` say the same of them. What is said of each: `crates/simulation/tests/physics/feasibility/`.
 
 use std::path::Path;
 

@@ -29,7 +29,7 @@ fn the_layout_shows_what_is_advertised_and_the_scene_has_foxgloves_schema() {
         .arg("-B")
         .arg(root.join("tests/lichtblick/client.py"))
         .arg(format!("ws://{}/ws?token={}", view.address, view.token))
-        .arg(root.join("viewer_proc/lichtblick-layout.json"))
+        .arg(root.join("crates/viewer_proc/lichtblick-layout.json"))
         .arg(&view.token)
         .limited_output()
         .unwrap();
@@ -54,7 +54,7 @@ fn an_exported_file_fills_the_layouts_panels_and_its_poses_are_the_states() {
         .arg("-B")
         .arg(root.join("tests/lichtblick/file.py"))
         .arg(&file)
-        .arg(root.join("viewer_proc/lichtblick-layout.json"))
+        .arg(root.join("crates/viewer_proc/lichtblick-layout.json"))
         .limited_output()
         .unwrap();
     let said = String::from_utf8_lossy(&output.stdout).into_owned();

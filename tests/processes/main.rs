@@ -20,7 +20,7 @@ mod crash;
 mod datasets;
 mod described_files;
 #[allow(dead_code, reason = "the tests of volumes need more of it")]
-#[path = "../../volume_io/tests/common/dicom_bytes.rs"]
+#[path = "../../crates/volume_io/tests/common/dicom_bytes.rs"]
 mod dicom_bytes;
 mod doctor;
 mod ends;

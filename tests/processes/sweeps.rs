@@ -355,7 +355,7 @@ fn a_report_finds_what_a_figure_depends_on_and_pandas_opens_the_dataset() {
 }
 
 fn engine(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("sweep/engines").join(name)
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("crates/sweep/engines").join(name)
 }
 
 /// The rows of the single machine, which an engine's must equal.

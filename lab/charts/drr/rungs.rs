@@ -1,4 +1,4 @@
-//! Writes `xray/src/rungs.csv`, from which a scene's `tolerance.drr_rel` chooses.
+//! Writes `crates/xray/src/rungs.csv`, from which a scene's `tolerance.drr_rel` chooses.
 //!
 //! The thigh of [`reference`](mod@reference) in 512 x 512 x 400 voxels of 0.5 mm; three poses, 512 x 512 pixels. For
 //! each projector: the largest error over the poses against Siddon's sum in f64, relative and r.m.s., on every eighth

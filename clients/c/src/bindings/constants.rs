@@ -47,7 +47,8 @@ mod tests {
     /// C, C++, Python and Zig must get all codes, such as those of `servo_jv`, `insert` and `rcm`.
     #[test]
     fn every_code_of_a_message_has_its_name_in_every_language() {
-        let source = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../messages/src/codes.rs");
+        let source =
+            std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../crates/messages/src/codes.rs");
         let text = std::fs::read_to_string(source).unwrap();
         let declared = text.lines().filter_map(|line| {
             let (name, rest) = line.trim().split_once(" = ")?.1.split_once(", ")?;
