@@ -12,7 +12,6 @@ use crate::commands::calibrate::CalibrateArguments;
 use crate::commands::docs::DocsCommand;
 use crate::commands::doctor::DoctorArguments;
 use crate::commands::drr::DrrArguments;
-use crate::commands::laboratory::LaboratoryCommand;
 use crate::commands::log::LogCommand;
 use crate::commands::plan::PlanArguments;
 use crate::commands::plot::PlotArguments;
@@ -21,6 +20,7 @@ use crate::commands::replay::ReplayArguments;
 use crate::commands::run::RunArguments;
 use crate::commands::scene::SceneCommand;
 use crate::commands::session::SessionCommand;
+use crate::commands::stress::{LoadArguments, StressArguments};
 use crate::commands::sweep::SweepCommand;
 use crate::commands::tool::ToolCommand;
 use crate::commands::view::ViewArguments;
@@ -93,8 +93,11 @@ enum UserCommand {
     Docs(DocsCommand),
     /// Check this machine for real-time limits: what each one costs and how to lift it.
     Doctor(DoctorArguments),
-    #[command(flatten)]
-    Laboratory(LaboratoryCommand),
+    /// Run a scene on limited cores under competing load, and report why ticks were late.
+    Stress(StressArguments),
+    /// The competing load of a stress test.
+    #[command(hide = true)]
+    Load(LoadArguments),
 }
 
 /// Runs the program.
@@ -143,7 +146,8 @@ fn dispatch(command: &UserCommand) -> Result<(), Failure> {
         UserCommand::Drr(arguments) => commands::drr::run(arguments),
         UserCommand::Docs(command) => commands::docs::run(command),
         UserCommand::Doctor(arguments) => commands::doctor::run(arguments),
-        UserCommand::Laboratory(command) => commands::laboratory::run(command),
+        UserCommand::Stress(arguments) => commands::stress::run(arguments),
+        UserCommand::Load(arguments) => commands::stress::disturb(arguments),
     }
 }
 
@@ -179,16 +183,13 @@ mod tests {
 
     #[test]
     fn every_command_has_examples_that_it_accepts_and_its_exit_codes_in_its_help() {
-        grammar::assert_helpful(&command_line(), &["bench", "stress", "chart", "reproduce"]);
+        grammar::assert_helpful(&command_line(), &[]);
     }
 
     #[test]
     fn every_output_is_named_by_o_and_output_and_every_command_with_figures_has_json() {
         grammar::assert_outputs(&command_line());
-        assert_eq!(
-            grammar::without_json(&command_line(), &["bench", "stress", "chart", "reproduce"]),
-            WITHOUT_FIGURES
-        );
+        assert_eq!(grammar::without_json(&command_line(), &[]), WITHOUT_FIGURES);
     }
 
     /// The suggestion is clap's; a feature of it that somebody switches off would take it away.

@@ -148,6 +148,7 @@ pub const EXAMPLES: &[Examples] = &[
     ("session pause", &["trabecula session pause"]),
     ("session resume", &["trabecula session resume"]),
     ("session env", &["trabecula session env"]),
+    ("stress", &["trabecula stress --cores 1,2", "trabecula stress scene.toml --load none,spin:2 -o out"]),
     ("cache info", &["trabecula cache info", "trabecula cache info --json"]),
     ("cache clear", &["trabecula cache clear"]),
     (

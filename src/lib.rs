@@ -1,7 +1,6 @@
 //! Shared code of the programs `trabecula` and `trabecula-lab`: commands, the launcher of a run, replay, reports.
 //!
-//! **Boundary:** the laboratory (`lab/`) builds on this crate; nothing here depends on it, except the commands
-//! forwarded to it ([`commands::laboratory`]). **Invariant:** every command prints its answer through [`mod@say`], so that
+//! **Boundary:** the laboratory (`lab/`) builds on this crate; nothing here depends on it. **Invariant:** every command prints its answer through [`mod@say`], so that
 //! a failed write is never reported as success, and text from untrusted files never reaches the terminal unescaped.
 
 #![cfg_attr(not(test), warn(clippy::print_stdout))]
@@ -26,6 +25,7 @@ mod redirect_file;
 pub mod replay;
 pub mod report;
 pub mod scene_picture;
+pub mod stress;
 pub mod sweep;
 pub mod tool;
 pub mod x_ray;

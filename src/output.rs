@@ -52,9 +52,9 @@ pub fn within(folder: &Path, names: &[&str]) -> Vec<PathBuf> {
 #[cfg(test)]
 mod tests {
     /// Commands with an output, and the argument that names it. All are in the table of `tests/processes/outputs.rs`,
-    /// except `run`, which creates a folder with a new name, and `proc recorder`, which `run` starts in it; `sweep list`, which writes
-    /// nothing; and `sweep run`, which takes a new folder or its own (`tests/processes/sweeps.rs`).
-    const KNOWN: [&str; 20] = [
+    /// except `run` and `stress`, which create a folder with a new name, and `proc recorder`, which `run` starts in it;
+    /// `sweep list`, which writes nothing; and `sweep run`, which takes a new folder or its own (`tests/processes/sweeps.rs`).
+    const KNOWN: [&str; 21] = [
         "calibrate --output",
         "docs install --output",
         "drr --output",
@@ -70,6 +70,7 @@ mod tests {
         "scene from-markups --output",
         "scene init --output",
         "scene show --output",
+        "stress --output",
         "sweep gather --output",
         "sweep list --output",
         "sweep plot --output",

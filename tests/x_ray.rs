@@ -167,36 +167,6 @@ for name in sys.argv[1:]:
     assert!(size == "64 48" && (theirs / ours - 1.0).abs() < 1e-12, "{theirs} {ours}");
 }
 
-/// The chart without other projectors, an eighth of the resolution: every projector, pose and resolution, and the figure.
-#[test]
-fn the_quick_chart_has_every_projector_with_its_error() {
-    let place = tempfile::tempdir().unwrap();
-    let done = trabecula(&["chart", "drr", "--quick", "--rounds", "1", "--output", text(place.path())]);
-    assert_eq!(done.code, Some(0), "{}", done.err);
-    let csv = fs::read_to_string(place.path().join("drr.csv")).unwrap();
-    let lines: Vec<Vec<&str>> = csv.lines().skip(1).map(|line| line.split(',').collect()).collect();
-    // 10 projectors, 3 poses, 3 resolutions, 1 and 2 threads.
-    assert_eq!(lines.len(), 10 * 3 * 3 * 2);
-    let errors = |method: &str, column: usize| -> Vec<f64> {
-        let finest = lines.iter().filter(|line| line[0] == method && line[1] == "8");
-        finest.map(|line| line[column].parse().unwrap()).collect()
-    };
-    // Columns 6 and 8: r.m.s. errors against the closed integrals and against Siddon's sum.
-    assert!(errors("siddon", 8).iter().all(|e| *e == 0.0));
-    for method in ["siddon", "joseph", "slice_ordered 1"] {
-        assert!(
-            errors(method, 6).iter().all(|e| (1e-4..0.05).contains(e)),
-            "{method}: {:?}",
-            errors(method, 6)
-        );
-    }
-    let mean = |method| errors(method, 8).iter().sum::<f64>() / 6.0;
-    assert!(mean("joseph") < mean("preview 2") && mean("preview 2") < mean("preview 4"));
-    assert!(fs::read_to_string(place.path().join("drr.svg")).unwrap().contains("<svg"));
-    let table = fs::read_to_string(place.path().join("drr.md")).unwrap();
-    assert!(table.contains("| slice_ordered 1 | 2 | ") && table.contains("Spectrum of 90 kV"));
-}
-
 #[test]
 fn a_sweep_is_a_numbered_series_or_an_animation_and_a_csv_file_is_a_batch() {
     let (place, volume) = ball();

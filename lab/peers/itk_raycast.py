@@ -1,4 +1,4 @@
-"""ITK's bilinear ray caster (RayCastInterpolateImageFunction) on the volume and poses of `trabecula chart drr`: see poses.py."""
+"""ITK's bilinear ray caster (RayCastInterpolateImageFunction) on the volume and poses of `trabecula-lab chart drr`: see poses.py."""
 import itk
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""ITK's Siddon-Jacobs ray caster on the volume and poses of `trabecula chart drr`: see poses.py."""
+"""ITK's Siddon-Jacobs ray caster on the volume and poses of `trabecula-lab chart drr`: see poses.py."""
 import sys
 
 import itk

@@ -1,4 +1,4 @@
-"""plastimatch's exact projector (Siddon) on the volume and poses of `trabecula chart drr`: see poses.py.
+"""plastimatch's exact projector (Siddon) on the volume and poses of `trabecula-lab chart drr`: see poses.py.
 
 The time is what the program prints for the projection alone, without reading and writing.
 """

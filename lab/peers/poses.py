@@ -1,4 +1,4 @@
-"""What the scripts beside this one share: the volume and the poses of `trabecula chart drr`, and how images are made of them.
+"""What the scripts beside this one share: the volume and the poses of `trabecula-lab chart drr`, and how images are made of them.
 
 Input: the folder with mu.raw and poses.json; output as lab/charts/drr/peers.rs says.
 """

@@ -1,4 +1,4 @@
-"""RTK's Joseph forward projector on the volume and poses of `trabecula chart drr`: see poses.py."""
+"""RTK's Joseph forward projector on the volume and poses of `trabecula-lab chart drr`: see poses.py."""
 import itertools
 import sys
 import time

@@ -12,4 +12,4 @@ pub use gone::Gone;
 pub use inputs::log::{OpenedLog, Overrides};
 pub use live::{LivePlan, run as run_live};
 pub use recording::{Recorded, record};
-pub use step::step;
+pub use step::{step, timed_verification};

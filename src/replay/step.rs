@@ -86,3 +86,23 @@ fn in_one_pass(
     let report = SegmentReport { replay, first_tick: first, identical_keyframes: 0, gaps };
     Ok((report, reader.stream().verdict()))
 }
+
+/// Time of a verification between keyframes, in seconds, with one thread per core.
+///
+/// # Errors
+/// A log that cannot be read, or a tick with a different hash.
+pub fn timed_verification(log: &Path) -> Result<(f64, usize), Failure> {
+    let opened = OpenedLog::open(log, &Overrides::default())?;
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let began = Instant::now();
+    let options = SegmentOptions { start: None, to_tick: None, threads };
+    let report = verify_segments(&mut opened.reader()?, &|| opened.simulation(), &options);
+    let found = report.replay;
+    if let Some(gap) = report.gaps.first() {
+        return Err(Failure::failed(format!("{}: {gap}", log.display())));
+    }
+    if !found.is_identical() {
+        return Err(Failure::failed(format!("the replay differs behind tick {}", found.last_tick)));
+    }
+    Ok((began.elapsed().as_secs_f64(), threads))
+}

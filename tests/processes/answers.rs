@@ -58,12 +58,10 @@ fn call(command: &str) -> Call {
         "session stop" | "session pause" | "session resume" | "session env" => HelpOnly,
         // It ends when it is told to. The others take minutes, and a part of a session answers nobody. All speak through
         // `src/say.rs`: a lint refuses every other way to standard output.
-        "view" | "stress" | "reproduce" => HelpOnly,
+        "view" | "stress" => HelpOnly,
         // `tests/processes/sweeps.rs` runs them.
         _ if command.starts_with("sweep ") => HelpOnly,
-        _ if ["bench ", "bridge ", "chart ", "proc "].iter().any(|group| command.starts_with(group)) => {
-            HelpOnly
-        }
+        _ if ["bridge ", "proc "].iter().any(|group| command.starts_with(group)) => HelpOnly,
         unknown => panic!("`{unknown}` is new: say here how it is called"),
     }
 }

@@ -12,7 +12,6 @@ mod bare_iceoryx2;
 mod cache;
 mod calibrate;
 mod capacities;
-mod charts;
 mod clients;
 #[allow(dead_code, reason = "other tests share it, too")]
 mod common;

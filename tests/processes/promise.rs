@@ -228,7 +228,7 @@ fn promise_8_refusal_of_another_build_layout_volume_or_scene() {
     failed(&with(&volume), 2, &["volume: SHA-256 was"]);
 }
 
-/// Prints both times; a figure on a quiet machine comes from `trabecula bench step`.
+/// Prints both times; a figure on a quiet machine comes from `trabecula-lab bench step`.
 #[test]
 fn promise_9_speed_a_replay_states_how_much_faster_than_real_time_it_was() {
     let place = Place::new();

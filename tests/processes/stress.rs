@@ -149,7 +149,7 @@ fn each_neighbour_does_what_its_name_says_until_its_limit() {
         ("fork", |pid| !processor_time(pid).children.is_zero()),
     ];
     for (kind, sign) in kinds {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula-lab"));
+        let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
         command.args(["load", kind, "--seed", "7", "--limit-s", "1", "--folder"]).arg(place.path(""));
         let mut child = command.spawn().unwrap();
         wait_for(kind, || sign(child.id()).then_some(()));

@@ -1,4 +1,4 @@
-"""Answers states: `echo.py spin|event ROUNDS`. `trabecula bench latency` measures the other side."""
+"""Answers states: `echo.py spin|event ROUNDS`. `trabecula-lab bench latency` measures the other side."""
 
 import sys
 

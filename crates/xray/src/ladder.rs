@@ -2,7 +2,7 @@
 //!
 //! For each projector, `rungs.csv` holds the largest error of three poses (0/0, 37/18, 90/5 degrees), relative r.m.s., against Siddon's
 //! sum in f64 at every eighth pixel of 512 x 512 in both directions, and the median frame time. The volume is the thigh of
-//! [`reference`](crate::reference) in 512 x 512 x 400 voxels of 0.5 mm. `trabecula chart drr --rungs FILE` writes the file.
+//! [`reference`](crate::reference) in 512 x 512 x 400 voxels of 0.5 mm. `trabecula-lab chart drr --rungs FILE` writes the file.
 
 use crate::renderer::Projector;
 

@@ -1,4 +1,4 @@
-"""Finite elements of the notched tube of `trabecula chart flexure`: one flexure, and the middle one of three.
+"""Finite elements of the notched tube of `trabecula-lab chart flexure`: one flexure, and the middle one of three.
 
 Input: a folder with flexure.json (geometry in mm, Poisson's ratio, mesh sizes, number of flexures). Prints one line per flexure count
 and mesh: `stiffness FLEXURES SIZE_MM UNKNOWNS AXIAL SHEAR_TOWARD SHEAR_ACROSS BENDING LATERAL TORSION`, for a modulus of 1 Pa, in

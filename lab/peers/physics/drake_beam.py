@@ -1,4 +1,4 @@
-"""Drake on the beam of `trabecula chart physics`: a chain of hinges with spring force elements, stepped by its discrete solver.
+"""Drake on the beam of `trabecula-lab chart physics`: a chain of hinges with spring force elements, stepped by its discrete solver.
 
 Input: a folder with beam.json; output lines as lab/charts/physics/peers.rs says. Springs are explicit in Drake and joint
 dampers implicit: with little damping its step is bounded, which is what the vibration shows.

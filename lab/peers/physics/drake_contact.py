@@ -1,4 +1,4 @@
-"""Drake in the contact problem of `trabecula chart physics --peers`: its discrete SAP solver with compliant point contact.
+"""Drake in the contact problem of `trabecula-lab chart physics --peers`: its discrete SAP solver with compliant point contact.
 
 Input: a folder with contact.json; output lines as lab/charts/physics/contact.rs says. `drake` has the stated stiffness: half of it
 in series on either side, and no near-rigid regularisation, which would soften contacts that are stiffer than a step resolves.

@@ -1,4 +1,4 @@
-"""The contact problem of `trabecula chart physics --peers` without time: the chain's energy at its least, by SciPy.
+"""The contact problem of `trabecula-lab chart physics --peers` without time: the chain's energy at its least, by SciPy.
 
 Input: a folder with contact.json; output lines as lab/charts/physics/contact.rs says. It checks the reference that judges the
 others, so it shares no code with them; its cost is no simulated time and reads 0.

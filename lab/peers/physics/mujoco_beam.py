@@ -1,4 +1,4 @@
-"""MuJoCo on the beam of `trabecula chart physics`: a chain of hinges with springs, and its cable plugin.
+"""MuJoCo on the beam of `trabecula-lab chart physics`: a chain of hinges with springs, and its cable plugin.
 
 Input: a folder with beam.json; output lines as lab/charts/physics/peers.rs says.
 """

@@ -1,4 +1,4 @@
-"""MuJoCo in the contact problem of `trabecula chart physics --peers`: `mujoco` and `mujoco_soft_joints`.
+"""MuJoCo in the contact problem of `trabecula-lab chart physics --peers`: `mujoco` and `mujoco_soft_joints`.
 
 Input: a folder with contact.json; output lines as lab/charts/physics/contact.rs says.
 

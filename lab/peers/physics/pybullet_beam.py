@@ -1,4 +1,4 @@
-"""PyBullet on the beam of `trabecula chart physics`: its reduced-coordinate chain of hinges.
+"""PyBullet on the beam of `trabecula-lab chart physics`: its reduced-coordinate chain of hinges.
 
 Input: a folder with beam.json; output lines as lab/charts/physics/peers.rs says. Its API has no joint spring: the springs are
 torques set before every step, so that the step is bounded as in any explicit method. Damped by its own damping of bodies.

@@ -1,4 +1,4 @@
-"""PyElastica's Cosserat rod on the beam of `trabecula chart physics`.
+"""PyElastica's Cosserat rod on the beam of `trabecula-lab chart physics`.
 
 Input: a folder with beam.json; output lines as lab/charts/physics/peers.rs says. The step is what the stretch of the rod
 allows, so every problem runs for as short as it settles.

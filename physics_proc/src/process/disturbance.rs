@@ -1,7 +1,7 @@
 //! What the kernel says disturbed this thread between the starts of two ticks.
 //!
 //! There are two samples per tick: [`Disturbances::work_ends`] before the thread goes to sleep,
-//! [`Disturbances::tick_begins`] after the next tick has begun. Together they take about 1.5 µs (`trabecula bench
+//! [`Disturbances::tick_begins`] after the next tick has begun. Together they take about 1.5 µs (`trabecula-lab bench
 //! readings`): two reads of the thread's CPU clock, one of `schedstat` through a file kept open, one `getrusage`. The
 //! machine's steal counter is read only in late ticks, and ten times a second as a baseline for them; the counters for
 //! what suspends the whole process (`held_back`) only after a long gap.

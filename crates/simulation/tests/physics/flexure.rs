@@ -5,7 +5,7 @@ use simulation::manipulator::{ManipulatorParameters, Notch, Section, StiffnessRa
 
 const RADII_M: [f64; 2] = [3.0e-3, 2.0e-3];
 
-/// For 1 Pa, from `trabecula chart flexure` (scikit-fem, the middle one of three, 0.15 mm), at the pitch of the first, the middle and the
+/// For 1 Pa, from `trabecula-lab chart flexure` (scikit-fem, the middle one of three, 0.15 mm), at the pitch of the first, the middle and the
 /// last flexure.
 #[test]
 fn the_formulas_are_within_a_tenth_of_finite_elements() {

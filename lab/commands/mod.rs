@@ -1,6 +1,0 @@
-//! The laboratory's commands, one per file.
-
-pub mod bench;
-pub mod chart;
-pub mod reproduce;
-pub mod stress;

@@ -1,0 +1,190 @@
+//! `trabecula-lab chart stability --random N`: random scenes at the ends of the documented ranges, run in this process and judged.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use hub::in_process::{Answer, InProcess, InProcessError};
+use ipc_types::messages::{ArmMode, BurrMode, Command, TendonMode};
+use rayon::prelude::*;
+use serde_json::json;
+use simulation::{CtView, Simulation, SimulationError, findings};
+
+use super::random::{DRIVEN_S, Drawn, REST_S};
+use super::watch::{Watch, explained_m_per_s};
+use crate::sheet::Sheet;
+use trabecula::failure::Failure;
+
+/// Greatest speed of the burr that needs no explanation, m/s.
+const FAST_M_PER_S: f64 = 50.0;
+/// Part of the rest that is judged.
+const JUDGED_S: f64 = 0.5 * REST_S;
+
+/// What came of a scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Class {
+    /// Ran to its end, at rest or moving smoothly.
+    Sound,
+    /// The simulation refuses the scene.
+    Refused,
+    /// Ended by [`SimulationError::Lost`].
+    Lost,
+    /// Ended by another error.
+    Failed,
+    /// A published number is not finite.
+    NotFinite,
+    /// The burr was faster than the tendons' work explains.
+    Fast,
+    /// It moves to and fro at rest.
+    Chatter,
+}
+
+impl Class {
+    fn name(self) -> &'static str {
+        match self {
+            Class::Sound => "sound",
+            Class::Refused => "refused",
+            Class::Lost => "lost",
+            Class::Failed => "failed",
+            Class::NotFinite => "not finite",
+            Class::Fast => "fast without a cause",
+            Class::Chatter => "chatter at rest",
+        }
+    }
+}
+
+/// What was seen of a scene.
+struct Seen {
+    class: Class,
+    what: String,
+}
+
+/// A scene, what was seen of it, and whether `scene check` says beforehand that nothing is claimed for it.
+struct Judged {
+    seed: u64,
+    drawn: Drawn,
+    seen: Seen,
+    warned: bool,
+}
+
+/// How many scenes of a class there are, and how many of them `scene check` warns of.
+#[derive(Default)]
+struct Count {
+    all: usize,
+    warned: usize,
+}
+
+/// Runs `count` scenes from `seed` on; prints each that is not sound, and the counts. Returns how many are not finite, fail with another error
+/// than a lost tool, or are lost, chatter or are fast without a cause and without a warning.
+///
+/// # Errors
+/// A scene cannot be drawn.
+pub fn run(count: u64, seed: u64, sheet: &mut Sheet) -> Result<usize, Failure> {
+    let done = AtomicUsize::new(0);
+    let judged: Vec<Judged> = (seed..seed + count)
+        .into_par_iter()
+        .map(|seed| {
+            let drawn = Drawn::of(seed)?;
+            let (seen, warned) = (judge(&drawn), is_warned_of(&drawn));
+            if (done.fetch_add(1, Ordering::Relaxed) + 1).is_multiple_of(50) {
+                tell!("stability: {} of {count} scenes", done.load(Ordering::Relaxed));
+            }
+            Ok(Judged { seed, drawn, seen, warned })
+        })
+        .collect::<Result<_, Failure>>()?;
+    let mut counts: BTreeMap<Class, Count> = BTreeMap::new();
+    for Judged { seed, drawn, seen, warned } in &judged {
+        let count = counts.entry(seen.class).or_default();
+        count.all += 1;
+        count.warned += usize::from(*warned);
+        if seen.class != Class::Sound {
+            let name = seen.class.name();
+            let told = if *warned { "warned" } else { "not warned" };
+            sheet.line(&format!("{seed:>5} {name}, {told}: {}; {}", seen.what, drawn.line()));
+            sheet.push("scenes", json!({"seed": seed, "class": name, "what": seen.what, "warned": warned}));
+        }
+    }
+    let counted: Vec<String> = counts
+        .iter()
+        .map(|(class, Count { all, warned })| format!("{all} {} ({warned} warned of)", class.name()))
+        .collect();
+    sheet.line(&format!("{count} scenes: {}", counted.join(", ")));
+    for (class, Count { all, warned }) in &counts {
+        sheet.set(class.name(), json!({"all": all, "warned": warned}));
+    }
+    Ok(counts.iter().map(|(class, count)| wrong(*class, count)).sum())
+}
+
+/// What is not claimed may be lost or shake, as long as somebody says so beforehand.
+fn wrong(class: Class, count: &Count) -> usize {
+    match class {
+        Class::Sound | Class::Refused => 0,
+        Class::Lost | Class::Chatter | Class::Fast => count.all - count.warned,
+        Class::Failed | Class::NotFinite => count.all,
+    }
+}
+
+/// Warnings about where the tool starts say nothing about what becomes of it, but for a hole that is too thin for it.
+fn is_warned_of(drawn: &Drawn) -> bool {
+    let ct = drawn.bone.as_ref().map(|block| CtView { geometry: block.geometry, hu: &block.hu });
+    let found = findings(&drawn.scene, ct, &|_| true).unwrap_or_default();
+    let tables = ["manipulator.", "contact.", "predrill.", "run."];
+    found.iter().any(|finding| tables.iter().any(|table| finding.key.starts_with(table)))
+}
+
+fn judge(drawn: &Drawn) -> Seen {
+    let ct = drawn.bone.as_ref().map(|block| CtView { geometry: block.geometry, hu: &block.hu });
+    let simulation = match Simulation::new(&drawn.scene, ct) {
+        Ok(simulation) => simulation,
+        Err(cause) => return Seen { class: Class::Refused, what: cause.to_string() },
+    };
+    let mut run = InProcess::new(&drawn.scene, simulation);
+    let mut watch = Watch::default();
+    let dt_s = drawn.scene.dt_s();
+    for tick in 0..drawn.scene.tick_count() {
+        let seconds = tick as f64 * dt_s;
+        let made = run.tick(|_, _, command| {
+            drive(drawn, seconds, command);
+            Answer::Command
+        });
+        if let Err(cause) = made {
+            let lost = matches!(&cause, InProcessError::Plant { cause: SimulationError::Lost(_), .. });
+            return Seen { class: if lost { Class::Lost } else { Class::Failed }, what: cause.to_string() };
+        }
+        watch.look(run.plant().state(), seconds >= DRIVEN_S + REST_S - JUDGED_S);
+    }
+    verdict(&watch, drawn)
+}
+
+fn drive(drawn: &Drawn, seconds: f64, command: &mut Command) {
+    command.tendon_mode = TendonMode::ServoJf.code();
+    command.tendon_force_n = drawn.tensions_n(seconds);
+    command.burr_mode = BurrMode::Speed.code();
+    command.burr_speed_rad_per_s = drawn.burr_speed_rad_per_s;
+    if drawn.feed_m_per_s == 0.0 {
+        return;
+    }
+    if seconds < DRIVEN_S {
+        command.arm_mode = ArmMode::Insert.code();
+        command.arm_axis = [0.0, 0.0, 1.0];
+        command.arm_speed_m_per_s = drawn.feed_m_per_s;
+        command.arm_depth_m = 2.0 * drawn.feed_m_per_s * DRIVEN_S;
+    } else {
+        command.arm_mode = ArmMode::Hold.code();
+    }
+}
+
+fn verdict(watch: &Watch, drawn: &Drawn) -> Seen {
+    if let Some(tick) = watch.not_finite {
+        return Seen { class: Class::NotFinite, what: format!("tick {tick}") };
+    }
+    let mass_scale = drawn.scene.manipulator.mass_scale.unwrap_or(1.0);
+    let explained = explained_m_per_s(drawn.greatest_tension_n(), mass_scale).max(FAST_M_PER_S);
+    if watch.fastest_m_per_s > explained {
+        let what = format!("{:.0} m/s, the tendons explain {explained:.0}", watch.fastest_m_per_s);
+        return Seen { class: Class::Fast, what };
+    }
+    watch.chatter().map_or(Seen { class: Class::Sound, what: String::new() }, |chatter| {
+        let (um, percent) = (chatter.to_and_fro_m * 1e6, chatter.turned_back * 100.0);
+        Seen { class: Class::Chatter, what: format!("{um:.0} um a tick, {percent:.0} % turn back") }
+    })
+}

@@ -1,0 +1,182 @@
+//! `trabecula-lab`: measures what the product costs, how accurate it is, and what published results it reproduces. A separate
+//! program, so that `trabecula` stays small; it uses the same library, and starts the parts to be measured from its
+//! own executable.
+
+#![cfg_attr(not(test), warn(clippy::print_stdout))]
+
+#[macro_use(say, tell)]
+extern crate trabecula;
+
+mod bench;
+mod charts;
+mod commands;
+mod effort;
+mod random;
+mod reproduce;
+mod sheet;
+mod tools;
+
+use std::process::ExitCode;
+
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use trabecula::commands::bridge::BridgeCommand;
+use trabecula::commands::proc::ProcCommand;
+use trabecula::commands::run::RunArguments;
+use trabecula::commands::stress::{LoadArguments, disturb};
+use trabecula::commands::view::ViewArguments;
+use trabecula::failure::Failure;
+use trabecula::help::{self, Examples};
+use trabecula::program;
+
+use commands::bench::BenchCommand;
+use commands::chart::ChartCommand;
+use commands::reproduce::ReproduceArguments;
+/// Trabecula's laboratory: benchmarks, accuracy measurements and published results.
+#[derive(Debug, Parser)]
+#[command(name = "trabecula-lab", version, about)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    #[command(flatten)]
+    User(UserCommand),
+    /// One part of a measured run.
+    #[command(subcommand, hide = true)]
+    Proc(ProcCommand),
+}
+
+#[derive(Debug, Subcommand)]
+enum UserCommand {
+    /// Measure the hub's overhead on this machine.
+    #[command(subcommand)]
+    Bench(BenchCommand),
+    /// Measure accuracy against computing time; write tables and figures.
+    #[command(subcommand)]
+    Chart(ChartCommand),
+    /// Reproduce published results from low-level rules: tunnel, skiving, deviation, bend, thrust.
+    Reproduce(ReproduceArguments),
+    /// The competing load of a stress test.
+    #[command(hide = true)]
+    Load(LoadArguments),
+    /// A measured run.
+    #[command(hide = true)]
+    Run(RunArguments),
+    /// The viewer of a measured run.
+    #[command(hide = true)]
+    View(ViewArguments),
+    /// The bridge of a measured run.
+    #[command(subcommand, hide = true)]
+    Bridge(BridgeCommand),
+}
+
+/// The whole command line, each command's help with examples and exit codes.
+fn command_line() -> clap::Command {
+    help::completed(Arguments::command(), EXAMPLES)
+}
+
+const EXAMPLES: &[Examples] = &[
+    ("bench overhead", &["trabecula-lab bench overhead"]),
+    ("bench step", &["trabecula-lab bench step", "trabecula-lab bench step --instructions"]),
+    ("bench tools", &["trabecula-lab bench tools", "trabecula-lab bench tools my_tool.toml --instructions"]),
+    ("bench start", &["trabecula-lab bench start", "trabecula-lab bench start --rounds 9 --empty-cache"]),
+    ("bench memory", &["trabecula-lab bench memory"]),
+    ("bench drr", &["trabecula-lab bench drr", "trabecula-lab bench drr --poses 64"]),
+    ("bench latency", &["trabecula-lab bench latency --turns 5"]),
+    (
+        "bench lateness",
+        &["trabecula-lab bench lateness", "trabecula-lab bench lateness --load none --rounds 5"],
+    ),
+    ("bench viewer", &["trabecula-lab bench viewer"]),
+    (
+        "bench bridge",
+        &["trabecula-lab bench bridge", "trabecula-lab bench bridge --kind igtl --seconds 20 --rounds 5"],
+    ),
+    ("bench readings", &["trabecula-lab bench readings"]),
+    ("bench recorder", &["trabecula-lab bench recorder"]),
+    ("bench xray", &["trabecula-lab bench xray"]),
+    ("bench soak", &["trabecula-lab bench soak --minutes 10 -o out/soak"]),
+    ("chart drr", &["trabecula-lab chart drr --quick", "trabecula-lab chart drr -o out/charts --rounds 9"]),
+    ("chart physics", &["trabecula-lab chart physics --quick -o out/charts"]),
+    ("chart flexure", &["trabecula-lab chart flexure"]),
+    (
+        "chart promise",
+        &[
+            "trabecula-lab chart promise --free 10 --bone 10",
+            "trabecula-lab chart promise --tool configs/tools/two_segments.toml --bone 10",
+        ],
+    ),
+    (
+        "chart stability",
+        &[
+            "trabecula-lab chart stability --quick -o out/charts",
+            "trabecula-lab chart stability --tools my_tool.toml",
+            "trabecula-lab chart stability --bone",
+        ],
+    ),
+    ("reproduce", &["trabecula-lab reproduce", "trabecula-lab reproduce --only 2 --quick -o out/reproduce"]),
+];
+
+fn main() -> ExitCode {
+    let parse = || {
+        let matches = command_line().try_get_matches()?;
+        Arguments::from_arg_matches(&matches).map(|arguments| arguments.command)
+    };
+    program::run(parse, |command| match command {
+        Command::Proc(part) => trabecula::commands::proc::run(&part).map(Some),
+        Command::User(command) => dispatch(&command).map(|()| None),
+    })
+}
+
+fn dispatch(command: &UserCommand) -> Result<(), Failure> {
+    match command {
+        UserCommand::Bench(command) => commands::bench::run(command),
+        UserCommand::Chart(command) => commands::chart::run(command),
+        UserCommand::Reproduce(arguments) => commands::reproduce::run(arguments),
+        UserCommand::Load(arguments) => disturb(arguments),
+        UserCommand::Run(arguments) => trabecula::commands::run::run(arguments),
+        UserCommand::View(arguments) => trabecula::commands::view::run(arguments),
+        UserCommand::Bridge(command) => trabecula::commands::bridge::run(command),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use test_support::grammar;
+
+    #[test]
+    fn every_command_has_examples_that_it_accepts_and_its_exit_codes_in_its_help() {
+        grammar::assert_helpful(&crate::command_line(), &[]);
+    }
+
+    #[test]
+    fn every_output_is_named_by_o_and_output() {
+        grammar::assert_outputs(&crate::command_line());
+    }
+
+    /// Commands whose figures are tables in the CSV files that they write.
+    const WITHOUT_FIGURES: [&str; 3] = ["chart drr", "chart physics", "reproduce"];
+
+    #[test]
+    fn every_command_that_prints_figures_and_writes_no_table_of_them_has_json() {
+        assert_eq!(grammar::without_json(&crate::command_line(), &[]), WITHOUT_FIGURES);
+    }
+
+    /// Commands with an output, and the argument that names it.
+    const KNOWN: [&str; 7] = [
+        "bench soak --output",
+        "chart drr --output",
+        "chart drr --rungs",
+        "chart flexure --output",
+        "chart physics --output",
+        "chart stability --output",
+        "reproduce --output",
+    ];
+
+    #[test]
+    fn every_command_with_an_output_is_in_the_table_of_the_tests() {
+        assert_eq!(test_support::outputs::outputs_of(&crate::command_line()), KNOWN);
+    }
+}

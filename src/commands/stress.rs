@@ -1,0 +1,204 @@
+//! `trabecula stress SCENE`, and the competing processes that it starts.
+
+use crate::stress::KeptLogs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use clap::{Args, ValueEnum};
+use ipc_types::process::EndRequest;
+use ipc_types::scene::{Policy, Scene, Wait};
+
+use crate::commands::run::{PolicyArgument, WaitArgument};
+use crate::failure::{EXIT_INTERRUPTED, Failure};
+use crate::launcher::run::output_folder;
+use crate::launcher::volume_source::VolumeFiles;
+use crate::machine::allowed;
+use crate::say::Figures;
+use crate::scenes::{BuiltIn, SceneSource};
+use crate::stress::plan::{self, Load, LoadKind};
+use crate::stress::report::{StressReport, comparison, table};
+use crate::stress::{self, StressPlan, load};
+
+/// Arguments of `stress`.
+#[derive(Debug, Args)]
+pub struct StressArguments {
+    /// Scene file, run in real time; default: the built-in femur.
+    pub scene: Option<PathBuf>,
+    /// Numbers of cores to test; the hub and the competing load share them.
+    #[arg(long, value_delimiter = ',', default_value = "1,2")]
+    pub cores: Vec<usize>,
+    /// Competing load: none, spin, memory, disk or fork; spin:2 starts two.
+    #[arg(long, value_delimiter = ',', default_value = "none,spin:2")]
+    pub load: Vec<Load>,
+    /// Scheduling policies of physics and controllers.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "other")]
+    pub policy: Vec<PolicyArgument>,
+    /// How physics and controllers wait.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "hybrid")]
+    pub wait: Vec<WaitArgument>,
+    /// Seconds per combination, 0.1 to 3600.
+    #[arg(long, default_value_t = 20.0)]
+    pub seconds: f64,
+    /// Seed for the load and for `--subset`.
+    #[arg(long, default_value_t = 7)]
+    pub seed: u64,
+    /// Run only N combinations, chosen to cover as many pairs of settings as possible.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub subset: Option<u64>,
+    /// CPU quota of hub and load together, in percent of one core; needs permission to create a control group.
+    #[arg(long, value_name = "PERCENT", value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    pub quota: Option<u64>,
+    /// Compare with an earlier test's stress.json.
+    #[arg(long, value_name = "JSON")]
+    pub compare: Option<PathBuf>,
+    /// Parent of the test's folder.
+    #[arg(short, long, default_value = "out")]
+    pub output: PathBuf,
+    /// Keep the runs' folders.
+    #[arg(long)]
+    pub keep_logs: bool,
+    #[command(flatten)]
+    pub volume_files: VolumeFiles,
+    /// How its figures are printed.
+    #[command(flatten)]
+    pub figures: Figures,
+}
+
+/// Runs a stress test.
+///
+/// # Errors
+/// Bad input (2), nothing written; a run that failed, or a log that does not replay (1); Ctrl-C (130): the report
+/// holds the finished runs.
+pub fn run(arguments: &StressArguments) -> Result<(), Failure> {
+    let plan = plan_of(arguments)?;
+    let end = EndRequest::install()
+        .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
+    let (report, interrupted) = stress::run(&plan, &end)?;
+    let page = plan.output.join("index.html");
+    arguments.figures.say(
+        || told(&report, plan.compare.as_ref(), &page),
+        || serde_json::json!({"page": page, "report": report}),
+    );
+    let done = report.tested.len();
+    if interrupted {
+        let message = format!("interrupted after {done} of {} combinations", report.planned);
+        return Err(Failure { message, code: EXIT_INTERRUPTED });
+    }
+    let bad = report.tested.iter().find(|tested| tested.failure.is_some() || !tested.measured.replays);
+    match bad {
+        None => Ok(()),
+        Some(tested) => {
+            let why = tested.failure.clone().unwrap_or_else(|| tested.measured.remarks.join("; "));
+            Err(Failure::failed(format!("{}: {why}", tested.combination)))
+        }
+    }
+}
+
+/// The table, what has changed since an earlier test, and where the report is.
+fn told(report: &StressReport, compare: Option<&StressReport>, page: &Path) -> String {
+    let mut lines = vec![table(report)];
+    if let Some(old) = compare {
+        lines.push(format!("since {}: late p50, late p99, step p50, round trip p50, missed", old.began));
+        lines.extend(comparison(old, report).iter().map(|row| format!("  {}", row.join(" | "))));
+    }
+    lines.extend(report.explained().map(|share| share.to_string()));
+    lines.push(format!("report       {}", page.display()));
+    lines.join("\n")
+}
+
+/// Refuses numbers of cores of which the machine gives `most`.
+///
+/// # Errors
+/// A number out of range (2).
+pub fn refuse_cores(given: &[usize], most: usize) -> Result<(), Failure> {
+    match given.iter().find(|cores| !(1..=most).contains(*cores)) {
+        None => Ok(()),
+        Some(cores) => {
+            Err(Failure::bad_input(format!("--cores is {cores}, allowed on this machine is 1 to {most}")))
+        }
+    }
+}
+
+fn plan_of(arguments: &StressArguments) -> Result<StressPlan, Failure> {
+    let source = SceneSource::new(arguments.scene.as_deref(), BuiltIn::Femur);
+    let scene = source.load()?;
+    refuse_cores(&arguments.cores, allowed().map_or(1, |cores| cores.len()))?;
+    if !(0.1..=3600.0).contains(&arguments.seconds) {
+        return Err(Failure::bad_input(format!(
+            "--seconds is {}, allowed is 0.1 to 3600",
+            arguments.seconds
+        )));
+    }
+    if let Some(controller) =
+        scene.controller.iter().find(|controller| controller.external && !controller.optional)
+    {
+        return Err(Failure::bad_input(format!(
+            "controller `{}` is external, and a stress test has nobody to start it; give it a `command` in the scene",
+            controller.name
+        )));
+    }
+    let compare = arguments.compare.as_deref().map(StressReport::read).transpose()?;
+    let policies: Vec<Policy> = arguments.policy.iter().map(|policy| Policy::from(*policy)).collect();
+    let waits: Vec<Wait> = arguments.wait.iter().map(|wait| Wait::from(*wait)).collect();
+    let mut combinations = plan::all(&arguments.cores, &arguments.load, &policies, &waits);
+    if let Some(count) = arguments.subset {
+        combinations = plan::subset(&combinations, count as usize, arguments.seed);
+    }
+    let named = Scene { name: format!("stress-{}", scene.name), ..scene };
+    let output = output_folder(&arguments.output, &named).map_err(|cause| {
+        Failure::bad_input(format!("--output {}: cannot be created ({cause})", arguments.output.display()))
+    })?;
+    Ok(StressPlan {
+        scene: source,
+        combinations,
+        seconds: arguments.seconds,
+        seed: arguments.seed,
+        quota_percent: arguments.quota,
+        output,
+        kept_logs: if arguments.keep_logs { KeptLogs::All } else { KeptLogs::None },
+        volume_files: arguments.volume_files,
+        compare,
+    })
+}
+/// Arguments of a competing load.
+#[derive(Debug, Args)]
+pub struct LoadArguments {
+    /// Kind of load.
+    #[arg(value_enum)]
+    pub kind: LoadKindArgument,
+    /// Seed.
+    #[arg(long)]
+    pub seed: u64,
+    /// Folder for a disk load.
+    #[arg(long)]
+    pub folder: PathBuf,
+    /// Seconds after which it ends by itself.
+    #[arg(long)]
+    pub limit_s: u64,
+}
+/// Kinds of competing load.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub enum LoadKindArgument {
+    /// Computes.
+    Spin,
+    /// Streams through memory.
+    Memory,
+    /// Writes to the disk.
+    Disk,
+    /// Starts processes.
+    Fork,
+}
+
+/// Disturbs until killed.
+///
+/// # Errors
+/// The disk cannot be written, or no process can be started.
+pub fn disturb(arguments: &LoadArguments) -> Result<(), Failure> {
+    let kind = match arguments.kind {
+        LoadKindArgument::Spin => LoadKind::Spin,
+        LoadKindArgument::Memory => LoadKind::Memory,
+        LoadKindArgument::Disk => LoadKind::Disk,
+        LoadKindArgument::Fork => LoadKind::Fork,
+    };
+    load::disturb(kind, arguments.seed, &arguments.folder, Duration::from_secs(arguments.limit_s))
+}
