@@ -6,7 +6,7 @@ use bridge_proc::igtl::{SENT, UNDERSTOOD};
 
 #[test]
 fn the_page_lists_every_message() {
-    let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/slicer.md")).unwrap();
+    let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/slicer.md")).unwrap();
     for (kind, device, meaning) in SENT.iter().chain(&UNDERSTOOD) {
         // "Link01ToRAS and so on": the name alone is code.
         let (name, more) = device

@@ -11,7 +11,7 @@ fn row<T>(row: &Row<T>) -> String {
 
 #[test]
 fn the_page_lists_every_topic_and_every_state_command() {
-    let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/ros2.md")).unwrap();
+    let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/ros2.md")).unwrap();
     let mut rows: Vec<String> = OUTPUTS.iter().map(row).collect();
     rows.extend(INPUTS.iter().map(row));
     rows.extend(STATE_COMMANDS.iter().map(|(_, word, meaning)| format!("| `{word}` | {meaning} |")));

@@ -31,7 +31,7 @@ fn main() -> ExitCode {
 
 /// Tries the mutants whose name has a text; returns how many survived.
 fn try_all(wanted: &str) -> Result<usize, Box<dyn Error>> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").canonicalize()?;
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../..").canonicalize()?;
     let place = root.join("target/hub_mutants");
     copy_workspace(&root, &place)?;
     let mut survivors = 0;

@@ -391,7 +391,7 @@ fn runs_repeat_and_snapshots_continue_bit_for_bit() {
 
 #[test]
 fn the_fragment_scene_ends_at_its_clamp_and_a_reset_repeats_it_to_the_bit() {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../configs/bone_fragment.toml");
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/bone_fragment.toml");
     let scene = Scene::parse(&std::fs::read_to_string(path).unwrap(), std::path::Path::new(path)).unwrap();
     let mut simulation = Simulation::new(&scene, None).unwrap();
     let mut latched = Latched::zeroed();

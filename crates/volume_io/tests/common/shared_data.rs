@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 pub fn shared(name: &str) -> Option<PathBuf> {
     let root = match std::env::var_os("TRABECULA_SHARED_DATA") {
         Some(root) => PathBuf::from(root),
-        None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
+        None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
     };
     let path = root.join(name);
     if path.exists() {

@@ -26,7 +26,7 @@ const PACKAGES: [&str; 8] = [
 ];
 const PROBE: &str = "numpy, pydicom, SimpleITK, gdcm, nrrd, nibabel, pylibjpeg, openjpeg, jpeg_ls";
 /// Where the table stands.
-const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/volumes.md");
+const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/volumes.md");
 const HEAD: &str = "| format | feature | written by | read alike by |\n|---|---|---|---|\n";
 
 /// Rows and columns of a direction's deviation, and positions, in millimetres: what `f32` affines and six decimals leave.
