@@ -16,7 +16,7 @@ fn read(name: impl AsRef<Path>) -> String {
 fn documents() -> Vec<PathBuf> {
     let in_docs = std::fs::read_dir(root().join("docs")).unwrap().map(|entry| entry.unwrap().path());
     let pages = in_docs.filter(|path| path.extension().is_some_and(|extension| extension == "md"));
-    let others = ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md"];
+    let others = ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md", ".github/SECURITY.md"];
     pages.chain(others.map(|name| root().join(name))).collect()
 }
 
@@ -111,9 +111,12 @@ fn the_documents_say_how_much_the_recorders_queues_hold() {
 /// The folder of each package of the workspace.
 fn packages() -> Vec<(String, PathBuf)> {
     let manifest = read("Cargo.toml");
-    let members = manifest.lines().find_map(|line| line.strip_prefix("members = ")).unwrap();
-    let folders = members.split('"').skip(1).step_by(2).map(|folder| root().join(folder));
+    let (members, _) = manifest.split_once("\nmembers = [").unwrap().1.split_once("\n]").unwrap();
+    let folders: Vec<PathBuf> =
+        members.split('"').skip(1).step_by(2).map(|folder| root().join(folder)).collect();
+    assert!(folders.len() > 25, "{folders:?}");
     folders
+        .into_iter()
         .map(|folder| {
             let manifest = read(folder.join("Cargo.toml"));
             let (_, package) = manifest.split_once("[package]").unwrap();
