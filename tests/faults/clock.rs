@@ -28,7 +28,7 @@ fn the_stepping_clock_steps() {
 /// Every mention of a wall clock in the program's sources, with the reason why a step of it does no harm.
 const WALL_CLOCK: [(&str, &str, &str); 6] = [
     ("src/launcher/run.rs", "Zoned::now", "the name of a run's folder; a name that is taken gets a suffix"),
-    ("lab/stress/mod.rs", "Zoned::now", "the date in a report"),
+    ("src/stress/mod.rs", "Zoned::now", "the date in a report"),
     (
         "src/commands/cache.rs",
         "SystemTime",
