@@ -14,6 +14,7 @@ import json
 import os
 import re
 import subprocess
+import sys
 import sysconfig
 import tarfile
 import tempfile
@@ -30,7 +31,7 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 #: The native half of trabecula.sim keeps to the interface that every Python from 3.9 on has.
 TAG = "cp39-abi3"
-#: Longest time for a build from nothing, which takes 20 minutes on two cores, and for any other program, s. Then it says which one.
+#: Longest time for a build from nothing and for any other program, s. Only a hang reaches it.
 BUILD_LIMIT_S = 4 * 3600
 LIMIT_S = 120
 #: Licences of what is linked in, beside the wheel's own; made for each wheel, so not in the source distribution.
@@ -76,8 +77,11 @@ def _binaries() -> dict[Binary, Path]:
         return {binary: Path(os.environ[binary.variable]) for binary in binaries if os.environ.get(binary.variable)}
     packages = [f"--package={binary.package}" for binary in binaries]
     targets = sorted({binary.target for binary in binaries})
-    subprocess.run(["cargo", "build", "--release", "--locked", *packages, *targets], cwd=ROOT, check=True, timeout=BUILD_LIMIT_S)
-    built = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "release"
+    built = ROOT / os.environ.get("CARGO_TARGET_DIR", "target") / "release"
+    # pip shows this and cargo's progress with `-v` only.
+    print(f"Building program and libraries in {built}, as `cargo build --release` does", file=sys.stderr, flush=True)
+    line = ["cargo", "build", "--release", "--locked", *packages, *targets]
+    subprocess.run(line, cwd=ROOT, check=True, timeout=BUILD_LIMIT_S)
     return {binary: built / binary.built for binary in binaries}
 
 
