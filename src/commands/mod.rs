@@ -24,7 +24,6 @@ pub mod view_arm;
 pub mod view_plan;
 mod view_run;
 pub mod volume;
-pub mod volume;
 
 use ipc_types::messages::TickRange;
 

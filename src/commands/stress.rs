@@ -57,6 +57,7 @@ pub struct StressArguments {
     /// Keep the runs' folders.
     #[arg(long)]
     pub keep_logs: bool,
+    /// How a series of the scene is read.
     #[command(flatten)]
     pub volume_files: VolumeFiles,
     /// How its figures are printed.

@@ -1,10 +1,16 @@
 //! A replay that only steps the ticks.
 
+use std::path::Path;
+use std::time::Instant;
+
 use ipc_types::messages::Tick;
 use run_log::segments::Passed;
-use run_log::{LogError, ReplayReport, SavedState, SegmentOptions, SegmentReport, Verdict, step_segments};
+use run_log::{
+    LogError, ReplayReport, SavedState, SegmentOptions, SegmentReport, Verdict, step_segments,
+    verify_segments,
+};
 
-use super::OpenedLog;
+use super::{OpenedLog, Overrides};
 use crate::failure::Failure;
 
 /// Steps a log without comparing its ticks: from keyframe to keyframe on several threads if that proves to come to what one pass comes to,

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use zerocopy::FromBytes;
 
 use crate::failure::Failure;
+use crate::replay::timed_verification;
 use crate::report::distribution::{Distribution, Quantiles};
 use crate::report::timeline::{Extremes, Timeline};
 use crate::report::{MissSummary, Summary};

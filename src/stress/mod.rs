@@ -226,7 +226,9 @@ fn refused_priority(folder: &Path) -> Vec<String> {
 /// Which runs' folders stay after a stress test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum KeptLogs {
+    /// No run's.
     None,
+    /// Every run's.
     All,
 }
 

@@ -10,8 +10,8 @@ use recorder_proc::log_file::LogFile;
 use run_log::{MessageStream, ReadOptions, frames};
 use serde_json::json;
 
+use super::failed;
 use super::growth::Growth;
-use super::{failed, log};
 use crate::sheet::Sheet;
 use trabecula::failure::{EXIT_INTERRUPTED, Failure};
 use trabecula::launcher::part::Memory;
@@ -19,6 +19,7 @@ use trabecula::launcher::run::{Outcome, RunPlan, RunResult, RunSnapshot, run as 
 use trabecula::launcher::volume_source::VolumeFiles;
 use trabecula::machine::Machine;
 use trabecula::output::{refuse_existing, within};
+use trabecula::replay::timed_verification;
 use trabecula::report::{self, Summary};
 use trabecula::scenes::SceneSource;
 
@@ -284,7 +285,7 @@ fn check(
         sheet.row("every frame in the log", text, "has_every_frame", json!(missing.is_none()));
     }
     problems.extend(missing);
-    match log::verify(&run_log) {
+    match timed_verification(&run_log) {
         Ok((verify_s, threads)) => {
             let speed = simulated_s / verify_s;
             let text = format!("yes; {verify_s:.1} s, {speed:.1} times real time, {threads} threads");
