@@ -1,17 +1,17 @@
-# What one types while working here. `just` lists it; https://just.systems
+# Shorthands for daily work; `just` lists them (https://just.systems).
 
 _list:
     @just --list
 
-# the fast set: everything without processes, downloads and browsers
+# the fast tests: no processes, downloads or browsers
 test *arguments:
-    cargo nextest run --release --workspace --profile fast {{arguments}}
+    cargo nextest run --cargo-profile quick --workspace --profile fast {{arguments}}
 
-# every test, those in documentation too: what README.md and .ci/run call
+# every test, including those in documentation, as README.md and .ci/run call them
 test-all:
     cargo test --workspace --release
 
-# what .ci/run checks without running tests: format, lints, licences, documents, types (or: just check clippy docs)
+# the steps of .ci/run without the tests: format, lints, licences, documents, types (or: just check clippy docs)
 check *steps="format clippy minimum deny docs page python scenes site fuzz readme":
     .ci/run {{steps}}
 
@@ -26,7 +26,7 @@ generate:
     cargo run --release -p trabecula_client --bin trabecula_client_bindings -- c > target/trabecula.h && mv target/trabecula.h clients/c/include/trabecula.h
     cargo run --release -p trabecula_client --bin trabecula_client_bindings -- python > target/_generated.py && mv target/_generated.py clients/python/trabecula/_generated.py
 
-# every fuzz target for a time, or those named: just fuzz 60 nifti dicom
+# every fuzz target for some seconds, or the named ones: just fuzz 60 nifti dicom
 fuzz seconds="600" *targets:
     fuzz/run -s {{seconds}} {{targets}}
 
@@ -34,6 +34,6 @@ fuzz seconds="600" *targets:
 schedules count="1000000":
     cargo run --release -p hub_simulator --bin hub_simulator -- --count {{count}}
 
-# broken versions of the hub, each of which the schedules must find
+# broken versions of the hub, each of which the schedules must detect
 mutants *name:
     cargo run --release -p hub_simulator --example hub_mutants -- {{name}}
