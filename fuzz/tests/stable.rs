@@ -1,11 +1,13 @@
 //! The targets with stable Rust: over the kept corpus and over seeded mutations of the seeds.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
-use std::path::Path;
+use std::io::Read;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::Duration;
 
 use fastrand::Rng;
+use flate2::read::GzDecoder;
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 use trabecula_fuzz::{TARGETS, Target};
 
@@ -82,14 +84,24 @@ fn run(inputs: impl Fn(&'static Target) -> Vec<(String, Vec<u8>)>) {
     }
 }
 
+/// The archives of the corpus, by target.
+fn archives() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus")
+}
+
+/// The kept inputs of a target, in the archive's order.
 fn corpus(target: &Target) -> Vec<(String, Vec<u8>)> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus").join(target.name);
-    let mut files: Vec<_> = std::fs::read_dir(&folder)
-        .unwrap_or_else(|cause| panic!("{}: {cause}", folder.display()))
-        .map(|entry| entry.unwrap().path())
-        .collect();
-    files.sort();
-    files.iter().map(|path| (path.display().to_string(), std::fs::read(path).unwrap())).collect()
+    let path = archives().join(format!("{}.tar.gz", target.name));
+    let file = std::fs::File::open(&path).unwrap_or_else(|cause| panic!("{}: {cause}", path.display()));
+    let mut archive = tar::Archive::new(GzDecoder::new(file));
+    let read = |entry: std::io::Result<tar::Entry<'_, _>>| {
+        let mut entry = entry.unwrap();
+        let name = entry.path().unwrap().display().to_string();
+        let mut data = Vec::new();
+        entry.read_to_end(&mut data).unwrap();
+        (name, data)
+    };
+    archive.entries().unwrap().map(read).collect()
 }
 
 fn mutations(target: &Target) -> Vec<(String, Vec<u8>)> {
@@ -105,11 +117,11 @@ fn mutations(target: &Target) -> Vec<(String, Vec<u8>)> {
     all
 }
 
-/// Whatever a fuzzer has found, and what it needs to get everywhere.
 #[test]
-fn every_input_that_was_kept_ends_without_a_panic_soon_and_in_little_memory() {
+fn every_kept_input_ends_soon_without_a_panic_and_in_little_memory() {
     run(|target| {
         let kept = corpus(target);
+        println!("{}: {} inputs", target.name, kept.len());
         assert!(!kept.is_empty(), "no corpus of {}", target.name);
         kept
     });
@@ -120,14 +132,31 @@ fn every_target_takes_mutated_seeds() {
     run(mutations);
 }
 
-/// A folder that no target has would be replayed by nobody; a large corpus would be dear to everybody.
+/// An archive without a target would never be read.
 #[test]
-fn every_folder_of_the_corpus_is_a_targets_and_all_of_them_are_small() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus");
-    for entry in std::fs::read_dir(folder).unwrap() {
-        let name = entry.unwrap().file_name();
-        assert!(TARGETS.iter().any(|target| name == target.name), "{} is no target", name.display());
+fn every_archive_belongs_to_a_target_and_the_corpus_is_small() {
+    for entry in std::fs::read_dir(archives()).unwrap() {
+        let name = entry.unwrap().file_name().into_string().unwrap();
+        let of_target = |target: &Target| name == format!("{}.tar.gz", target.name);
+        assert!(TARGETS.iter().any(of_target), "fuzz/corpus/{name} belongs to no target");
     }
     let bytes: usize = TARGETS.iter().flat_map(corpus).map(|(_, data)| data.len()).sum();
     assert!(bytes < 2_000_000, "the corpus has {bytes} bytes");
+}
+
+/// Packing the same inputs again must not change the archive.
+#[test]
+fn archives_are_packed_by_name_without_times_and_owners() {
+    for target in TARGETS {
+        let names: Vec<String> = corpus(target).into_iter().map(|(name, _)| name).collect();
+        assert!(names.is_sorted_by(|a, b| a < b), "{} is not sorted; use fuzz/run --pack", target.name);
+        let path = archives().join(format!("{}.tar.gz", target.name));
+        let mut archive = tar::Archive::new(GzDecoder::new(std::fs::File::open(path).unwrap()));
+        for entry in archive.entries().unwrap() {
+            let entry = entry.unwrap();
+            let header = entry.header();
+            let found = [header.mtime().unwrap(), header.uid().unwrap(), header.gid().unwrap()];
+            assert_eq!(found, [0; 3], "{}, {}", target.name, entry.path().unwrap().display());
+        }
+    }
 }
