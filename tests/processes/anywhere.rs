@@ -72,23 +72,3 @@ fn commands_without_a_scene_work_in_an_empty_folder() {
     }
     assert!(place.path("calibration/calibration.csv").is_file());
 }
-
-#[test]
-fn init_writes_the_scene_that_is_named_and_refuses_where_it_stands() {
-    let place = Place::new();
-    let folder = place.path("");
-    let done = succeed_in(&folder, &["scene", "init", "-o", "new/scenes", "--scene", "tension_sweep"]);
-    assert!(done.out.contains("new/scenes/tension_sweep.toml"), "{}", done.out);
-    let file = place.path("new/scenes/tension_sweep.toml");
-    assert_eq!(fs::read(&file).unwrap(), fs::read("configs/tension_sweep.toml").unwrap());
-    succeed_in(&folder, &["scene", "check", "new/scenes/tension_sweep.toml"]);
-
-    fs::write(&file, "mine").unwrap();
-    let done = trabecula_in(&folder, &["scene", "init", "-o", "new/scenes", "--scene", "tension_sweep"]);
-    assert!(done.code == Some(2) && done.err.contains("already exists"), "{}", done.err);
-    assert_eq!(fs::read(&file).unwrap(), b"mine");
-    // A file where the folder would be.
-    let done = trabecula_in(&folder, &["scene", "init", "-o", "new/scenes/tension_sweep.toml"]);
-    assert!(done.code == Some(2), "{}", done.err);
-    assert_eq!(fs::read_dir(place.path("new/scenes")).unwrap().count(), 1);
-}

@@ -6,42 +6,18 @@ use std::fs;
 use ipc_types::messages::CONTROL_STOP;
 use recorder_proc::log_file::{LogFile, log_path};
 use run_log::{EndReason, LogError, LogReader};
-use rustix::fs::{CWD, FileType, Mode, mknodat};
 use rustix::process::Signal;
 
 use crate::common::client::Client;
-use crate::common::logs::{assert_replays, read};
+use crate::common::logs::{assert_replays, read, recorded};
 use crate::common::program::{Place, assert_nothing_left, signal, trabecula, wait_for};
 use crate::common::scenes;
-
-/// The command waited for somebody to write into it, for ever.
-#[test]
-fn a_pipe_in_place_of_a_log_is_refused_and_not_waited_for() {
-    let place = Place::new();
-    let (pipe, made) = (place.path("pipe"), place.path("made.mcap"));
-    mknodat(CWD, &pipe, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0).unwrap();
-    let all: [&[&dyn AsRef<OsStr>]; 7] = [
-        &[&"log", &"info", &pipe],
-        &[&"log", &"cat", &pipe],
-        &[&"log", &"diff", &pipe, &pipe],
-        &[&"log", &"repair", &pipe, &"-o", &made],
-        &[&"log", &"compress", &pipe, &"-o", &made],
-        &[&"replay", &pipe],
-        &[&"view", &pipe, &"--no-open", &"--port", &"0"],
-    ];
-    for words in all {
-        let done = trabecula(words);
-        assert_eq!(done.code, Some(2), "{}{}", done.out, done.err);
-        assert!(done.err.contains("it is no regular file"), "{}", done.err);
-        assert!(!made.exists());
-    }
-}
 
 /// The comparison stopped at the first difference, and called what it had not read "not ended".
 #[test]
 fn a_whole_log_is_not_called_unfinished_beside_a_cut_one() {
     let place = Place::new();
-    let log = place.complete(&scenes::hold("lockstep", 0.3)).folder.join("run.mcap");
+    let log = recorded(&place, &scenes::hold("lockstep", 0.3)).join("run.mcap");
     let (cut, bytes) = (place.path("cut.mcap"), fs::read(&log).unwrap());
     fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
     for (words, whole, short) in [([&log, &cut], "first", "second"), ([&cut, &log], "second", "first")] {
@@ -71,7 +47,7 @@ fn a_signal_of_somebody_else_to_the_recorder_blames_nobody() {
 #[test]
 fn a_folder_in_place_of_a_file_of_several_runs_is_split() {
     let place = Place::new();
-    let run = place.complete(&scenes::hold("lockstep", 0.1)).folder;
+    let run = recorded(&place, &scenes::hold("lockstep", 0.1));
     let (both, parts) = (place.path("both"), place.path("parts"));
     fs::create_dir(&both).unwrap();
     let joined = trabecula(&[&"log", &"cat-files", &run, &run, &"-o", &both.join("run.mcap")]);
@@ -85,7 +61,7 @@ fn a_folder_in_place_of_a_file_of_several_runs_is_split() {
 #[test]
 fn a_log_that_lacks_only_its_end_does_not_differ() {
     let place = Place::new();
-    let log = place.complete(&scenes::hold("lockstep", 0.3)).folder.join("run.mcap");
+    let log = recorded(&place, &scenes::hold("lockstep", 0.3)).join("run.mcap");
     let bytes = fs::read(&log).unwrap();
     let cut = place.path("cut.mcap");
     // Behind the data: in the closing magic, in the index, and without an end marker.
@@ -109,7 +85,7 @@ fn a_log_that_lacks_only_its_end_does_not_differ() {
 #[test]
 fn a_log_without_any_state_is_damage_to_every_command() {
     let place = Place::new();
-    let log = place.complete(&scenes::hold("lockstep", 0.1)).folder.join("run.mcap");
+    let log = recorded(&place, &scenes::hold("lockstep", 0.1)).join("run.mcap");
     let bytes = fs::read(&log).unwrap();
     let cut = place.path("cut.mcap");
     let has_no_state = |length: &usize| {

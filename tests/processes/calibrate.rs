@@ -41,13 +41,3 @@ fn a_sweep_is_written_as_a_table_that_controllers_read_and_as_a_picture() {
     // Both directions: at least one mark or line a level.
     assert!(svg.matches("<circle").count() + svg.matches("<polyline").count() >= 2, "{svg:.300}");
 }
-
-#[test]
-fn a_scene_without_a_sweep_is_refused_and_nothing_is_written() {
-    let place = Place::new();
-    let scene = place.scene(&scenes::hold("lockstep", 1.0));
-    let done = trabecula(&[&"calibrate", &scene, &"-o", &place.path("out")]);
-    assert_eq!(done.code, Some(2));
-    assert!(done.err.contains("nothing to calibrate") && done.err.contains("tension_sweep"), "{}", done.err);
-    assert_eq!(place.entries(), ["scene.toml"]);
-}

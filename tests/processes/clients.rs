@@ -4,7 +4,7 @@ use std::fs;
 
 use ipc_types::messages::Tick;
 use ipc_types::messages::{
-    ARM_HOLD, ARM_INSERT, BURR_SPEED, Command, EVENT_COMMAND_REFUSED, SOURCE_FRESH, State, TENDON_SERVO_JF,
+    ARM_HOLD, ARM_INSERT, BURR_SPEED, Command, EVENT_COMMAND_REFUSED, State, TENDON_SERVO_JF,
 };
 use ipc_types::services;
 use ipc_types::session::SessionError;
@@ -108,27 +108,6 @@ fn bad_commands_are_refused_by_field_and_change_nothing() {
     assert_same_run(&disturbed, &flown(&other, |_, state| state));
 }
 
-/// The number 1 started the count again, whoever sent it: the held command then counted as fresh, and old numbers were
-/// taken.
-#[test]
-fn the_number_of_a_first_command_does_not_restart_the_sequence() {
-    let (place, other) = (Place::new(), Place::new());
-    let disturbed = flown(&place, |pilot, state| {
-        pilot.client.events();
-        let good = Command { sequence: 1, state_tick: state.tick, ..steered(&state) };
-        pilot.send(&good);
-        pilot.send(&Command { sequence: 2, ..good });
-        let mut events = Vec::new();
-        while events.len() < 2 {
-            events.extend(pilot.client.events());
-        }
-        assert!(events[0].1.contains("`sequence` is 1, expected more than 150"), "{events:?}");
-        assert!(events[1].1.contains("`sequence` is 2, expected more than 150"), "{events:?}");
-        state
-    });
-    assert_same_run(&disturbed, &flown(&other, |_, state| state));
-}
-
 /// A goal that no arm reaches is only found in the step: it is refused there, and the run goes on and replays.
 #[test]
 fn an_unreachable_goal_is_refused_with_an_event() {
@@ -192,24 +171,4 @@ fn a_client_of_another_layout_is_refused_with_both_layouts() {
         state
     });
     assert_same_run(&disturbed, &flown(&other, |_, state| state));
-}
-
-/// A controller that goes and comes back within its limit goes on where it was; its numbers begin again.
-#[test]
-fn a_controller_may_leave_and_come_back() {
-    let place = Place::new();
-    let run = place.start(&scenes::shared("lockstep", 0.2));
-    let folder = run.session();
-    let mut pilot = Pilot::join(&folder, "pilot");
-    pilot.drive_to(100, steered);
-    drop(pilot);
-    let mut pilot = Pilot::join(&folder, "pilot");
-    pilot.drive_to(200, steered);
-    drop(pilot);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
-    let log = read(&ended.folder);
-    let applied = |tick: usize| log.ticks[tick].state.applied[0];
-    assert_eq!((applied(99).sequence, applied(100).sequence, applied(100).source), (100, 1, SOURCE_FRESH));
-    assert_replays(&ended.folder);
 }

@@ -18,19 +18,6 @@ fn said(place: &Place, text: &str) -> [(Option<i32>, String); 3] {
     [(check.code, check.out + &check.err), (run.code, run.err), (plan.code, plan.err)]
 }
 
-/// A run over a scene whose target lay behind the start drilled for its whole length into the wrong direction.
-#[test]
-fn an_impossible_scene_is_refused_by_every_command_before_anything_is_written() {
-    let place = Place::new();
-    let behind = scenes::drill("lockstep", 4.0) + "target_mm = [0.0, 0.0, -40.0]\n";
-    let expected = "scene.toml: `controller.curved_drilling.target_mm` lies 6.0 mm behind the start, allowed is 0 to 20 ahead (`insertion_mm`)";
-    for (code, text) in said(&place, &behind) {
-        assert_eq!(code, Some(2), "{text}");
-        assert!(text.contains(expected), "{text}");
-    }
-    assert_eq!(place.entries(), ["scene.toml"]);
-}
-
 #[test]
 fn an_unlikely_scene_runs_and_every_command_warns_of_it() {
     let place = Place::new();
@@ -41,60 +28,6 @@ fn an_unlikely_scene_runs_and_every_command_warns_of_it() {
         assert_eq!(code, Some(0), "{text}");
         assert!(text.contains(&expected), "{text}");
         assert!(text.contains("`run.duration_s` is 0.1; `controller.curved_drilling` needs 2.5 s"), "{text}");
-    }
-}
-
-/// Keys that another table replaces were taken without a word.
-#[test]
-fn keys_that_a_table_replaces_are_warned_of() {
-    for (example, from, to, said) in [
-        (
-            "drr_carm.toml",
-            "\n\n[drr.carm]",
-            "\nprimary_angle_deg = 30.0\n\n[drr.carm]",
-            "`drr.primary_angle_deg` has no effect beside `[drr.carm]`",
-        ),
-        (
-            "drr_spectrum.toml",
-            "[drr]\n",
-            "[drr]\nenergy_kev = 70.0\n",
-            "`drr.energy_kev` has no effect beside `[drr.spectrum]`",
-        ),
-    ] {
-        let place = Place::new();
-        let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/examples");
-        let text = std::fs::read_to_string(examples.join(example)).unwrap();
-        assert!(text.contains(from));
-        let scene = place.scene(&text.replacen(from, to, 1));
-        let done = trabecula(&[&"scene", &"check", &scene]);
-        assert_eq!(done.code, Some(0), "{}", done.err);
-        assert!(done.out.contains(said), "{}{}", done.out, done.err);
-    }
-}
-
-/// Every command of such a run was refused, and it ended with 0.
-#[test]
-fn a_feed_that_the_arm_refuses_is_refused() {
-    let place = Place::new();
-    let slow = scenes::drill("lockstep", 4.0) + "[arm]\nmax_speed_mm_per_s = 1.0\n";
-    for (code, text) in said(&place, &slow) {
-        assert_eq!(code, Some(2), "{text}");
-        assert!(text.contains("`arm.max_speed_mm_per_s` is 1, expected at least 8"), "{text}");
-    }
-}
-
-#[test]
-fn keys_that_change_nothing_are_warned_of() {
-    let place = Place::new();
-    let scene = place.scene(
-        &(scenes::drill_unseen("lockstep", 4.0)
-            + "[arm]\nmodel = \"gantry\"\nholder_length_mm = 30.0\n[[sensor]]\nname = \"joints\"\nrate_hz = 100.0\nencoders = {}\n\
-               [[sensor]]\nname = \"field\"\nrate_hz = 100.0\ntracker = { view_deg = 30.0 }\n"),
-    );
-    let done = trabecula(&[&"scene", &"check", &scene]);
-    assert_eq!(done.code, Some(0), "{}", done.err);
-    for key in ["arm.holder_length_mm", "sensor.encoders", "sensor.tracker.view_deg"] {
-        assert!(done.out.contains(&format!("`{key}` has no effect")), "{key}: {}{}", done.out, done.err);
     }
 }
 

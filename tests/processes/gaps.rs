@@ -6,7 +6,7 @@ use std::path::Path;
 use ipc_types::messages::{DrrReply, Frame, Latched, State};
 use zerocopy::{FromBytes, IntoBytes};
 
-use crate::common::logs::{edited, rewrite_as, verify};
+use crate::common::logs::{edited, recorded, rewrite_as, verify};
 use crate::common::program::{Done, Place, trabecula};
 use crate::common::scenes;
 
@@ -68,7 +68,7 @@ fn a_gap_costs_the_ticks_up_to_the_next_keyframe_and_is_named_by_every_command()
 #[test]
 fn every_command_names_a_flipped_bit_and_does_not_end_with_0() {
     let place = Place::new();
-    let folder = place.complete(&scenes::hold("lockstep", 0.4)).folder;
+    let folder = recorded(&place, &scenes::hold("lockstep", 0.4));
     let bytes = fs::read(folder.join("run.mcap")).unwrap();
     let (log, output) = (place.path("flipped.mcap"), place.path("r.mcap"));
     let mut random = fastrand::Rng::with_seed(17);
@@ -147,7 +147,7 @@ fn a_replay_starts_none_of_a_logs_programs() {
     let evil = text.replace("hold = { tension_n = 2.0 }", &program);
     assert_ne!(evil, text);
     let log = place.path("log.mcap");
-    let original = place.complete(&text).folder.join("run.mcap");
+    let original = recorded(&place, &text).join("run.mcap");
     rewrite_as(&original, &log, |header| header.scene_toml.clone_from(&evil), |_| {}, |_| {});
     said(&verify(&log), 0, &["replayed 200 ticks, all identical"]);
     said(&trabecula(&[&"replay", &log]), 0, &["replayed 200 ticks"]);
@@ -159,6 +159,7 @@ fn a_replay_starts_none_of_a_logs_programs() {
     let scene = place.path("evil.toml");
     fs::write(&scene, &evil).unwrap();
     said(&trabecula(&[&"scene", &"check", &scene]), 0, &[]);
+    said(&trabecula(&[&"plan", &"--list", &scene]), 0, &[]);
     assert!(!fs::exists(&trace).unwrap(), "the log's program was started");
     // A run does start it: that is what leaves the trace.
     let _ = trabecula(&[&"run", &scene, &"--output", &place.path("out"), &"--quiet"]);

@@ -8,6 +8,7 @@ use std::fs::{self, File};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::LazyLock;
 use std::time::Instant;
 
 use crate::common::program::{Place, wait_for};
@@ -62,18 +63,20 @@ fn gzip(data: &[u8]) -> Vec<u8> {
     encoder.finish().unwrap()
 }
 
+/// A GiB of zeros as one gzip stream, compressed once.
+fn bomb() -> &'static [u8] {
+    static BOMB: LazyLock<Vec<u8>> = LazyLock::new(|| gzip_zeros(1 << 30));
+    &BOMB
+}
+
 /// Zeros as one gzip stream.
 fn gzip_zeros(bytes: usize) -> Vec<u8> {
     let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
-    write_zeros(&mut encoder, bytes);
-    encoder.finish().unwrap()
-}
-
-fn write_zeros(encoder: &mut impl std::io::Write, bytes: usize) {
     let zeros = vec![0; 1 << 20];
     for start in (0..bytes).step_by(zeros.len()) {
         encoder.write_all(&zeros[..zeros.len().min(bytes - start)]).unwrap();
     }
+    encoder.finish().unwrap()
 }
 
 /// A label map as one zlib stream: of `slices` slices of 800 x 800 bytes, every hundredth has a square of labels.
@@ -167,8 +170,10 @@ fn of_no_format(cases: &mut Cases) {
 }
 
 /// 800³ voxels of two bytes in a megabyte.
-fn largest() -> Vec<u8> {
-    nrrd(&usual("800 800 800", "gzip"), &gzip_zeros(2 * 800 * 800 * 800))
+fn largest() -> &'static [u8] {
+    static LARGEST: LazyLock<Vec<u8>> =
+        LazyLock::new(|| nrrd(&usual("800 800 800", "gzip"), &gzip_zeros(2 * 800 * 800 * 800)));
+    &LARGEST
 }
 
 fn nrrd_files(cases: &mut Cases) {
@@ -185,10 +190,9 @@ fn nrrd_files(cases: &mut Cases) {
         &nrrd(&usual("4 4 4", "raw").replace("dimension: 3", "dimension: 100"), &[0; 128]),
     );
     add("half of its data", &nrrd(&usual("4 4 4", "raw"), &[0; 64]));
-    let bomb = gzip_zeros(1 << 30);
-    add("gzip, 1 GiB of zeros for 4 x 4 x 4", &nrrd(&usual("4 4 4", "gzip"), &bomb));
-    add("gzip, 1 GiB of zeros for 2^30 voxels", &nrrd(&usual("1024 1024 1024", "gzip"), &bomb));
-    add("gzip, 1 GB of zeros for 800³, without the memory", &largest());
+    add("gzip, 1 GiB of zeros for 4 x 4 x 4", &nrrd(&usual("4 4 4", "gzip"), bomb()));
+    add("gzip, 1 GiB of zeros for 2^30 voxels", &nrrd(&usual("1024 1024 1024", "gzip"), bomb()));
+    add("gzip, 1 GB of zeros for 800³, without the memory", largest());
     add("gzip, less than it says", &nrrd(&usual("800 800 800", "gzip"), &gzip(&[0; 64])));
     add("bzip2, 1 GiB of zeros in 8 kB", &nrrd(&usual("800 800 800", "bzip2"), &bzip2_bomb()));
     add("data that are no gzip", &nrrd(&usual("4 4 4", "gzip"), &[7; 128]));
@@ -218,12 +222,12 @@ fn other_volumes(cases: &mut Cases) {
         &nifti([4; 3], |h| h[280..284].copy_from_slice(&[0xff; 4])),
     );
     add("NIfTI: no data", "v.nii", &nifti([64; 3], |_| {}));
-    add("NIfTI: gzip, a bomb for a header", "v.nii.gz", &gzip_zeros(1 << 30));
+    add("NIfTI: gzip, a bomb for a header", "v.nii.gz", bomb());
     add("MetaImage: 2^40 voxels", "v.mhd", &mhd("1048576 1024 1024", "ElementDataFile = LOCAL"));
     add("MetaImage: data in /dev/zero", "v.mhd", &mhd("4 4 4", "ElementDataFile = /dev/zero"));
     add("MetaImage: its own header as data", "v.mhd", &mhd("800 800 800", "ElementDataFile = v.mhd"));
     let zlib = mhd("4 4 4", "CompressedData = True\nElementDataFile = LOCAL");
-    add("MetaImage: zlib, a bomb", "v.mha", &[&zlib[..], &gzip_zeros(1 << 30)[..]].concat());
+    add("MetaImage: zlib, a bomb", "v.mha", &[&zlib[..], bomb()].concat());
     let slice = DicomSlice::default().bytes();
     add("DICOM: cut in the middle", "v.dcm", &slice[..slice.len() / 2]);
     let prefix = &slice[..slice.len() - 52];
@@ -415,7 +419,7 @@ fn every_hostile_file_is_refused_in_bounded_memory() {
     texts_and_logs(&mut cases);
     assert!(cases.all.len() >= 60, "{} files", cases.all.len());
     let refused = cases.all.len();
-    cases.volume("NRRD: gzip, 1 GB of zeros for 800³", "v.nrrd", &largest());
+    cases.volume("NRRD: gzip, 1 GB of zeros for 800³", "v.nrrd", largest());
     let labels = mhd("800 800 800", "CompressedData = True\nElementDataFile = LOCAL");
     let labels = String::from_utf8(labels).unwrap().replace("MET_SHORT", "MET_UCHAR");
     let labels = [labels.as_bytes(), &zlib_labels(800)].concat();

@@ -97,7 +97,7 @@ fn a_signal_at_any_moment_of_the_start_is_answered_and_obeyed() {
         &[Signal::INT, Signal::TERM, Signal::HUP]
     };
     let mut random = Rng::with_seed(16);
-    for (index, scene) in scenes.iter().cycle().take(20).enumerate() {
+    for (index, scene) in scenes.iter().cycle().take(10).enumerate() {
         let longest_ms = if index % scenes.len() == 4 { 4500 } else { 1200 };
         let (wait_ms, sent) = (random.u64(..longest_ms), signals[random.usize(..signals.len())]);
         let after = format!("scene {}, {} after {wait_ms} ms", index % scenes.len(), name(sent));
@@ -172,7 +172,7 @@ fn a_signal_while_the_end_is_under_way_is_obeyed() {
 #[test]
 fn a_signal_while_the_report_is_made_is_obeyed_and_the_logs_are_whole() {
     let place = Place::new();
-    let run = place.start(&scenes::hold("lockstep", 40.0));
+    let run = place.start(&scenes::hold("lockstep", 15.0));
     let session = run.session();
     wait_for("the recorder", || parts_of(&session).iter().any(|(part, _)| part == "recorder").then_some(()));
     wait_for("the recorder's end", || parts_of(&session).is_empty().then_some(()));
@@ -185,7 +185,7 @@ fn a_signal_while_the_report_is_made_is_obeyed_and_the_logs_are_whole() {
         code => assert!(code == Some(0) && ended.folder.join("summary.json").exists(), "{}", ended.err),
     }
     let log = read(&ended.folder);
-    assert_eq!((log.ticks.len(), log.marker.unwrap().reason), (40_000, EndReason::Completed));
+    assert_eq!((log.ticks.len(), log.marker.unwrap().reason), (15_000, EndReason::Completed));
 }
 
 /// SIGHUP was not handled: no summary, and session and memory stayed.

@@ -8,7 +8,7 @@ use recorder_proc::log_file::LogFile;
 use run_log::{ReadOptions, frames};
 use rustix::process::Signal;
 
-use crate::common::logs::{assert_replays, counts};
+use crate::common::logs::{assert_replays, counts, recorded};
 use crate::common::program::{Place, Run, signal, trabecula, wait_for};
 use crate::common::scenes;
 
@@ -131,7 +131,7 @@ fn parquet_rows(file: &Path) -> i64 {
 #[test]
 fn the_table_of_a_damaged_log_can_be_read() {
     let place = Place::new();
-    let folder = place.complete(&scenes::hold("lockstep", 0.5)).folder;
+    let folder = recorded(&place, &scenes::hold("lockstep", 0.5));
     let mut bytes = fs::read(folder.join("run.mcap")).unwrap();
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
@@ -143,53 +143,6 @@ fn the_table_of_a_damaged_log_can_be_read() {
     }
     let rows = fs::read_to_string(csv).unwrap().lines().count() as i64 - 1;
     assert!(rows > 50 && rows < 501 && parquet_rows(&parquet) == rows, "{rows}");
-}
-
-#[test]
-fn a_topic_that_a_log_has_not_is_no_empty_answer() {
-    let place = Place::new();
-    let folder = place.complete(&scenes::hold("lockstep", 0.1)).folder;
-    let cat = |topic: &str| trabecula(&[&"log", &"cat", &folder, &"--topic", &topic]);
-    let done = cat("/statee");
-    assert!(done.code == Some(2) && done.out.is_empty(), "{}", done.out);
-    assert!(done.err.contains("no topic /statee; it has ") && done.err.contains(", /state"), "{}", done.err);
-    // A topic without messages is there.
-    let done = cat("/drr/frame");
-    assert!(done.code == Some(0) && done.out.is_empty() && done.err.is_empty(), "{}", done.err);
-    // How a log ends is said, but not among the messages.
-    let bytes = fs::read(folder.join("run.mcap")).unwrap();
-    fs::write(folder.join("run.mcap"), &bytes[..bytes.len() / 2]).unwrap();
-    let done = cat("/state");
-    assert!(done.code == Some(3) && done.err.contains("cut after byte"), "{}", done.err);
-    assert!(done.out.lines().all(|line| line.starts_with('{')) && !done.out.is_empty());
-}
-
-/// Bug: half a log gave a part of the tunnel, exit code 0, and no word.
-#[test]
-fn what_is_made_of_a_cut_log_is_made_up_to_the_cut_and_says_so() {
-    let place = Place::new();
-    let folder = place.complete(&scenes::drill("lockstep", 2.0)).folder;
-    let bytes = fs::read(folder.join("run.mcap")).unwrap();
-    fs::write(folder.join("run.mcap"), &bytes[..bytes.len() * 3 / 4]).unwrap();
-    let made = |name: &str, words: &[&dyn AsRef<std::ffi::OsStr>]| {
-        let file = place.path(name);
-        let done = trabecula(&[words, &[&folder, &"-o", &file]].concat());
-        (done.code, done.out + &done.err, file.exists())
-    };
-    let geometry = ["tunnel", "tool", "burr-path", "deviation"];
-    let endings = ["stl", "stl", "mrk.json", "csv"];
-    let mut all = vec![made("drilled.nrrd", &[&"volume", &"drilled"])];
-    for (what, ending) in geometry.iter().zip(endings) {
-        all.push(made(&format!("{what}.{ending}"), &[&"log", &"export", &"--geometry", what]));
-    }
-    for (code, said, exists) in all {
-        assert!(code == Some(3) && said.contains("cut after byte") && exists, "{code:?} {exists} {said}");
-    }
-    // What the log holds of the tick asked for is whole.
-    let (code, said, _) = made("early.nrrd", &[&"volume", &"drilled", &"--tick", &"100"]);
-    assert_eq!(code, Some(0), "{said}");
-    let (code, said, _) = made("early.stl", &[&"log", &"export", &"--geometry", &"tool", &"--to", &"100"]);
-    assert_eq!(code, Some(0), "{said}");
 }
 
 #[test]

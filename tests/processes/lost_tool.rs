@@ -64,7 +64,7 @@ fn a_lost_tool_ends_the_run_with_its_own_outcome_and_replays_to_the_same_end() {
 #[test]
 fn a_log_is_whole_however_soon_the_simulation_fails() {
     let busy = BusyLoops::start(3);
-    for _ in 0..16 {
+    for _ in 0..4 {
         let place = Place::new();
         let scene = scenes::shared("lockstep", 5.0) + "\n[manipulator]\nstiffness_scale = 0.001\n";
         let run = place.start(&scene);

@@ -7,7 +7,6 @@
 mod answers;
 mod anywhere;
 mod attacked;
-mod bad_input;
 mod bare_iceoryx2;
 mod cache;
 mod calibrate;
@@ -83,5 +82,4 @@ mod untrusted;
 mod unwritable;
 mod versions;
 mod view;
-mod volumes;
 mod wheel;

@@ -45,16 +45,7 @@ fn all_take_it(geometry: &str) -> bool {
 /// From 1e-5 to 1e-4 `volume info`, `scene check` and `drr` took it, and `run` died when its folder was made and its parts were there.
 #[test]
 fn a_ct_is_taken_or_refused_by_every_command_alike_however_far_its_axes_are_off() {
-    for (cosine, taken) in [
-        (1e-9, true),
-        (1e-6, true),
-        (2e-5, true),
-        (5e-5, true),
-        (9.9e-5, true),
-        (1.01e-4, false),
-        (1e-3, false),
-        (1e-2, false),
-    ] {
+    for (cosine, taken) in [(1e-6, true), (2e-5, true), (9.9e-5, true), (1.01e-4, false), (1e-2, false)] {
         let directions = format!("(1,0,0) ({cosine:e},1,0) (0,0,1)");
         let geometry = format!("space directions: {directions}\nspace origin: (-11.5,-11.5,-11.5)");
         assert_eq!(all_take_it(&geometry), taken, "{cosine:e}");

@@ -147,7 +147,7 @@ fn a_relay_of_programs_ends_with_the_program_that_began_it() {
     let relay = folder.path().join("relay.sh");
     let script = "[ $1 -gt 0 ] && { sh $0 $(( $1 - 1 )) $2 & exit; }\nexec sleep $2\n";
     std::fs::write(&relay, script).unwrap();
-    for trial in 0..16 {
+    for trial in 0..6 {
         let time = unmistakable(4);
         let begin = format!(
             "for i in 1 2 3 4 5 6 7 8; do sh {} 400 {time} & done; sleep 0.0{}",
@@ -168,7 +168,7 @@ fn a_relay_of_programs_ends_with_the_program_that_began_it() {
 #[test]
 fn a_launcher_that_is_killed_while_it_starts_leaves_nothing() {
     let mut random = Rng::with_seed(9);
-    for trial in 0..16 {
+    for trial in 0..6 {
         let times = [0, 1, 2, 3].map(unmistakable);
         let place = Place::new();
         let run = place.start(&with_descendants("lockstep", &times));
@@ -181,7 +181,7 @@ fn a_launcher_that_is_killed_while_it_starts_leaves_nothing() {
         wait_for(&format!("the end of all parts, trial {trial}, killed after {wait_us} us"), || {
             (processes_with(&times).is_empty() && parts_of(&session).is_empty()).then_some(())
         });
-        if trial == 15 {
+        if trial == 5 {
             place.complete(&scenes::hold("lockstep", 0.05));
             assert!(!session.exists() && shared_memory_of(launcher).is_empty());
         }
@@ -212,7 +212,7 @@ fn stop_at_work(process: u32, random: &mut Rng) {
 #[test]
 fn a_killed_launcher_costs_no_published_tick() {
     let mut random = Rng::with_seed(22);
-    for trial in 0..12 {
+    for trial in 0..6 {
         let mode = ["realtime", "lockstep", "lockstep"][trial % 3];
         let place = Place::new();
         let run = place.start(&scenes::hold(mode, 600.0));

@@ -101,28 +101,3 @@ fn a_tool_of_the_scenes_own_is_measured_once() {
     let (unkept, err) = plan(&[], None);
     assert!(unkept == first && err.contains("are not kept: neither XDG_CACHE_HOME nor HOME"), "{err}");
 }
-
-#[test]
-fn what_cannot_be_planned_is_bad_input() {
-    let place = Place::new();
-    let hold = scenes::hold("lockstep", 0.5);
-    for (scene, words) in [
-        (
-            with_tolerance(&hold, "tip_mm = 0.0001"),
-            ["`tolerance.tip_mm` is 0.0001", "allowed is 0.001 to 100"],
-        ),
-        (with_tolerance(&hold, "path_mm = 0.001"), ["`tolerance.path_mm` is 0.001", "allowed is"]),
-        (with_tolerance(&hold, "tip_um = 5.0"), ["`tip_um`", "`tip_mm`"]),
-    ] {
-        let file = place.scene(&scene);
-        for command in ["plan", "run"] {
-            let done = trabecula(&[&command, &file]);
-            assert_eq!(done.code, Some(2), "{}{}", done.out, done.err);
-            assert!(words.iter().all(|word| done.err.contains(word)), "{words:?} in: {}", done.err);
-        }
-    }
-    let neither = trabecula(&[&"plan"]);
-    assert_eq!(neither.code, Some(2), "{}", neither.err);
-    let no_log = trabecula(&[&"plan", &"--check", &place.path("nothing.mcap")]);
-    assert_eq!(no_log.code, Some(2), "{}", no_log.err);
-}

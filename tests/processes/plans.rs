@@ -9,7 +9,6 @@ use test_support::python::or_skip;
 
 use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Ended, Place, Run, trabecula};
-use crate::common::scenes::PLAN_OF_THE_BALL as PLAN;
 use crate::languages::output_within_limit;
 
 /// How far from its target a planned drilling may end, mm: what the issue asks for.
@@ -87,7 +86,7 @@ fn a_plan_of_slicer_is_drilled_to_its_target_and_what_was_made_opens_there() {
 #[test]
 fn a_plan_of_slicer_on_a_real_ct_is_drilled_to_its_target() {
     let data = std::env::var_os("TRABECULA_SHARED_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"), PathBuf::from);
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
     let ct = data.join("totalsegmentator_example/example_ct.nii.gz");
     if !ct.exists() {
         println!("\n*** SKIPPED: {} is absent; set TRABECULA_SHARED_DATA ***\n", ct.display());
@@ -194,72 +193,4 @@ fn a_segment_of_slicer_is_bone_by_its_name() {
     assert_eq!(ended.code, Some(0), "{}", ended.err);
     assert!(read(&ended.folder).ticks.last().unwrap().state.removed_total > 0, "nothing was drilled");
     assert_replays(&ended.folder);
-}
-
-#[test]
-fn what_is_no_plan_or_lies_beside_its_volume_ends_with_2_and_writes_nothing() {
-    let place = Place::new();
-    let (ball, plan, scene) = (place.path("ball.nrrd"), place.path("plan.fcsv"), place.path("s.toml"));
-    assert_eq!(trabecula(&[&"phantom", &"sphere", &"-o", &ball]).code, Some(0));
-    let deep = "[".repeat(100_000);
-    for (text, said) in [
-        (PLAN.replace("LPS", "IJK"), "`line 1: # CoordinateSystem` is IJK, expected LPS or RAS"),
-        (
-            PLAN.replace("2,0,0,0,", "2,0,0,80,"),
-            "`target` is at [0.0, 0.0, 80.0] (LPS, mm), expected a point within",
-        ),
-        (PLAN.replace("2,0,0,0,", "2,1e999,0,0,"), "`line 3: x, y, z` is [1e999, 0, 0]"),
-        (PLAN.replace("target", "goal"), "named `entry` and none named `target`"),
-        (format!("{{\"markups\": {deep}"), "is not JSON: recursion limit exceeded"),
-        (String::from_utf8_lossy(&[b'#'; 300]).into_owned(), "has no `# CoordinateSystem = `"),
-        ("x".repeat(20 << 20), "longer than 16777216 bytes"),
-    ] {
-        std::fs::write(&plan, text).unwrap();
-        let done = trabecula(&[&"scene", &"from-markups", &plan, &"--ct", &ball, &"-o", &scene]);
-        assert!(done.code == Some(2) && done.err.contains(said), "{}\nis not\n{said}", done.err);
-        assert!(done.err.contains("plan.fcsv") && !scene.exists() && done.err.len() < 1000, "{}", done.err);
-    }
-    std::fs::write(&plan, PLAN).unwrap();
-    let done = trabecula(&[&"scene", &"from-markups", &plan, &"--ct", &ball, &"-o", &scene]);
-    assert_eq!(done.code, Some(0), "{}", done.err);
-    // The plan is read again with the scene: what is wrong with it then is said of the scene's key.
-    std::fs::write(&plan, PLAN.replace("LPS", "")).unwrap();
-    let done = trabecula(&[&"scene", &"check", &scene]);
-    assert!(done.code == Some(2) && done.err.contains("s.toml: `tool.plan` "), "{}", done.err);
-    std::fs::write(&plan, PLAN.replace("2,0,0,0,", "2,0,0,17,")).unwrap();
-    let done = trabecula(&[&"scene", &"check", &scene]);
-    let said =
-        "`controller.curved_drilling.target_mm` is [0.0, 0.0, 17.0], expected a place within the volume";
-    assert!(done.code == Some(2) && done.err.contains(said), "{}", done.err);
-}
-
-#[test]
-fn geometry_that_a_log_has_not_is_refused_by_name() {
-    let place = Place::new();
-    let folder = place.complete(&crate::common::scenes::hold("lockstep", 0.05)).folder;
-    for (what, name, said) in [
-        ("tunnel", "a.ply", "expected a file that ends in .stl or .obj or .vtp"),
-        ("burr-path", "a.json", "expected a file that ends in .mrk.json or .fcsv or .vtp"),
-        ("deviation", "a.stl", "expected a file that ends in .csv or .parquet or .vtp"),
-        (
-            "planned-path",
-            "a.vtp",
-            "plans no path: expected a controller `curved_drilling`, `skiving` or `tube_deployment`",
-        ),
-        ("deviation", "a.csv", "plans no path"),
-        ("tunnel", "a.stl", "this run has no volume"),
-    ] {
-        let output = place.path(name);
-        let done = trabecula(&[&"log", &"export", &folder, &"-o", &output, &"--geometry", &what]);
-        assert!(done.code == Some(2) && done.err.contains(said), "{what} {name}: {}", done.err);
-        assert!(!output.exists(), "{name}");
-    }
-    let output = place.path("tool.stl");
-    let done =
-        trabecula(&[&"log", &"export", &folder, &"-o", &output, &"--geometry", &"tool", &"--to", &"99"]);
-    assert!(
-        done.code == Some(2) && done.err.contains("--to is 99, but the log ends at tick 50"),
-        "{}",
-        done.err
-    );
 }

@@ -14,6 +14,7 @@ use crate::common::client::{Client, Pilot};
 use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Place, assert_nothing_left, signal, wait_for};
 use crate::common::scenes;
+use crate::strays::{joined, stopped};
 
 /// A run of free space with a program beside its controller.
 fn with_program(duration_s: f64, script: &str) -> String {
@@ -27,19 +28,21 @@ fn with_program(duration_s: f64, script: &str) -> String {
 #[test]
 fn a_program_may_print_bytes_that_are_no_text() {
     let place = Place::new();
-    let script = r"while :; do printf '\260C\n'; sleep 0.01; done";
-    let ended = place.complete(&with_program(1.0, script));
-    assert!(ended.err.contains("[guest] \u{fffd}C"), "{}", ended.err);
-    assert_nothing_left(ended.pid);
+    let run = place.start(&with_program(600.0, r"while :; do printf '\260C\n'; sleep 0.01; done"));
+    wait_for("the program's words", || run.said().contains("[guest] \u{fffd}C").then_some(()));
+    let client = joined(&run, "");
+    assert_nothing_left(stopped(run, client, ()).pid);
 }
 
 #[test]
 fn a_line_without_an_end_is_taken_in_pieces() {
     let place = Place::new();
-    let script = "head -c 1000000 /dev/zero | base64 -w 0; sleep 600";
-    let ended = place.complete(&with_program(1.0, script));
-    let longest = ended.err.lines().map(str::len).max();
-    assert!((4000..5000).contains(&longest.unwrap()), "{longest:?}");
+    let run = place.start(&with_program(600.0, "head -c 1000000 /dev/zero | base64 -w 0; sleep 600"));
+    let longest = || run.said().lines().map(str::len).max().unwrap_or_default();
+    wait_for("a piece of the line", || (longest() >= 4000).then_some(()));
+    assert!(longest() < 5000, "{}", longest());
+    let client = joined(&run, "");
+    stopped(run, client, ());
 }
 
 /// Nobody reads what the launcher says any more (`2>&1 | head -1`): it lost the log's end.
@@ -61,38 +64,13 @@ fn a_closed_standard_error_ends_no_run() {
     assert_eq!(read(&folder).marker.unwrap().reason, EndReason::Completed);
 }
 
-#[test]
-fn what_a_program_has_started_ends_with_the_run() {
-    let place = Place::new();
-    // A time that no other process sleeps.
-    let time = format!("7{:05}", std::process::id() % 100_000);
-    let ended = place.complete(&with_program(0.5, &format!("sleep {time}; :")));
-    assert_nothing_left(ended.pid);
-    let sleeps = |entry: std::fs::DirEntry| {
-        let line = std::fs::read(entry.path().join("cmdline")).unwrap_or_default();
-        line.split(|byte| *byte == 0).any(|word| word == time.as_bytes())
-    };
-    assert!(!std::fs::read_dir("/proc").unwrap().flatten().any(sleeps), "`sleep {time}` is left");
-}
-
-#[test]
-fn a_controller_may_not_have_the_name_of_a_part() {
-    for name in ["physics", "completed", "stopped"] {
-        let place = Place::new();
-        let scene = scenes::hold("lockstep", 0.1).replace("\"holder\"", &format!("{name:?}"));
-        let ended = place.start(&scene).end();
-        assert_eq!(ended.code, Some(2), "{}", ended.err);
-        assert!(ended.err.contains(&format!("`{name}` is the name of something else")), "{}", ended.err);
-    }
-}
-
 /// The last frames are missing then, so the run has not succeeded. `until` says when behind the last tick it dies.
 fn drr_process_dies_behind_the_last_tick(until: impl Fn(u32)) {
     let place = Place::new();
-    let run = place.start(&scenes::drill("realtime", 1.0));
+    let run = place.start(&scenes::drill("realtime", 2.0));
     let client = Client::join(&run.session());
-    client.wait_for_state(|state| state.tick >= 300);
     let (drr, controller) = (run.part("drr"), run.part("controller"));
+    client.wait_for_state(|state| state.tick >= 100);
     signal(drr, Signal::STOP);
     wait_for("the run's last tick", || {
         client.status.receive().unwrap().filter(|status| status.message().phase == PHASE_ENDED).map(|_| ())
@@ -105,7 +83,7 @@ fn drr_process_dies_behind_the_last_tick(until: impl Fn(u32)) {
     assert!(ended.err.contains("part `drr` died"), "{}", ended.err);
     let log = read(&ended.folder);
     assert_eq!(log.marker.unwrap().reason, EndReason::PartDied("drr".to_owned()));
-    assert_eq!(log.ticks.len(), 1000);
+    assert_eq!(log.ticks.len(), 2000);
     assert_replays(&ended.folder);
 }
 

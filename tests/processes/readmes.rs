@@ -12,7 +12,7 @@ use test_support::limited::Limited;
 use test_support::python::{downloads, or_skip};
 
 use crate::common::program::{LIMIT, Place};
-use crate::languages::{ZIG, built, clients, environment_with, install_package, library, python};
+use crate::languages::{ZIG, built, clients, environment_with, install_package, library, python, skip};
 
 /// The first block of shell lines of a README.
 fn shell_lines(language: &str) -> Vec<String> {
@@ -82,7 +82,7 @@ fn the_shell_lines_of_every_readme_lead_to_a_running_controller() {
                 // The same example in every language.
                 assert_eq!(*first.get_or_insert_with(|| said.clone()), said, "{language}");
             }
-            Err(reason) => println!("\n*** SKIPPED {language}: {reason} ***\n"),
+            Err(reason) => skip(&format!("{language}: {reason}")),
         }
     }
     assert!(first.is_some());

@@ -4,6 +4,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 
+use crate::common::logs::recorded;
 use crate::common::program::{Place, Run, wait_for};
 use crate::common::scenes;
 
@@ -21,7 +22,7 @@ impl Drop for Killed {
 #[test]
 fn the_file_that_a_killed_viewer_leaves_goes_with_the_next_viewer_or_run() {
     let place = Place::new();
-    let ended = place.complete(&scenes::hold("lockstep", 0.1));
+    let log = recorded(&place, &scenes::hold("lockstep", 0.1));
     let (tools, runtime) = (place.path("tools"), place.path("runtime"));
     [&tools, &runtime].into_iter().for_each(|folder| std::fs::create_dir(folder).unwrap());
     std::fs::set_permissions(&runtime, std::fs::Permissions::from_mode(0o700)).unwrap();
@@ -31,7 +32,7 @@ fn the_file_that_a_killed_viewer_leaves_goes_with_the_next_viewer_or_run() {
     let path = format!("{}:{}", tools.display(), std::env::var("PATH").unwrap());
     let viewer = || {
         let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
-        command.arg("view").arg(&ended.folder).args(["--port", "0"]).env("PATH", &path).env("DISPLAY", ":99");
+        command.arg("view").arg(&log).args(["--port", "0"]).env("PATH", &path).env("DISPLAY", ":99");
         command.env("XDG_RUNTIME_DIR", &runtime).stdin(Stdio::null()).stdout(Stdio::null());
         Killed(command.spawn().unwrap())
     };

@@ -99,51 +99,6 @@ fn ticks_advance_exactly_as_run_control_asks() {
     assert_replays(&ended.folder);
 }
 
-/// A pause that came while a controller was thinking was answered with "done at tick k", and tick k made all the same.
-#[test]
-fn a_pause_while_a_controller_thinks_holds_the_tick() {
-    let place = Place::new();
-    let run = place.start(&scenes::piloted("lockstep", 100.0, ""));
-    let mut pilot = Pilot::join(&run.session(), "pilot");
-    let state = pilot.drive_to(50, rest);
-    let reply = pilot.client.ask(CONTROL_PAUSE, 0);
-    assert_eq!((reply.status, reply.tick), (CONTROL_DONE, 50));
-    pilot.answer(&state, rest(&state));
-    assert_stands(&pilot, 50);
-    pilot.client.ask(CONTROL_STEP, 1);
-    let next = pilot.next_state();
-    assert_eq!(next.tick, 51);
-    pilot.answer(&next, rest(&next));
-    assert_stands(&pilot, 51);
-    let ended = stopped(run, pilot);
-    assert_replays(&ended.folder);
-}
-
-/// Steps that had been asked for and not made were made after the pause, and after the next one.
-#[test]
-fn a_pause_gives_up_the_steps_that_are_not_made_yet() {
-    let place = Place::new();
-    let run = place.start(&scenes::piloted("lockstep", 100.0, ""));
-    let mut pilot = Pilot::join(&run.session(), "pilot");
-    let initial = pilot.next_state();
-    pilot.client.ask(CONTROL_PAUSE, 0);
-    pilot.answer(&initial, rest(&initial));
-    // The second would be one more than can be counted.
-    assert_eq!(pilot.client.ask(CONTROL_STEP, u64::MAX).status, CONTROL_DONE);
-    assert_eq!(pilot.client.ask(CONTROL_STEP, 2).status, CONTROL_DONE);
-    let state = pilot.drive_to(10, rest);
-    assert_eq!(pilot.client.ask(CONTROL_PAUSE, 0).status, CONTROL_DONE);
-    pilot.answer(&state, rest(&state));
-    assert_stands(&pilot, 10);
-    pilot.client.ask(CONTROL_STEP, 1000);
-    pilot.client.ask(CONTROL_RESUME, 0);
-    let state = pilot.drive_to(20, rest);
-    pilot.client.ask(CONTROL_PAUSE, 0);
-    pilot.answer(&state, rest(&state));
-    assert_stands(&pilot, 20);
-    stopped(run, pilot);
-}
-
 /// Steps were added up without a bound: with the largest number of them, further ones wrapped round to none. And a
 /// request during the connection was answered with the phase "running".
 #[test]

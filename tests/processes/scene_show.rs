@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 use crate::common::program::{Place, trabecula};
-use crate::common::scenes::{self, PLAN_OF_THE_BALL};
+use crate::common::scenes::PLAN_OF_THE_BALL;
 
 fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
@@ -46,41 +46,5 @@ fn the_figures_of_a_plan_in_a_ball_are_the_balls_and_the_picture_shows_hole_tool
     // Hole, tool at the start, tool at the end, path.
     for colour in [[86, 180, 233], [240, 228, 66], [255, 140, 60], [204, 121, 167]] {
         assert!(count(colour) > 500, "{colour:?}: {}", count(colour));
-    }
-}
-
-#[test]
-fn a_scene_that_cannot_be_shown_ends_with_2_and_writes_nothing() {
-    let place = Place::new();
-    let scene = place.scene(&scenes::hold("lockstep", 1.0));
-    for (name, said) in [("a.png", "the scene has no `[volume]`"), ("a.svg", "expected a .png file")] {
-        let output = place.path(name);
-        let done = trabecula(&[&"scene", &"show", &scene, &"-o", &output]);
-        assert!(done.code == Some(2) && done.err.contains(said) && !output.exists(), "{name}: {}", done.err);
-    }
-}
-
-#[test]
-fn a_place_is_read_in_its_frame_or_refused_with_the_volumes_corners() {
-    let place = Place::new();
-    let block = place.path("block.nrrd");
-    assert_eq!(trabecula(&[&"phantom", &"pelvis", &"-o", &block, &"--spacing-mm", &"2"]).code, Some(0));
-    let probe = |words: &[&dyn AsRef<std::ffi::OsStr>]| {
-        let mut all: Vec<&dyn AsRef<std::ffi::OsStr>> = vec![&"volume", &"probe", &block, &"--json"];
-        all.extend(words);
-        trabecula(&all)
-    };
-    let lps = probe(&[&"--at=-99.1,-143.6,116.6", &"--at", &"-98,-144,116"]);
-    let ras = probe(&[&"--ras", &"--at=99.1,143.6,116.6", &"--at=98,144,116"]);
-    assert_eq!((lps.code, &lps.out), (Some(0), &ras.out), "{}{}", lps.err, ras.err);
-    let said: Value = serde_json::from_str(&lps.out).unwrap();
-    assert_eq!(said["places"].as_array().unwrap().len(), 2);
-    assert!(said["places"][0]["hu"].is_number() && said["places"][0]["voxel_hu"].is_number());
-    let outside = probe(&[&"--at=5000,0,0"]);
-    let expected = "--at is [5000, 0, 0], expected a place within the volume, from [";
-    assert!(outside.code == Some(2) && outside.err.contains(expected), "{}", outside.err);
-    for wrong in ["--at=1,2", "--at=1,2,x", "--at=1,2,3,4", "--at=nan,0,0"] {
-        let done = probe(&[&wrong]);
-        assert!(done.code == Some(2) && done.err.contains("expected three numbers"), "{wrong}: {}", done.err);
     }
 }

@@ -1,22 +1,18 @@
 //! Where sessions lie, what is removed there and what never is, and a session whose folder goes.
 
 use std::fs::{self, Permissions};
-use std::io::{BufRead, BufReader};
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 use ipc_types::messages::{CONTROL_RESUME, CONTROL_STOP};
-use ipc_types::session::SESSION_VARIABLE;
 use tempfile::TempDir;
 use trabecula_client::{Client, ClientError, Connection};
 
-use test_support::limited::{Watchdog, end_within};
+use test_support::limited::Limited;
 
 use crate::common::logs::{assert_replays, read};
-use crate::common::program::{
-    LIMIT, Place, Run, assert_nothing_left, segments_of, session_below, trabecula, wait_for,
-};
+use crate::common::program::{LIMIT, Place, Run, assert_nothing_left, segments_of, session_below, trabecula};
 use crate::common::scenes;
 use crate::languages::{output_within_limit, python, skip};
 use crate::strays::joined;
@@ -115,7 +111,8 @@ fn nothing_is_wiped_before_everything_is_checked() {
                 &elsewhere
             }
         };
-        let output = launcher(&place, &scenes::hold("lockstep", 0.05), runtime.path()).output().unwrap();
+        let output =
+            launcher(&place, &scenes::hold("lockstep", 0.05), runtime.path()).limited_output().unwrap();
         let said = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(1), "{what}: {said}");
         let words = ["trabecula-hubs", "only this user owns and can enter", VARIABLE];
@@ -164,7 +161,7 @@ fn a_folder_of_the_users_is_never_wiped_by_a_run() {
                 link
             }
         };
-        let output = launcher(&place, &scenes::hold("lockstep", 0.05), &named).output().unwrap();
+        let output = launcher(&place, &scenes::hold("lockstep", 0.05), &named).limited_output().unwrap();
         let said = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(0), "{what}: {said}");
         content.assert_whole(what);
@@ -191,7 +188,7 @@ fn a_run_works_in_the_longest_run_time_folder() {
             &scenes::shared("lockstep", 0.05).replace("external = true", "hold = { tension_n = 1.0 }"),
             runtime.path(),
         )
-        .output()
+        .limited_output()
         .unwrap();
         let said = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(0), "{said}");
@@ -287,34 +284,18 @@ fn a_run_whose_session_folder_is_removed_goes_on_with_its_clients() {
     assert_replays(&ended.folder);
 }
 
-/// What a viewer that names no session says first; nothing if it found none, or several.
-fn first_line_of_a_viewer(runtime: &Path) -> String {
-    let mut view = Command::new(env!("CARGO_BIN_EXE_trabecula"));
-    view.args(["view", "--port", "0", "--no-open"]).env(VARIABLE, runtime).env_remove(SESSION_VARIABLE);
-    let mut view = view.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::inherit()).spawn().unwrap();
-    let watchdog = Watchdog::over(&view, LIMIT);
-    let mut line = String::new();
-    BufReader::new(view.stdout.take().unwrap()).read_line(&mut line).unwrap();
-    drop(watchdog);
-    let _ = view.kill();
-    end_within(&mut view, LIMIT, "the viewer");
-    line
-}
-
 /// A run from cron, without the variable, and a viewer on the desktop, with it, did not find each other.
 #[test]
 fn programs_with_and_without_a_run_time_folder_find_each_other() {
     let place = Place::new();
-    let mut command = launcher(&place, &scenes::hold("realtime", 60.0), Path::new(""));
+    let mut command = launcher(&place, &scenes::hold("realtime", 600.0), Path::new(""));
     command.env_remove(VARIABLE);
     let run = Run::of(command, place.path("out"));
-    run.session();
-    let runtime = short_folder();
-    // A session of another test, which may be another process, leaves open which one is meant: it is tried again.
-    let line = wait_for("a viewer that finds the session", || {
-        Some(first_line_of_a_viewer(runtime.path())).filter(|line| !line.is_empty())
-    });
-    assert!(line.starts_with("http://"), "the viewer finds a session: {line:?}");
+    let (session, runtime) = (run.session(), short_folder());
+    let mut list = Command::new(env!("CARGO_BIN_EXE_trabecula"));
+    let list = list.args(["session", "list"]).env(VARIABLE, runtime.path()).limited_output().unwrap();
+    let listed = String::from_utf8(list.stdout).unwrap();
+    assert!(listed.contains(session.to_str().unwrap()), "{listed}");
     let client = joined(&run, "");
     crate::strays::stopped(run, client, ());
 }

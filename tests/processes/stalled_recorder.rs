@@ -77,13 +77,14 @@ fn a_recorder_held_up_beyond_its_queue_says_which_ticks_are_missing_and_ends_wit
 
 /// Waits until the physics has made no tick for a while; the last one.
 fn stalled(client: &Client) -> u64 {
-    let mut last = 0;
-    wait_for("the physics to wait", || match client.next_state_within(Duration::from_millis(500)) {
-        Some(state) => {
-            last = state.tick;
-            None
+    let (mut last, mut quiet_looks) = (0, 0);
+    wait_for("the physics to wait", || {
+        match client.next_state_within(Duration::from_millis(500)) {
+            Some(state) => (last, quiet_looks) = (state.tick, 0),
+            None => quiet_looks += 1,
         }
-        None => Some(last),
+        // Longer than a busy machine holds it up.
+        (quiet_looks == 3).then_some(last)
     })
 }
 
@@ -105,17 +106,4 @@ fn a_physics_that_may_wait_for_the_recorder_loses_nothing() {
     // That it waited is a miss with its cause.
     assert!(summary["timing"]["misses"]["by_cause"]["recorder"].as_u64() >= Some(1), "{summary:#}");
     assert!(summary["timing"]["misses"]["lost_ms"]["recorder"].as_f64() > Some(400.0), "{summary:#}");
-}
-
-/// Whatever the scene says: nothing presses in lockstep.
-#[test]
-fn lockstep_always_waits_for_the_recorder() {
-    let scene = format!("{}\n[recording]\non_full = \"gap\"\n", scenes::hold("lockstep", 600.0));
-    let place = Place::new();
-    let (ended, told) = with_a_stopped_recorder(&place, &scene, 0, |client, _| {
-        stalled(client);
-    });
-    assert!(told.is_empty(), "{told:?}");
-    assert_eq!(ended.code, Some(0), "{}{}", ended.out, ended.err);
-    assert!(read(&ended.folder).marker.unwrap().lost.is_empty());
 }

@@ -6,8 +6,8 @@ use std::time::Duration;
 use test_support::limited::{Watchdog, end_within};
 
 use ipc_types::messages::{
-    CONTROL_STOP, DRR_REFUSED, DrrReply, DrrRequest, EVENT_COMMAND_REFUSED, EVENT_MESSAGES_LOST,
-    EVENT_REQUEST_REFUSED, Event, Pose, RunControl, SOURCE_FRESH, TENDON_SERVO_JF,
+    CONTROL_STOP, DRR_REFUSED, DrrReply, DrrRequest, EVENT_REQUEST_REFUSED, Pose, SOURCE_FRESH,
+    TENDON_SERVO_JF,
 };
 use ipc_types::services;
 use ipc_types::session::{SESSION_VARIABLE, Session};
@@ -15,7 +15,6 @@ use run_log::EndReason;
 use rustix::process::Signal;
 use trabecula_client::{Client, ClientError, Connection};
 
-use crate::common::client::{bare_port, send_bare};
 use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Ended, LIMIT, Place, Run, assert_nothing_left, signal, wait_for};
 use crate::common::scenes;
@@ -61,65 +60,6 @@ pub fn await_event(client: &mut Client, code: u32, words: &str) {
         }
         assert!(std::time::Instant::now() < end, "no event with `{words}`");
     }
-}
-
-#[test]
-fn a_client_that_floods_or_stops_reading_is_counted_and_stops_nobody() {
-    let place = Place::new();
-    let run = place.start(&scenes::shared("realtime", 60.0));
-    let mut client = joined(&run, "pilot");
-    client.next_event().unwrap();
-    answer(&mut client, 1.0);
-    for _ in 0..20_000 {
-        let command = client.command().unwrap();
-        command.tendon_mode = TENDON_SERVO_JF;
-        command.tendon_force_n[0] = 3.0;
-        client.send().unwrap();
-    }
-    await_event(&mut client, EVENT_MESSAGES_LOST, "controller `pilot`: ");
-    let first = client.wait_state(LIMIT).unwrap().tick;
-    let missed = client.states_missed();
-    let mut observer = joined(&run, "");
-    while observer.wait_state(LIMIT).unwrap().tick < first + 700 {}
-    assert!(client.wait_state(LIMIT).unwrap().tick >= first + 700);
-    assert!(client.states_missed() >= missed + 699, "{} missed", client.states_missed());
-    let ended = stopped(run, observer, client);
-    assert_nothing_left(ended.pid);
-    assert_replays(&ended.folder);
-}
-
-/// A message of a wrong length once ended whoever read it: the recorder with its log, the DRR process, the physics.
-#[test]
-fn garbage_of_a_stray_publisher_is_refused_and_ends_nobody() {
-    let place = Place::new();
-    let scene = scenes::drill("realtime", 60.0)
-        + "\n[[controller]]\nname = \"pilot\"\ndrives = [\"c_arm\"]\nexternal = true\noptional = true\n";
-    let run = place.start(&scene);
-    let mut observer = joined(&run, "");
-    observer.next_event().unwrap();
-    observer.wait_state(LIMIT).unwrap();
-    let stray = Session::join(&run.session()).unwrap();
-    let bytes = [0x5a; 7];
-    // They live until the event is here: a message goes with its publisher.
-    let command = stray.command_publisher("pilot").unwrap();
-    let control = stray.publisher::<RunControl>(&services::RUN_CONTROL).unwrap();
-    let request = stray.publisher::<DrrRequest>(&services::DRR_REQUEST).unwrap();
-    let event = stray.publisher::<Event>(&services::EVENT).unwrap();
-    let progress = bare_port(&stray, "progress", bytes.len());
-    command.send_parts(&[&bytes]).unwrap();
-    control.send_parts(&[&bytes]).unwrap();
-    request.send_parts(&[&bytes]).unwrap();
-    event.send_parts(&[&bytes]).unwrap();
-    send_bare(&progress, &bytes);
-    await_event(&mut observer, EVENT_COMMAND_REFUSED, "controller `pilot`: a message of 7 bytes");
-    drop((command, control, request, event, progress, stray));
-    // Everybody goes on: the physics, the DRR process, and the recorder, whose log is whole.
-    let request = observer.request_frame(None, observer.state().unwrap().tick).unwrap();
-    observer.wait_frame(request, LIMIT).unwrap();
-    let ended = stopped(run, observer, ());
-    assert_nothing_left(ended.pid);
-    assert!(read(&ended.folder).marker.unwrap().lost.is_empty());
-    assert_replays(&ended.folder);
 }
 
 /// An optional controller joins a lockstep run that has begun without it.

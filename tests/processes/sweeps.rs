@@ -44,22 +44,6 @@ fn complete(study: &Path, folder: &Path, more: &[&str]) -> Done {
     done
 }
 
-/// Bug: every run of such a sweep was refused for its key, in a row each, and the sweep ended with 0.
-#[test]
-fn a_sweep_over_a_key_that_no_scene_has_is_refused_before_its_first_run() {
-    let place = Place::new();
-    let folder = place.path("swept");
-    for (text, said) in [
-        (STUDY.replace("tendon_friction", "tendon_fricton"), "unknown field `tendon_fricton`"),
-        (STUDY.replace("tendon_friction", "model"), "`manipulator.model`: wanted string or table"),
-    ] {
-        let done = run(&study(&place, &text), &folder, &[]);
-        assert_eq!(done.code, Some(2), "{}", done.err);
-        assert!(done.err.contains(said), "{}", done.err);
-        assert!(!folder.exists());
-    }
-}
-
 /// Names and contents of the rows.
 fn rows(folder: &Path) -> Vec<(String, Value)> {
     let mut rows: Vec<(String, Value)> = fs::read_dir(folder.join("rows"))
@@ -184,27 +168,6 @@ fn take(guarded: &mut Guarded) -> Child {
 }
 
 #[test]
-fn runs_that_fail_are_rows_with_their_reason() {
-    let place = Place::new();
-    let text = "scene = \"scene.toml\"\ndesign = \"csv\"\npoints = \"points.csv\"\n";
-    let study = study(&place, text);
-    fs::write(
-        place.path("points.csv"),
-        "\u{feff}manipulator.tendon_friction,manipulator.model\n0.1,\"planar\"\n7.0,\"planar\"\n0.1,\"liquid\"\n",
-    )
-    .unwrap();
-    let folder = place.path("swept");
-    let done = complete(&study, &folder, &[]);
-    assert!(done.out.contains("3 of 3, 1 completed"), "{}", done.out);
-    let rows = rows(&folder);
-    let outcomes: Vec<&Value> = rows.iter().map(|(_, row)| &row["outcome"]).collect();
-    assert_eq!(outcomes, ["completed", "refused", "refused"]);
-    let reason = |row: usize| rows[row].1["reason"].as_str().unwrap_or_default().to_owned();
-    assert!(reason(1).contains("`manipulator.tendon_friction` is 7, allowed is 0 to 1"), "{}", reason(1));
-    assert!(reason(2).contains("liquid"), "{}", reason(2));
-}
-
-#[test]
 fn controllers_that_are_programs_run_as_sessions_and_others_started_elsewhere_are_refused() {
     let place = Place::new();
     let study = study(
@@ -253,65 +216,6 @@ fn a_sweep_that_records_frames_makes_a_data_set() {
     assert_eq!(done.code, Some(0), "{}{}", done.out, done.err);
     let frames = fs::read_dir(output.join("images")).unwrap().count();
     assert!(frames >= 4 && frames.is_multiple_of(2), "{frames}");
-}
-
-#[test]
-fn a_folder_of_another_sweep_or_of_something_else_is_refused_and_stays_as_it_is() {
-    let place = Place::new();
-    let file = study(&place, STUDY);
-    let (folder, mine) = (place.path("swept"), place.path("mine"));
-    complete(&file, &folder, &["--point", "0"]);
-    assert!(!folder.join("table/shard-0-of-1.parquet").exists());
-    fs::create_dir(&mine).unwrap();
-    fs::write(mine.join("thesis.txt"), "mine").unwrap();
-    let done = run(&file, &mine, &[]);
-    assert_eq!(done.code, Some(2));
-    assert!(done.err.contains("is not empty and no sweep's folder"), "{}", done.err);
-    assert_eq!(fs::read_dir(&mine).unwrap().count(), 1);
-    let other = study(&place, &STUDY.replace("seed = 3", "seed = 4"));
-    let done = run(&other, &folder, &[]);
-    assert_eq!(done.code, Some(2));
-    assert!(done.err.contains("holds rows of another study"), "{}", done.err);
-    fs::write(place.path("scene.toml"), SCENE.replace("0.2", "0.3")).unwrap();
-    fs::write(&file, STUDY).unwrap();
-    let done = run(&file, &folder, &[]);
-    assert!(done.err.contains("holds rows of another scene"), "{}", done.err);
-    assert_eq!(rows(&folder).len(), 1);
-    for (words, said) in [
-        (vec!["--point", "8"], "expected 0 to 7"),
-        (vec!["--shard", "4/4"], "I from 0 to N - 1"),
-        (vec!["--jobs", "0"], "1..=1024"),
-    ] {
-        let done = run(&file, &folder, &words);
-        assert_eq!(done.code, Some(2), "{words:?}");
-        assert!(done.err.contains(said), "{}", done.err);
-    }
-}
-
-#[test]
-fn damaged_rows_and_folders_are_named() {
-    let place = Place::new();
-    let file = study(&place, STUDY);
-    let folder = place.path("swept");
-    complete(&file, &folder, &["--point", "0"]);
-    fs::write(folder.join("rows/0000001.json"), "{\"point\": 1").unwrap();
-    let done = run(&file, &folder, &[]);
-    assert_eq!(done.code, Some(1));
-    assert!(done.err.contains("0000001.json: is no row of this sweep"), "{}", done.err);
-    let row = fs::read_to_string(folder.join("rows/0000000.json")).unwrap();
-    for other in
-        [row.replacen("\"point\":0", "\"point\":1000000000", 1), row.replace("tendon_friction", "gravity")]
-    {
-        fs::write(folder.join("rows/0000001.json"), other).unwrap();
-        let done = sweep(&[&"report", &folder, &"--of", &"bend_deg"]);
-        assert!(done.code == Some(1) && done.err.contains("it is of another point"), "{}", done.err);
-    }
-    fs::write(folder.join("study.json"), "[]").unwrap();
-    let done = sweep(&[&"report", &folder]);
-    assert_eq!(done.code, Some(2), "{}", done.err);
-    assert_eq!(sweep(&[&"report", &place.path("none")]).code, Some(2));
-    let done = sweep(&[&"report", &folder, &"--of", &"beauty"]);
-    assert!(done.err.contains("expected one of ticks, simulated_s"), "{}", done.err);
 }
 
 #[test]

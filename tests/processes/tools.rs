@@ -77,24 +77,6 @@ fn completions_and_man_pages_are_written_where_a_system_looks_for_them() {
     assert!(!place.path("usr/share/man/man1/trabecula-proc.1").exists());
 }
 
-/// `State has no field 'bend'` left the user to look for the fields elsewhere.
-#[test]
-fn a_wrong_field_is_answered_with_the_nearest_one_and_all_that_there_are() {
-    let place = Place::new();
-    let folder = place.complete(&scenes::hold("lockstep", 0.1)).folder;
-    for line in ["plot LOG bend_red -o @f", "log cat LOG --topic /state --field bend_red"] {
-        let done = call(&line.replace("LOG", folder.to_str().unwrap()), &place);
-        assert_eq!(done.code, Some(2), "{}", done.err);
-        for said in [
-            "State has no field 'bend_red' (did you mean 'bend_rad'?)",
-            "it has tick, sim_time_s,",
-            "contacts",
-        ] {
-            assert!(done.err.contains(said), "{line}: {}", done.err);
-        }
-    }
-}
-
 /// The scene named a file that nobody outside has, and said no more than that.
 #[test]
 fn a_scene_whose_ct_is_not_there_says_where_one_is_to_be_had_and_runs_on_the_synthetic_pelvis() {

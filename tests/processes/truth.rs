@@ -2,27 +2,26 @@
 
 use std::path::Path;
 
-use crate::common::logs::{assert_replays, read};
-use crate::common::program::{Place, Run, assert_nothing_left};
+use sim::{Drive, SharedScene, Sim};
+use trabecula::report::course::Course;
 
 const TARGET_MM: [f64; 3] = [5.0, 0.0, 8.0];
 /// No bone of the block ends here, so that the burr meets the same bone when the block is moved by whole voxels.
 const SHIFT_MM: [f64; 3] = [-1.0, 2.0, 1.0];
 
-/// The burr's last place and the error that the run's summary gives, mm.
+/// The burr's last place and the error that the run's summary gives, mm. No session: a row of a sweep is a run's (`sweeps.rs`).
 fn end(settings: &[&str]) -> ([f64; 3], f64) {
     let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/examples/truth.toml");
-    let place = Place::new();
-    let mut arguments = vec!["--set", "recording.images=\"none\""];
-    settings.iter().for_each(|setting| arguments.extend(["--set", setting]));
-    let ended = Run::start(&scene, place.path("out"), &arguments).end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
-    assert_nothing_left(ended.pid);
-    assert_replays(&ended.folder);
-    let last = read(&ended.folder).ticks.last().unwrap().state;
-    let summary = std::fs::read_to_string(ended.folder.join("summary.json")).unwrap();
-    let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
-    (last.t_world_burr.position_m.map(|x| x * 1e3), summary["tool"]["target_error_mm"].as_f64().unwrap())
+    let settings: Vec<String> = settings.iter().map(|setting| (*setting).to_owned()).collect();
+    let shared = SharedScene::load(Some(&scene), &settings, None).unwrap();
+    let (mut sim, mut course) = (Sim::new(&shared, &Drive::Nothing).unwrap(), Course::of(shared.scene()));
+    course.add(sim.state());
+    for _ in 0..shared.scene().tick_count() {
+        sim.step(&[], 1).unwrap();
+        course.add(sim.state());
+    }
+    let error_mm = course.tool().unwrap().target_error_mm.unwrap();
+    (sim.state().t_world_burr.position_m.map(|x| x * 1e3), error_mm)
 }
 
 fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {

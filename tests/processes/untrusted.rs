@@ -10,6 +10,7 @@ use recorder_proc::log_file::{LogFile, create_run};
 use run_log::{EndReason, MessageStream, ReadOptions, Topic};
 use zerocopy::FromBytes;
 
+use crate::common::logs::recorded;
 use crate::common::program::{Done, Place, wait_for};
 use crate::common::scenes;
 use crate::dicom_bytes::DicomSlice;
@@ -79,7 +80,7 @@ fn hostile_log(from: &Path, to: &Path) {
 #[test]
 fn texts_of_an_untrusted_log_reach_the_terminal_escaped() {
     let place = Place::new();
-    let good = place.complete(&scenes::drill("lockstep", 0.1)).folder;
+    let good = recorded(&place, &scenes::drill_unseen("lockstep", 0.1));
     let log = place.path("log.mcap");
     hostile_log(&good.join("run.mcap"), &log);
     // Cut, so that also the words about damage are seen.

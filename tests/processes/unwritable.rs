@@ -96,7 +96,7 @@ fn start(words: &[String]) -> Child {
 /// `log export`, `log compress`, `replay --output`, `drr --animate` and `plot` left a part of a file under its name, or an empty one.
 #[test]
 fn a_killed_command_leaves_no_half_file_under_its_name() {
-    const KILLS: u64 = 8;
+    const KILLS: u64 = 4;
     let inputs = Inputs::new(2.0);
     let mut random = fastrand::Rng::with_seed(17);
     let (mut killed, mut drafts) = (0, 0);

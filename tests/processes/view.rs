@@ -14,7 +14,7 @@ use tungstenite::{Message, WebSocket};
 use zerocopy::FromBytes;
 
 use crate::common::client::Client;
-use crate::common::logs::{assert_replays, rewrite};
+use crate::common::logs::{assert_replays, recorded, rewrite};
 use crate::common::program::{LIMIT, Place, assert_nothing_left, signal, trabecula, wait_for};
 use crate::common::scenes;
 
@@ -186,9 +186,9 @@ fn a_run_is_held_to_a_speed() {
     let mut view = View::start(&[], Some(&run.session()));
     assert_eq!(view.call(1, json!({"action": "speed", "speed": 0.25})), json!({"ok": true}));
     assert_eq!(kept(&view, "/view/pace"), json!({"speed": 0.25}));
-    // What was on its way before the speed was set has come when the ticks stand still between steps.
-    let client = Client::join(&run.session());
+    // Before the client joins: ticks that wait in its queue while this thread is held up took time, too.
     let began = Instant::now();
+    let client = Client::join(&run.session());
     let first = client.wait_for_state(|_| true).tick;
     let last = client.wait_for_state(|state| state.tick > first + 150).tick;
     let wall_ms = began.elapsed().as_millis() as u64;
@@ -376,30 +376,30 @@ fn two_logs_part_where_log_diff_says() {
 #[test]
 fn fields_are_plotted_and_completions_and_the_man_page_are_made() {
     let place = Place::new();
-    let ended = place.complete(&scenes::hold("lockstep", 0.2));
+    let run = recorded(&place, &scenes::hold("lockstep", 0.2));
     let figure = place.path("figure");
     let fields = ["tendon_tension_n[0]", "t_world_tip.position_m"];
-    let done = trabecula(&[&"plot", &ended.folder, &fields[0], &fields[1], &"--output", &figure]);
+    let done = trabecula(&[&"plot", &run, &fields[0], &fields[1], &"--output", &figure]);
     assert_eq!(done.code, Some(0), "{}", done.err);
     // No figure is written over, not even half of one.
     std::fs::remove_file(figure.with_extension("png")).unwrap();
     let before = std::fs::read(figure.with_extension("svg")).unwrap();
-    let again = trabecula(&[&"plot", &ended.folder, &fields[0], &"--output", &figure]);
+    let again = trabecula(&[&"plot", &run, &fields[0], &"--output", &figure]);
     assert!(again.code == Some(2) && again.err.contains("already exists"), "{}", again.err);
     assert!(!figure.with_extension("png").exists());
     assert!(std::fs::read(figure.with_extension("svg")).unwrap() == before);
     std::fs::remove_file(figure.with_extension("svg")).unwrap();
-    let done = trabecula(&[&"plot", &ended.folder, &fields[0], &fields[1], &"--output", &figure]);
+    let done = trabecula(&[&"plot", &run, &fields[0], &fields[1], &"--output", &figure]);
     assert_eq!(done.code, Some(0), "{}", done.err);
     let png = std::fs::read(figure.with_extension("png")).unwrap();
     assert!(png.starts_with(b"\x89PNG"));
     let svg = std::fs::read_to_string(figure.with_extension("svg")).unwrap();
     assert!(fields.iter().all(|field| svg.contains(field)));
     // It was `named.svg.svg`.
-    let named = trabecula(&[&"plot", &ended.folder, &fields[0], &"--output", &place.path("named.svg")]);
+    let named = trabecula(&[&"plot", &run, &fields[0], &"--output", &place.path("named.svg")]);
     assert_eq!(named.code, Some(0), "{}", named.err);
     assert!(place.path("named.svg").exists() && place.path("named.png").exists());
-    let none = trabecula(&[&"plot", &ended.folder, &"no_such_field", &"--output", &place.path("none")]);
+    let none = trabecula(&[&"plot", &run, &"no_such_field", &"--output", &place.path("none")]);
     assert_eq!(none.code, Some(2), "{}", none.err);
     assert!(!place.path("none.png").exists());
     for shell in ["bash", "zsh", "fish"] {
@@ -415,7 +415,7 @@ fn fields_are_plotted_and_completions_and_the_man_page_are_made() {
 fn the_token_is_in_no_process_list_and_the_opener_is_reaped() {
     use std::os::unix::fs::{MetadataExt, PermissionsExt};
     let place = Place::new();
-    let ended = place.complete(&scenes::hold("lockstep", 0.1));
+    let run = recorded(&place, &scenes::hold("lockstep", 0.1));
     let tools = place.path("tools");
     let runtime = place.path("runtime");
     [&tools, &runtime].into_iter().for_each(|folder| std::fs::create_dir(folder).unwrap());
@@ -429,7 +429,7 @@ fn the_token_is_in_no_process_list_and_the_opener_is_reaped() {
     std::fs::set_permissions(&opener, std::fs::Permissions::from_mode(0o755)).unwrap();
     let path = format!("{}:{}", tools.display(), std::env::var("PATH").unwrap());
     let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
-    command.arg("view").arg(&ended.folder).args(["--port", "0"]).env("PATH", path).env("DISPLAY", ":99");
+    command.arg("view").arg(&run).args(["--port", "0"]).env("PATH", path).env("DISPLAY", ":99");
     command.env("XDG_RUNTIME_DIR", &runtime).stdin(Stdio::null()).stdout(Stdio::piped());
     let mut child = command.spawn().unwrap();
     let mut line = String::new();

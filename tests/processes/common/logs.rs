@@ -1,20 +1,32 @@
 //! Logs: reading them, and making ones that are not right.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use ipc_types::messages::{DrrReply, Event, EventCode, Latched, State};
 use recorder_proc::log_file::{LogFile, create_run};
 use run_log::{EndMarker, EndReason, LogHeader, LogReader, MessageStream, ReadOptions, TickRecord, Topic};
+use sim::{Drive, SharedScene, Sim};
 use zerocopy::FromBytes;
 
-use super::program::{Done, trabecula};
+use super::program::{Done, Place, trabecula};
 
 /// `run.mcap` whole: initial state, ticks, end marker.
 pub struct Whole {
     pub initial: State,
     pub ticks: Vec<TickRecord>,
     pub marker: Option<EndMarker>,
+}
+
+/// The folder with the log of a scene without X-ray, run to its end in this process: no session.
+pub fn recorded(place: &Place, scene: &str) -> PathBuf {
+    let shared = SharedScene::load(Some(&place.scene(scene)), &[], None).unwrap();
+    let mut sim = Sim::new(&shared, &Drive::Nothing).unwrap();
+    let folder = place.path("recorded");
+    sim.record(&folder).unwrap();
+    sim.step(&[], shared.scene().tick_count()).unwrap();
+    sim.close_recording().unwrap();
+    folder
 }
 
 /// Reads a log that must be readable to its end.
