@@ -1,8 +1,6 @@
 //! Time (ms) and error of each projector on a thigh of 240 x 200 x 320 voxels of 1 mm, 384 x 384 pixels.
 //!
-//! `cargo run --release -p drr_proc --example render_time -- [threads] [picture.png]`
-
-mod common;
+//! `cargo run --release -p drr_proc --example render_time -- [threads]`
 
 use std::error::Error;
 use std::time::Instant;
@@ -11,23 +9,21 @@ use drr_proc::ThisMachine;
 use xray::ray::RayFan;
 use xray::{
     CArm, DetectorFormat, DrrParameters, DrrRenderer, FrameSeed, Grid, Material, PositionerAngles, Projector,
-    Tool, VolumeView, reference,
+    Tool, ToolPart, VolumeView, reference,
 };
 
 const SIDE: u32 = 384;
 const ROUNDS: usize = 7;
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let mut arguments = std::env::args().skip(1);
-    let threads = arguments.next().map_or(Ok(2), |a| a.parse())?;
-    let picture = arguments.next();
+    let threads = std::env::args().nth(1).map_or(Ok(2), |a| a.parse())?;
     let grid = Grid::centred([240, 200, 320], [1e-3; 3])?;
     let shapes = reference::thigh(1.0);
     let hu = reference::voxelise(&grid, &shapes, 2);
     let view = VolumeView::new(grid, &hu)?;
     let mu_water = Material::Water.mu_per_m(60.0)?;
     let (right, up) = ([1.0, 0.0, 0.0], [0.0, 0.0, 1.0]);
-    let tool = common::snake(&common::backbone([-0.06, 0.0, 0.05], right, up, 0.04, 0.7));
+    let tool = snake(&backbone([-0.06, 0.0, 0.05], right, up, 0.04, 0.7));
     for (name, primary, secondary) in [("ap", 0.0, 0.0), ("oblique", 37.0, 18.0), ("lateral", 90.0, 5.0)] {
         let c_arm = pose(primary, secondary)?;
         let fan = RayFan::new(&grid, &c_arm);
@@ -50,9 +46,6 @@ fn main() -> Result<(), Box<dyn Error>> {
                 reference::relative_rms(renderer.anatomy(), &truth),
                 reference::relative_rms(renderer.anatomy(), &exact)
             );
-            if let (Some(path), "ap", Projector::Joseph) = (&picture, name, projector) {
-                common::write_png(path, SIDE, SIDE, &image)?;
-            }
             print!("         {threads} threads, least ms of {ROUNDS}: build {built_ms:.1}, ");
             time_frames(&mut renderer, &view, &c_arm, &tool, &pose(primary + 1.0, secondary)?)?;
         }
@@ -109,4 +102,45 @@ fn ball(grid: &Grid, centre_m: [f64; 3]) -> Vec<u32> {
         (0..3).map(|a| (p[a] - centre_m[a]) * (p[a] - centre_m[a])).sum::<f64>() < 3.25e-3 * 3.25e-3
     };
     (0..grid.voxels() as u32).filter(inside).collect()
+}
+
+/// Positions along a continuum manipulator: `rigid_m` straight along the unit vector `ahead`, then 27 links of 1.2 mm
+/// that turn toward the unit vector `side` by `bend_rad` in total.
+fn backbone(
+    base_m: [f64; 3],
+    ahead: [f64; 3],
+    side: [f64; 3],
+    rigid_m: f64,
+    bend_rad: f64,
+) -> Vec<[f64; 3]> {
+    let go = |p: [f64; 3], angle: f64, s: f64| {
+        let (sine, cosine) = libm::sincos(angle);
+        [0, 1, 2].map(|a| p[a] + s * (cosine * ahead[a] + sine * side[a]))
+    };
+    let mut points = vec![base_m, go(base_m, 0.0, rigid_m)];
+    for link in 1..=27 {
+        points.push(go(points[points.len() - 1], bend_rad * f64::from(link) / 27.0, 1.2e-3));
+    }
+    points
+}
+
+/// Nitinol tubes of 6/4 mm between the points, a steel cable of 2 mm in their lumen, a steel burr of 6.5 mm at the
+/// end.
+fn snake(points: &[[f64; 3]]) -> Tool {
+    let mut parts = Vec::new();
+    for pair in points.windows(2) {
+        let (start_m, end_m) = (pair[0], pair[1]);
+        parts.push(ToolPart::HollowCylinder {
+            start_m,
+            end_m,
+            outer_radius_m: 3e-3,
+            inner_radius_m: 2e-3,
+            material: Material::Nitinol,
+        });
+        parts.push(ToolPart::Cylinder { start_m, end_m, radius_m: 1e-3, material: Material::Steel316L });
+    }
+    if let Some(&centre_m) = points.last() {
+        parts.push(ToolPart::Sphere { centre_m, radius_m: 3.25e-3, material: Material::Steel316L });
+    }
+    Tool { parts, arm: None }
 }

@@ -1,8 +1,6 @@
 //! What all processes of the hub share: they end when asked, end with their parent, and send events.
 
-use std::io::Write;
 use std::path::Path;
-use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use zerocopy::IntoBytes;
@@ -25,18 +23,6 @@ pub const EXIT_GAP: u8 = 3;
 
 /// How long a process waits for the volume.
 pub const VOLUME_LIMIT: Duration = Duration::from_secs(60);
-
-/// Prints the error, if any, and returns the exit code of a program that ran a part.
-pub fn conclude(program: &str, outcome: Result<(), impl std::error::Error>) -> ExitCode {
-    match outcome {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            // Ignored, because a closed terminal is no reason to panic.
-            let _ = writeln!(std::io::stderr(), "{program}: {}", foreign_text::plain(&error.to_string()));
-            ExitCode::from(EXIT_FAILED)
-        }
-    }
-}
 
 /// Waits for the volume, which stays in shared memory as long as the return value lives. `None` if it did not arrive within
 /// [`VOLUME_LIMIT`] or the process was asked to end first.

@@ -13,8 +13,7 @@ use crate::surface::Field;
 pub const MOST_PIXELS: usize = 512;
 /// Slices of one client that are under way at a time.
 pub const MOST_UNDER_WAY: usize = 8;
-/// Pixels that all clients together are given each second: 8 of the largest slices, a sixth of a core
-/// (`cargo run --release -p viewer_proc --example slice_cost`).
+/// Pixels that all clients together are given each second: 8 of the largest slices, at 19 ms of a core each.
 pub const PIXELS_PER_S: u64 = 2_097_152;
 /// Answer where there is nothing to slice.
 pub(crate) const NO_VOLUME: &str = "the scene has no `[volume]`, so there is no CT to show";

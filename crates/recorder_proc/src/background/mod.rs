@@ -2,7 +2,7 @@
 //!
 //! Bytes go into preallocated, page-aligned buffers that are reused. The thread writes them with `O_DIRECT` where the
 //! file system supports it. That skips the copy into the page cache, which takes a fraction of the processor time
-//! (`examples/disk_cost.rs` measures it) and avoids long, non-preemptible copies in the kernel. Elsewhere (tmpfs,
+//! and avoids long, non-preemptible copies in the kernel. Elsewhere (tmpfs,
 //! FUSE) it uses ordinary writes. The finished file is the same either way.
 //!
 //! During direct writes the file may end in up to one block of zeros, which pad its last block.
