@@ -8,13 +8,17 @@ use toml::de::{DeTable, DeValue};
 /// a text that is not TOML.
 pub(crate) fn key_at(text: &str, byte: usize) -> Option<String> {
     let document = DeTable::parse(text).ok()?;
-    in_table(document.get_ref(), "", byte)
+    let here = |path: &str, spans: [Range<usize>; 2]| {
+        spans.iter().any(|span| span.contains(&byte)).then(|| path.to_owned())
+    };
+    search_table(document.get_ref(), "", &here)
 }
 
 /// The line, from 1, of a key by its path; `None` where the text has no such key.
 pub(crate) fn line_of(text: &str, wanted: &str) -> Option<usize> {
     let document = DeTable::parse(text).ok()?;
-    let byte = below_table(document.get_ref(), "", wanted)?;
+    let here = |path: &str, [key, _]: [Range<usize>; 2]| (path == wanted).then_some(key.start);
+    let byte = search_table(document.get_ref(), "", &here)?;
     Some(line_at(text, byte))
 }
 
@@ -23,49 +27,27 @@ pub(crate) fn line_at(text: &str, byte: usize) -> usize {
     text.bytes().take(byte).filter(|byte| *byte == b'\n').count() + 1
 }
 
-fn below_table(table: &DeTable<'_>, path: &str, wanted: &str) -> Option<usize> {
+/// What `found` first says of a key: of its path, and of the places of its name and of its value. Those below a key come before it.
+type Found<'f, T> = &'f dyn Fn(&str, [Range<usize>; 2]) -> Option<T>;
+
+fn search_table<T>(table: &DeTable<'_>, path: &str, found: Found<'_, T>) -> Option<T> {
     table.iter().find_map(|(key, value)| {
         let name = key.get_ref();
         let path = if path.is_empty() { name.to_string() } else { format!("{path}.{name}") };
-        if path == wanted { Some(key.span().start) } else { below_value(value.get_ref(), &path, wanted) }
+        search_value(value.get_ref(), &path, found).or_else(|| found(&path, [key.span(), value.span()]))
     })
 }
 
-fn below_value(value: &DeValue<'_>, path: &str, wanted: &str) -> Option<usize> {
+fn search_value<T>(value: &DeValue<'_>, path: &str, found: Found<'_, T>) -> Option<T> {
     match value {
-        DeValue::Table(table) => below_table(table, path, wanted),
+        DeValue::Table(table) => search_table(table, path, found),
         DeValue::Array(values) => values.iter().enumerate().find_map(|(index, value)| {
             let path = format!("{path}[{index}]");
-            let here = (path == wanted).then(|| value.span().start);
-            here.or_else(|| below_value(value.get_ref(), &path, wanted))
+            let below = search_value(value.get_ref(), &path, found);
+            below.or_else(|| found(&path, [value.span(), value.span()]))
         }),
         _ => None,
     }
-}
-
-fn in_table(table: &DeTable<'_>, path: &str, byte: usize) -> Option<String> {
-    table.iter().find_map(|(key, value)| {
-        let name = key.get_ref();
-        let path = if path.is_empty() { name.to_string() } else { format!("{path}.{name}") };
-        let below = in_value(value.get_ref(), &path, byte);
-        below.or_else(|| (is_in(key.span(), byte) || is_in(value.span(), byte)).then_some(path))
-    })
-}
-
-fn in_value(value: &DeValue<'_>, path: &str, byte: usize) -> Option<String> {
-    match value {
-        DeValue::Table(table) => in_table(table, path, byte),
-        DeValue::Array(values) => values.iter().enumerate().find_map(|(index, value)| {
-            let path = format!("{path}[{index}]");
-            let below = in_value(value.get_ref(), &path, byte);
-            below.or_else(|| is_in(value.span(), byte).then_some(path))
-        }),
-        _ => None,
-    }
-}
-
-fn is_in(span: Range<usize>, byte: usize) -> bool {
-    span.contains(&byte)
 }
 
 /// The parser's message with what was expected in words: `expected f64` is `expected a number`.

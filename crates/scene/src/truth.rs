@@ -59,64 +59,50 @@ fn turned(vector: [f64; 3], rotation_vector_deg: [f64; 3]) -> [f64; 3] {
     plus(plus(vector.map(|x| cosine * x), sine, across), along * (1.0 - cosine), axis)
 }
 
-/// Takes what is given.
-fn put<T: Clone>(into: &mut Option<T>, given: &Option<T>) {
-    if given.is_some() {
-        into.clone_from(given);
-    }
+/// Takes what is given of a table. It takes the table apart, so that a key added there is not forgotten here.
+macro_rules! put {
+    ($into:expr, $table:ident { $($key:ident),+ $(,)? } = $given:expr) => {{
+        let $table { $($key),+ } = $given;
+        $(if $key.is_some() {
+            $into.$key.clone_from($key);
+        })+
+    }};
 }
 
-// Each takes its table apart, so that a key added there is not forgotten here.
-
 fn manipulator(into: &mut Manipulator, given: &TrueManipulator) {
-    let TrueManipulator {
-        stiffness_scale,
-        mass_scale,
-        damping_ratio,
-        tendon_friction,
-        mount_stiffness_n_per_m,
-        lateral_stiffness_ratio,
-        torsion_stiffness_ratio,
-        burr_stall_torque_nmm,
-    } = given;
-    put(&mut into.stiffness_scale, stiffness_scale);
-    put(&mut into.mass_scale, mass_scale);
-    put(&mut into.damping_ratio, damping_ratio);
-    put(&mut into.tendon_friction, tendon_friction);
-    put(&mut into.mount_stiffness_n_per_m, mount_stiffness_n_per_m);
-    put(&mut into.lateral_stiffness_ratio, lateral_stiffness_ratio);
-    put(&mut into.torsion_stiffness_ratio, torsion_stiffness_ratio);
-    put(&mut into.burr_stall_torque_nmm, burr_stall_torque_nmm);
+    put!(
+        into,
+        TrueManipulator {
+            stiffness_scale,
+            mass_scale,
+            damping_ratio,
+            tendon_friction,
+            mount_stiffness_n_per_m,
+            lateral_stiffness_ratio,
+            torsion_stiffness_ratio,
+            burr_stall_torque_nmm,
+        } = given
+    );
 }
 
 fn contact(into: &mut Contact, given: &Contact) {
-    let Contact { friction, stiffness_n_per_m, strength_mpa, strength_exponent, voxels } = given;
-    put(&mut into.friction, friction);
-    put(&mut into.stiffness_n_per_m, stiffness_n_per_m);
-    put(&mut into.strength_mpa, strength_mpa);
-    put(&mut into.strength_exponent, strength_exponent);
-    put(&mut into.voxels, voxels);
+    put!(into, Contact { friction, stiffness_n_per_m, strength_mpa, strength_exponent, voxels } = given);
 }
 
 fn drilling(into: &mut Drilling, given: &Drilling) {
-    let Drilling {
-        specific_energy_j_per_mm3,
-        density_exponent,
-        cutting_coefficient,
-        edge_pressure_mpa,
-        edge_force_n_per_mm,
-        edge_exponent,
-        side_force,
-        removal,
-    } = given;
-    put(&mut into.specific_energy_j_per_mm3, specific_energy_j_per_mm3);
-    put(&mut into.density_exponent, density_exponent);
-    put(&mut into.cutting_coefficient, cutting_coefficient);
-    put(&mut into.edge_pressure_mpa, edge_pressure_mpa);
-    put(&mut into.edge_force_n_per_mm, edge_force_n_per_mm);
-    put(&mut into.edge_exponent, edge_exponent);
-    put(&mut into.side_force, side_force);
-    put(&mut into.removal, removal);
+    put!(
+        into,
+        Drilling {
+            specific_energy_j_per_mm3,
+            density_exponent,
+            cutting_coefficient,
+            edge_pressure_mpa,
+            edge_force_n_per_mm,
+            edge_exponent,
+            side_force,
+            removal,
+        } = given
+    );
 }
 
 #[cfg(test)]

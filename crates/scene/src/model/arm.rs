@@ -231,11 +231,7 @@ pub struct ArmMesh {
     pub file_xxh3: Option<String>,
 }
 
-impl ArmMesh {
-    fn default_scale() -> [f64; 3] {
-        [1.0; 3]
-    }
-}
+defaults!(ArmMesh { default_scale: [f64; 3] = [1.0; 3] });
 
 /// A spring and a damper in each joint of the arm.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]

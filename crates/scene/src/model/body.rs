@@ -37,14 +37,7 @@ pub struct Body {
     pub friction: f64,
 }
 
-impl Body {
-    fn default_density_kg_per_m3() -> f64 {
-        1900.0
-    }
-    fn default_friction() -> f64 {
-        0.3
-    }
-}
+defaults!(Body { default_density_kg_per_m3: f64 = 1900.0, default_friction: f64 = 0.3 });
 
 /// Whether a rigid body can move.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

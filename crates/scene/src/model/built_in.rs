@@ -55,11 +55,7 @@ pub struct CurvedDrilling {
     pub retraction_mm_per_s: f64,
 }
 
-impl CurvedDrilling {
-    fn default_retraction_mm_per_s() -> f64 {
-        10.0
-    }
-}
+defaults!(CurvedDrilling { default_retraction_mm_per_s: f64 = 10.0 });
 
 /// What corrects the tension of curved drilling toward the planned path.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -128,11 +124,9 @@ impl TensionSweep {
     pub fn duration_s(&self) -> f64 {
         self.settle_s * (2 * self.steps() + 1) as f64
     }
-
-    fn default_settle_s() -> f64 {
-        0.5
-    }
 }
+
+defaults!(TensionSweep { default_settle_s: f64 = 0.5 });
 
 /// Turns the tube in the outer tube, then slides it out with the burr on, and at the end draws it back. The arm is held.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -49,11 +49,7 @@ pub struct Controller {
     pub restarts: u32,
 }
 
-impl Controller {
-    fn default_connect_limit_s() -> f64 {
-        60.0
-    }
-}
+defaults!(Controller { default_connect_limit_s: f64 = 60.0 });
 
 /// A part of the tool that a controller drives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

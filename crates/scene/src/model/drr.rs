@@ -257,29 +257,15 @@ impl Drr {
     pub fn labels(&self) -> DrrLabels {
         self.labels.clone().unwrap_or_default()
     }
-
-    pub(crate) fn default_source_isocentre_mm() -> f64 {
-        700.0
-    }
-    pub(crate) fn default_source_detector_mm() -> f64 {
-        1000.0
-    }
-    pub(crate) fn default_energy_kev() -> f64 {
-        60.0
-    }
-    fn default_display() -> Display {
-        Display::BoneDark
-    }
-    fn default_projector() -> Projector {
-        Projector::SliceOrdered
-    }
-    fn default_oversampling() -> f64 {
-        1.0
-    }
-    fn default_reduction() -> u32 {
-        2
-    }
-    fn default_threads() -> usize {
-        2
-    }
 }
+
+defaults!(Drr {
+    default_source_isocentre_mm: f64 = 700.0,
+    default_source_detector_mm: f64 = 1000.0,
+    default_energy_kev: f64 = 60.0,
+    default_display: Display = Display::BoneDark,
+    default_projector: Projector = Projector::SliceOrdered,
+    default_oversampling: f64 = 1.0,
+    default_reduction: u32 = 2,
+    default_threads: usize = 2,
+});

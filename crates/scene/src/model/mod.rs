@@ -1,5 +1,16 @@
 //! What a scene file may say, a file per subject.
 
+/// Writes the functions from which serde takes the defaults of a table's keys.
+macro_rules! defaults {
+    ($table:ident { $($name:ident: $type:ty = $value:expr),+ $(,)? }) => {
+        impl $table {
+            $(pub(crate) fn $name() -> $type {
+                $value
+            })+
+        }
+    };
+}
+
 mod arm;
 mod body;
 mod built_in;

@@ -37,17 +37,11 @@ pub struct Run {
     pub policy: Policy,
 }
 
-impl Run {
-    fn default_dt_ms() -> f64 {
-        1.0
-    }
-    fn default_hold_ticks() -> u64 {
-        50
-    }
-    fn default_controller_limit_ms() -> f64 {
-        5000.0
-    }
-}
+defaults!(Run {
+    default_dt_ms: f64 = 1.0,
+    default_hold_ticks: u64 = 50,
+    default_controller_limit_ms: f64 = 5000.0,
+});
 
 /// How time passes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

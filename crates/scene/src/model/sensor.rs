@@ -67,20 +67,12 @@ pub struct Fbg {
     pub bias_per_m: f64,
 }
 
-impl Fbg {
-    fn default_nodes() -> u32 {
-        3
-    }
-    fn default_gauge_mm() -> f64 {
-        5.0
-    }
-    fn default_noise_per_m() -> f64 {
-        0.2
-    }
-    fn default_bias_per_m() -> f64 {
-        0.5
-    }
-}
+defaults!(Fbg {
+    default_nodes: u32 = 3,
+    default_gauge_mm: f64 = 5.0,
+    default_noise_per_m: f64 = 0.2,
+    default_bias_per_m: f64 = 0.5,
+});
 
 /// A tracker: electromagnetic, or optical with a line of sight from `camera_mm`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -110,20 +102,12 @@ pub struct Tracker {
     pub view_deg: f64,
 }
 
-impl Tracker {
-    fn default_position_noise_mm() -> f64 {
-        0.3
-    }
-    fn default_orientation_noise_deg() -> f64 {
-        0.2
-    }
-    pub(crate) fn default_marker_faces() -> [f64; 3] {
-        [0.0, 0.0, -1.0]
-    }
-    pub(crate) fn default_view_deg() -> f64 {
-        60.0
-    }
-}
+defaults!(Tracker {
+    default_position_noise_mm: f64 = 0.3,
+    default_orientation_noise_deg: f64 = 0.2,
+    default_marker_faces: [f64; 3] = [0.0, 0.0, -1.0],
+    default_view_deg: f64 = 60.0,
+});
 
 /// What carries a tracker's marker.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -152,12 +136,10 @@ pub struct Encoders {
     pub noise_deg: f64,
 }
 
-impl Encoders {
-    /// 360° / 2¹⁷.
-    fn default_resolution_deg() -> f64 {
-        0.002_746_582_031_25
-    }
-}
+defaults!(Encoders {
+    // 360° / 2¹⁷.
+    default_resolution_deg: f64 = 0.002_746_582_031_25,
+});
 
 /// Load cells at the tendons' proximal ends.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -177,11 +159,7 @@ pub struct LoadCell {
     pub resolution_n: f64,
 }
 
-impl LoadCell {
-    fn default_noise_n() -> f64 {
-        0.05
-    }
-}
+defaults!(LoadCell { default_noise_n: f64 = 0.05 });
 
 /// A six-axis force/torque sensor between flange and tool. It measures what the tool exerts on the flange, about the tool's base and in its
 /// axes.
@@ -209,11 +187,4 @@ pub struct ForceTorque {
     pub low_pass_hz: Option<f64>,
 }
 
-impl ForceTorque {
-    fn default_noise_n() -> f64 {
-        0.02
-    }
-    fn default_noise_nm() -> f64 {
-        0.001
-    }
-}
+defaults!(ForceTorque { default_noise_n: f64 = 0.02, default_noise_nm: f64 = 0.001 });

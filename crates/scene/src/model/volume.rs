@@ -42,17 +42,11 @@ pub struct Volume {
     pub block_density_ratio: f64,
 }
 
-impl Volume {
-    pub(crate) fn default_spacing_mm() -> f64 {
-        0.5
-    }
-    fn default_bone_threshold_hu() -> i16 {
-        150
-    }
-    pub(crate) fn default_block_density_ratio() -> f64 {
-        1.0
-    }
-}
+defaults!(Volume {
+    default_spacing_mm: f64 = 0.5,
+    default_bone_threshold_hu: i16 = 150,
+    default_block_density_ratio: f64 = 1.0,
+});
 
 /// A built-in synthetic volume.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
