@@ -33,7 +33,7 @@ fn radii_m(scene: &Scene) -> [Vec<f64>; 2] {
     for part in tool_of(simulation.state(), &scene.manipulator.radii(), &scene.arm.holder(), None).parts {
         match part {
             ToolPart::Sphere { radius_m, .. } => seen[0] = radius_m,
-            ToolPart::HollowCylinder { outer_radius_m, inner_radius_m, .. } => {
+            ToolPart::Tube { outer_radius_m, inner_radius_m, .. } if inner_radius_m > 0.0 => {
                 (seen[1], seen[2]) = (outer_radius_m, inner_radius_m);
             }
             _ => {}
@@ -113,10 +113,10 @@ fn a_changed_radius_of_an_outer_tube_changes_physics_x_ray_and_viewer() {
         let simulation = Simulation::new(&scene, None).unwrap();
         let shape = trabecula::commands::view::tool_shape(&scene);
         let parts = tool_of(simulation.state(), &radii, &scene.arm.holder(), None).parts;
-        let x_ray = parts.iter().any(|part| match part {
-            ToolPart::HollowCylinder { outer_radius_m, .. } => *outer_radius_m == diameter_mm / 2e3,
-            _ => false,
-        });
+        let outer_m = diameter_mm / 2e3;
+        let x_ray = parts
+            .iter()
+            .any(|part| matches!(part, ToolPart::Tube { outer_radius_m, .. } if *outer_radius_m == outer_m));
         (
             parameters.outer_tube.unwrap().outer_radius_m,
             parameters.bending_spring(3, 0.0).bend_nm_per_rad,

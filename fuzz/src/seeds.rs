@@ -7,7 +7,8 @@ use ipc_types::messages::{Keyframe, Tick, TickTiming};
 use ipc_types::scene::{Policy, Scene, Wait};
 use ipc_types::session::Announcement;
 use run_log::{EndReason, RunLog, TimingLog, Topic};
-use volume_io::{IDENTITY_DIRECTION, Volume, write_nrrd};
+use volume_io::write_nrrd;
+use voxel_grid::{Volume, VoxelGrid};
 use zerocopy::IntoBytes;
 
 #[path = "../../crates/volume_io/tests/common/dicom_bytes.rs"]
@@ -184,13 +185,8 @@ pub fn nifti() -> Vec<Vec<u8>> {
 
 /// NRRD: raw, packed, as text, and a header that stands alone.
 pub fn nrrd() -> Vec<Vec<u8>> {
-    let volume = Volume {
-        dims: [2, 3, 4],
-        spacing_m: [1e-3; 3],
-        origin_m: [0.0; 3],
-        direction: IDENTITY_DIRECTION,
-        hu: (0..24).collect(),
-    };
+    let grid = VoxelGrid::axis_aligned([2, 3, 4], [1e-3; 3], [0.0; 3]).unwrap();
+    let volume = Volume { grid, hu: (0..24).collect() };
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("v.nrrd");
     write_nrrd(&path, &volume).unwrap();

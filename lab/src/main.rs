@@ -11,6 +11,7 @@ mod bench;
 mod charts;
 mod commands;
 mod effort;
+mod phantom;
 mod random;
 mod reproduce;
 mod sheet;

@@ -67,10 +67,9 @@ fn sweep(scene: &Scene, source: &SceneSource, files: VolumeFiles) -> Result<Cali
         let expected = "expected one controller with a `tension_sweep`, as `trabecula scene init --scene tension_sweep` writes it";
         Failure::bad_input(format!("{source}: nothing to calibrate; {expected}"))
     })?;
-    let volume = volume_source::load(scene, files).map_err(Failure::bad_input)?;
-    let volume = volume.map(|(volume, hash)| (volume_source::message(&volume, hash), volume.hu));
-    let ct = volume.as_ref().map(|(message, hu)| CtView::new(message, hu));
-    let simulation = Simulation::new(scene, ct).map_err(Failure::bad_input)?;
+    let ct = volume_source::load(scene, files).map_err(Failure::bad_input)?;
+    let view = ct.as_ref().map(|ct| CtView::from(&ct.volume));
+    let simulation = Simulation::new(scene, view).map_err(Failure::bad_input)?;
     let mut run = InProcess::new(scene, simulation);
     let mut controller = TensionSweepController::new(plan, drives);
     // The last level is recorded one tick later.

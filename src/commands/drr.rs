@@ -5,10 +5,10 @@ use std::sync::{Mutex, PoisonError};
 
 use clap::{Args, ValueEnum};
 use drr_proc::ThisMachine;
-use volume_io::Volume;
+use voxel_grid::Volume;
 use xray::{
-    DetectorParameters, DisplayMode, DisplayParameters, DrrError, DrrParameters, DrrRenderer, Grid,
-    Projector, Spectrum, VolumeView,
+    DetectorParameters, Display, DisplayParameters, DrrError, DrrParameters, DrrRenderer, Projector,
+    Spectrum, VolumeView,
 };
 
 use crate::failure::Failure;
@@ -165,8 +165,7 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
     if arguments.animate && sides.iter().any(|side| *side != sides[0]) {
         return Err(Failure::bad_input("--animate: all poses must have the same columns and rows"));
     }
-    let grid = Grid::from(volume.grid(&arguments.volume)?);
-    let view = VolumeView::new(grid, &volume.hu).map_err(Failure::bad_input)?;
+    let view = VolumeView::try_from(&volume).map_err(Failure::bad_input)?;
     let mut renderer = DrrRenderer::new(&view, parameters(arguments), &ThisMachine).map_err(of_flag)?;
     let series = Series::new(volume_io::volume_hash(&volume), &placed, arguments.tube_kv);
     let look = Look {
@@ -263,7 +262,7 @@ fn all_poses(arguments: &DrrArguments) -> Result<Vec<Pose>, Failure> {
 
 /// Resolves all poses, so that a bad one is reported before anything is rendered.
 fn place(poses: &[Pose], volume: &Volume) -> Result<Vec<Placed>, Failure> {
-    let centre_m = volume.voxel_to_world_m(volume.dims.map(|n| 0.5 * (n as f64 - 1.0)));
+    let centre_m = volume.grid.world_m(volume.grid.dims().map(|n| 0.5 * (n as f64 - 1.0)));
     let number = |i: usize, cause| Failure::bad_input(format!("pose {}: {cause}", i + 1));
     poses.iter().enumerate().map(|(i, p)| p.place(centre_m).map_err(|cause| number(i, cause))).collect()
 }
@@ -287,9 +286,9 @@ fn parameters(arguments: &DrrArguments) -> DrrParameters {
         },
         display: DisplayParameters {
             mode: match arguments.display {
-                DisplayName::BoneDark => DisplayMode::BoneDark,
-                DisplayName::BoneBright => DisplayMode::BoneBright,
-                DisplayName::Linear => DisplayMode::Linear,
+                DisplayName::BoneDark => Display::BoneDark,
+                DisplayName::BoneBright => Display::BoneBright,
+                DisplayName::Linear => Display::Linear,
             },
             ..DisplayParameters::default()
         },

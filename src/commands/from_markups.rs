@@ -7,7 +7,8 @@ use foreign_text::foreign_path;
 use ipc_types::scene::{Scene, plan};
 use ipc_types::text_file;
 use markups::Plan;
-use volume_io::{Label, ReadOptions, Volume, read_as};
+use volume_io::{Label, ReadOptions, read_as};
+use voxel_grid::Volume;
 
 use crate::failure::Failure;
 use crate::feasibility;
@@ -57,7 +58,11 @@ pub fn run(arguments: &FromMarkupsArguments) -> Result<(), Failure> {
         plan,
         ct: &ct,
         segment: arguments.segment.as_deref(),
-        thickest_mm: volume.spacing_m.iter().fold(0.0, |most: f64, spacing_m| most.max(spacing_m * 1e3)),
+        thickest_mm: volume
+            .grid
+            .spacing_m()
+            .iter()
+            .fold(0.0, |most: f64, spacing_m| most.max(spacing_m * 1e3)),
     };
     drop(volume);
     let text = planned.text();
@@ -80,8 +85,8 @@ fn check(text: &str, file: &Path, volume_files: VolumeFiles) -> Result<Vec<Strin
     let scene = Scene::parse_with(text, file, &text_file::read).map_err(Failure::bad_input)?;
     let loaded = volume_source::load_with_notes(&scene, volume_files)?;
     let mut notes = loaded.iter().flat_map(|loaded| loaded.notes.clone()).collect::<Vec<_>>();
-    let volume = loaded.map(|loaded| (loaded.volume, loaded.sha256));
-    notes.extend(feasibility::check(&scene, &"the scene of this plan", volume.as_ref())?);
+    let volume = loaded.as_ref().map(|loaded| &loaded.ct.volume);
+    notes.extend(feasibility::check(&scene, &"the scene of this plan", volume)?);
     Ok(notes)
 }
 

@@ -9,7 +9,7 @@ use ipc_types::process::{EXIT_GAP, Role, prioritise};
 use ipc_types::scene::{Images, LONGEST_RUN_S, Mode, Policy, Scene, Wait};
 use ipc_types::services::RECORDER_QUEUE_TICKS;
 use output_file::OutputError;
-use volume_io::Volume;
+use voxel_grid::Ct;
 
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::feasibility;
@@ -245,14 +245,14 @@ fn show_on(mut viewer: Part, arguments: &RunArguments) {
 }
 
 /// The scene's volume, after a check of the scene as a whole; says what is noteworthy about both.
-fn volume_of(plan: &RunPlan, source: &SceneSource) -> Result<Option<(Volume, [u8; 32])>, Failure> {
+fn volume_of(plan: &RunPlan, source: &SceneSource) -> Result<Option<Ct>, Failure> {
     let loaded =
         volume_source::load_with_notes(&plan.scene, plan.volume_files).map_err(Failure::bad_input)?;
     loaded.iter().flat_map(|loaded| &loaded.notes).for_each(|note| tell!("{note}"));
-    let volume = loaded.map(|loaded| (loaded.volume, loaded.sha256));
-    let warnings = feasibility::check(&plan.scene, source, volume.as_ref())?;
+    let ct = loaded.map(|loaded| loaded.ct);
+    let warnings = feasibility::check(&plan.scene, source, ct.as_ref().map(|ct| &ct.volume))?;
     warnings.iter().for_each(|warning| tell!("{warning}"));
-    Ok(volume)
+    Ok(ct)
 }
 
 fn scene_of(arguments: &RunArguments, source: &SceneSource) -> Result<Scene, Failure> {

@@ -85,8 +85,8 @@ fn check(file: &Path, volume_files: VolumeFiles, figures: Figures) -> Result<(),
     volume_source::refuse_missing(&file.display(), &scene)?;
     let loaded = volume_source::load_with_notes(&scene, volume_files)?;
     notes.extend(loaded.iter().flat_map(|loaded| loaded.notes.clone()));
-    let volume = loaded.map(|loaded| (loaded.volume, loaded.sha256));
-    let warnings = feasibility::check(&scene, &file.display(), volume.as_ref())
+    let volume = loaded.as_ref().map(|loaded| &loaded.ct.volume);
+    let warnings = feasibility::check(&scene, &file.display(), volume)
         .inspect_err(|_| notes.iter().for_each(|note| tell!("{note}")))?;
     notes.extend(warnings);
     notes.extend(xray::from_scene::tolerance_text(&scene));

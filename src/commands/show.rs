@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use foreign_text::foreign_path;
 use serde_json::{Value, json};
+use voxel_grid::Ct;
 
 use crate::failure::Failure;
 use crate::launcher::volume_source::{self, VolumeFiles};
@@ -48,16 +49,16 @@ pub fn run(arguments: &ShowArguments) -> Result<(), Failure> {
     let source = SceneSource::new(arguments.scene.as_deref(), BuiltIn::Femur);
     let (scene, _) = crate::plan::load_scene(&source)?;
     volume_source::refuse_missing(&source, &scene)?;
-    let Some(loaded) = volume_source::load(&scene, arguments.volume_files)? else {
+    let Some(Ct { volume, .. }) = volume_source::load(&scene, arguments.volume_files)? else {
         return Err(Failure::bad_input(format!(
             "{source}: the scene has no `[volume]`, so there is no CT to show"
         )));
     };
     let shapes = Shapes::of(&scene)?;
     let threshold_hu = scene.volume.as_ref().map_or(0, |volume| volume.bone_threshold_hu);
-    let surroundings = Surroundings::of(&loaded.0, threshold_hu);
-    let facts = Facts::of(&scene, &loaded, &surroundings, &shapes)?;
-    let pictured = Pictured { scene: &scene, volume: &loaded.0, shapes: &shapes, facts: &facts };
+    let surroundings = Surroundings::of(&volume, threshold_hu);
+    let facts = Facts::of(&scene, &volume, &surroundings, &shapes)?;
+    let pictured = Pictured { scene: &scene, volume: &volume, shapes: &shapes, facts: &facts };
     draw(&pictured)?.write_png(output)?;
     arguments.figures.say(
         || text_of(arguments, &facts),

@@ -11,7 +11,7 @@ use ipc_types::scene::Scene;
 use ipc_types::session::{SESSION_VARIABLE, Searched, only_session};
 use simulation::manipulator_parameters;
 use viewer_proc::live;
-use viewer_proc::log::{self, LogOptions, LogVolume, SceneHelp};
+use viewer_proc::log::{self, LogOptions, SceneHelp};
 use viewer_proc::server::Door;
 use viewer_proc::{ArmLooks, ServerOptions, ToolShape, ViewerError};
 
@@ -173,17 +173,10 @@ fn show_logs(
     ready: impl FnOnce(),
     end: &EndRequest,
 ) -> Result<(), Failure> {
-    let volume = |scene: &Scene| log_volume(scene, arguments.volume_files);
+    let volume =
+        |scene: &Scene| volume_source::load(scene, arguments.volume_files).map_err(|error| error.to_string());
     let help = SceneHelp { shapes: &shapes, volume: &volume };
     log::view(options, door, &help, ready, end).map_err(|error| failure(&error))
-}
-
-/// The volume of a log's scene, generated or read again.
-fn log_volume(scene: &Scene, files: VolumeFiles) -> Result<Option<LogVolume>, String> {
-    let loaded = volume_source::load(scene, files).map_err(|error| error.to_string())?;
-    let Some((volume, sha256)) = loaded else { return Ok(None) };
-    let grid = volume_source::message(&volume, sha256).grid().map_err(|error| error.to_string())?;
-    Ok(Some(LogVolume { grid, hu: volume.hu, sha256 }))
 }
 
 /// How the command fails.

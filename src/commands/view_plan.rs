@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
 use serde_json::{Value, json};
-use simulation::Simulation;
+use simulation::{CtView, Simulation};
 use viewer_proc::ViewerError;
 use viewer_proc::plan::{self, Planned, Planner, Saved};
 use viewer_proc::server::Door;
 use viewer_proc::services::Places;
-use volume_io::Volume;
+use voxel_grid::{Ct, Volume};
 
 use super::view::{failure, tool_shape};
 use super::view_arm::arm_looks;
@@ -28,7 +28,7 @@ pub struct OpenedScene {
     file: PathBuf,
     text: String,
     scene: Scene,
-    loaded: Option<(Volume, [u8; 32])>,
+    ct: Option<Ct>,
     volume_files: VolumeFiles,
 }
 
@@ -41,8 +41,8 @@ impl OpenedScene {
         let source = SceneSource::File(file.to_owned());
         let (scene, _) = crate::plan::load_scene(&source)?;
         volume_source::refuse_missing(&file.display(), &scene)?;
-        let loaded = volume_source::load(&scene, volume_files)?;
-        Ok(OpenedScene { file: file.to_owned(), text: source.text()?, scene, loaded, volume_files })
+        let ct = volume_source::load(&scene, volume_files)?;
+        Ok(OpenedScene { file: file.to_owned(), text: source.text()?, scene, ct, volume_files })
     }
 
     /// Shows it until the process is asked to end, or a run of it begins: that run.
@@ -56,12 +56,9 @@ impl OpenedScene {
         end: &EndRequest,
     ) -> Result<Option<StartedRun>, Failure> {
         let threshold_hu = self.scene.volume.as_ref().map_or(0, |volume| volume.bone_threshold_hu);
-        let surroundings = self.loaded.as_ref().map(|(volume, _)| Surroundings::of(volume, threshold_hu));
-        let first = measure(&self.scene, self.loaded.as_ref(), surroundings.as_ref())?;
-        let volume = self.loaded.as_ref().map(|(volume, sha256)| {
-            let grid = volume_source::message(volume, *sha256).grid().map_err(Failure::bad_input)?;
-            Ok::<_, Failure>((grid, volume.hu.as_slice()))
-        });
+        let volume = self.ct.as_ref().map(|ct| &ct.volume);
+        let surroundings = volume.map(|volume| Surroundings::of(volume, threshold_hu));
+        let first = measure(&self.scene, volume, surroundings.as_ref())?;
         let looks = arm_looks(&self.scene)
             .map_err(|cause| Failure::bad_input(format!("{}: {cause}", self.file.display())))?;
         let mut started = None;
@@ -73,7 +70,7 @@ impl OpenedScene {
             saved: (self.file.clone(), self.text.clone()),
             run: &mut started,
         };
-        let session = plan::view(&self.file, (first, looks, volume.transpose()?), editor, door, ready, end);
+        let session = plan::view(&self.file, (first, looks, volume), editor, door, ready, end);
         let session = session.map_err(|error: ViewerError| failure(&error))?;
         Ok(started.filter(|_| session.is_some()))
     }
@@ -94,11 +91,12 @@ struct Editor<'a> {
 
 impl Editor<'_> {
     fn take(&mut self, places: Places) -> Result<Planned, String> {
-        let OpenedScene { file, text, scene, loaded, .. } = self.opened;
+        let OpenedScene { file, text, scene, ct, .. } = self.opened;
+        let volume = ct.as_ref().map(|ct| &ct.volume);
         let text = moved(text, scene, file, &places).map_err(|cause| cause.to_string())?;
         let source = SceneSource::Changed { source: Box::new(SceneSource::File(file.clone())), text };
         let planned = crate::plan::load_scene(&source)
-            .and_then(|(scene, _)| measure(&scene, loaded.as_ref(), self.surroundings))
+            .and_then(|(scene, _)| measure(&scene, volume, self.surroundings))
             .map_err(|refused| refused.message)?;
         (self.places, self.text) = (places, source.text().map_err(|refused| refused.message)?);
         Ok(planned)
@@ -182,15 +180,14 @@ fn replaced(file: &Path, text: &str) -> Result<(), String> {
 /// What is shown of a scene.
 fn measure(
     scene: &Scene,
-    loaded: Option<&(Volume, [u8; 32])>,
+    volume: Option<&Volume>,
     surroundings: Option<&Surroundings<'_>>,
 ) -> Result<Planned, Failure> {
     let shapes = Shapes::of(scene)?;
-    let simulation =
-        Simulation::new(scene, loaded.map(volume_source::ct_view)).map_err(Failure::bad_input)?;
+    let simulation = Simulation::new(scene, volume.map(CtView::from)).map_err(Failure::bad_input)?;
     let (state, predrilled) = (*simulation.state(), simulation.gone());
     drop(simulation);
-    let facts = loaded.zip(surroundings).map(|(loaded, map)| Facts::of(scene, loaded, map, &shapes));
+    let facts = volume.zip(surroundings).map(|(volume, map)| Facts::of(scene, volume, map, &shapes));
     let facts = facts.transpose()?;
     let plan = plan(scene, &shapes, facts.as_ref())?;
     Ok(Planned {

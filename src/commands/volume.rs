@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand, ValueEnum};
-use volume_io::{Volume, VolumeInfo, phantom, read_as, write_nifti, write_nrrd};
+use volume_io::{VolumeInfo, phantom, read_as, write_nifti, write_nrrd};
+use voxel_grid::{Ct, Volume};
 
 use super::log::{json, judged};
 use crate::failure::Failure;
@@ -67,16 +68,15 @@ fn probe(arguments: &ProbeArguments) -> Result<(), Failure> {
         let lps_mm = if arguments.ras { [-x, -y, *z] } else { *given };
         let place_m = lps_mm.map(|x| x * 1e-3);
         let hu = volume.hu_at(place_m).ok_or_else(|| {
-            let far = [0, 1, 2].map(|axis| volume.dims[axis] as f64 - 0.5);
-            let corners = [volume.voxel_to_world_m([-0.5; 3]), volume.voxel_to_world_m(far)];
+            let far = volume.grid.dims().map(|count| count as f64 - 0.5);
+            let corners = [[-0.5; 3], far].map(|corner| volume.grid.world_m(corner));
             let [[a, b, c], [d, e, f]] = corners.map(|corner| corner.map(|x| x * 1e3));
             Failure::bad_input(format!(
                 "--at is [{x}, {y}, {z}], expected a place within the volume, from [{a:.1}, {b:.1}, {c:.1}] to [{d:.1}, {e:.1}, {f:.1}] mm (LPS)"
             ))
         })?;
-        let voxel = volume.world_to_voxel(place_m);
-        let voxel =
-            [0, 1, 2].map(|axis| voxel[axis].round().clamp(0.0, (volume.dims[axis] - 1) as f64) as usize);
+        let (voxel, dims) = (volume.grid.voxel_at(place_m), volume.grid.dims());
+        let voxel = [0, 1, 2].map(|axis| voxel[axis].round().clamp(0.0, (dims[axis] - 1) as f64) as usize);
         let voxel_hu = volume.at(voxel);
         found.push(serde_json::json!({"lps_mm": lps_mm, "hu": hu, "voxel": voxel, "voxel_hu": voxel_hu}));
     }
@@ -135,7 +135,7 @@ fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
     };
     let mut log = OpenedLog::open(&arguments.log, &overrides)?;
     let gone = Gone::of(&log, arguments.tick)?;
-    let Some((mut volume, _)) = log.volume.take() else {
+    let Some(Ct { mut volume, .. }) = log.ct.take() else {
         return Err(Failure::bad_input(format!("{}: this run has no volume", log.path.display())));
     };
     for index in &gone.voxels {
@@ -175,10 +175,10 @@ fn json_of(info: &VolumeInfo) -> serde_json::Value {
         "format": info.format,
         "stored_as": info.stored_as,
         "units": info.units,
-        "dimensions": info.dims,
-        "spacing_m": info.spacing_m,
-        "origin_m": info.origin_m,
-        "direction": info.direction,
+        "dimensions": info.grid.dims(),
+        "spacing_m": info.grid.spacing_m(),
+        "origin_m": info.grid.origin_m(),
+        "direction": info.grid.direction(),
         "min_hu": info.hu.min_hu,
         "max_hu": info.hu.max_hu,
         "mean_hu": info.hu.mean_hu,
@@ -240,11 +240,11 @@ pub fn write_phantom(arguments: &PhantomArguments) -> Result<(), Failure> {
     };
     let volume = volume.map_err(Failure::bad_input)?;
     write_by_name(&arguments.output, &volume)?;
-    let [i, j, k] = volume.dims;
+    let (dimensions @ [i, j, k], spacing_m) = (volume.grid.dims(), volume.grid.spacing_m());
     let output = arguments.output.display();
     arguments.figures.say(
         || format!("{output}: synthetic, {i} x {j} x {k} voxels of {spacing_mm} mm"),
-        || serde_json::json!({"output": arguments.output, "dimensions": volume.dims, "spacing_m": volume.spacing_m}),
+        || serde_json::json!({"output": arguments.output, "dimensions": dimensions, "spacing_m": spacing_m}),
     );
     Ok(())
 }

@@ -13,8 +13,7 @@ use clap::ValueEnum;
 use ipc_types::messages::{CArmProjection, Frame};
 use ipc_types::scene::LabelImage;
 use serde_json::{Value, json};
-use xray::Labels;
-use xray::labels::keypoint_name;
+use xray::{Labels, keypoint_name};
 
 pub use picture::{grey8, grey16};
 pub use split::Split;

@@ -15,13 +15,12 @@ use ipc_types::session::{
 use run_log::cat::whole;
 use run_log::header::CALIBRATION_ATTACHMENT;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
-use volume_io::Volume;
+use voxel_grid::Ct;
 use xray::from_scene::scene_c_arm;
 use xray::message::c_arm_message;
 use zerocopy::IntoBytes;
 
 use super::part::{Part, ProgramOutput};
-use super::volume_source;
 
 /// Name of this process.
 pub const LAUNCHER: &str = HubPart::Host.name();
@@ -130,14 +129,10 @@ impl Hub {
     ///
     /// # Errors
     /// Any [`HubError`].
-    pub fn create(
-        scene: &Scene,
-        volume: Option<&(Volume, [u8; 32])>,
-        recording: Recording,
-    ) -> Result<Hub, HubError> {
+    pub fn create(scene: &Scene, ct: Option<&Ct>, recording: Recording) -> Result<Hub, HubError> {
         let plan = SessionPlan {
             controllers: scene.controller_names(),
-            volume_bytes: volume.map_or(0, |(volume, _)| volume_source::message_bytes(volume)),
+            volume_bytes: ct.map_or(0, |ct| VolumeMessage::DESCRIPTION.size + ct.volume.hu.len() * 2),
             frame_bytes: scene.drr.as_ref().map_or(0, |drr| services::frame_bytes(drr.columns, drr.rows)),
             sensors: !scene.sensor.is_empty(),
             recorder: recording == Recording::On,
@@ -160,11 +155,10 @@ impl Hub {
                 |cause: std::io::Error| HubError::File { path: path.clone(), cause: cause.to_string() };
             std::fs::write(&path, format!("{json:#}\n")).map_err(error)?;
         }
-        let publisher = match volume {
-            Some((volume, sha256)) => {
+        let publisher = match ct {
+            Some(ct) => {
                 let publisher = host.session.publisher::<VolumeMessage>(&services::VOLUME)?;
-                let head = volume_source::message(volume, *sha256);
-                publisher.send_with_tail(&head, volume.hu.as_bytes())?;
+                publisher.send_with_tail(&VolumeMessage::of(ct), ct.volume.hu.as_bytes())?;
                 Some(publisher)
             }
             None => None,

@@ -11,7 +11,7 @@ use ipc_types::process::{EXIT_GAP, EndRequest, ProcessorTime};
 use ipc_types::scene::{Controller, Scene};
 use ipc_types::session::{Blame, SessionError};
 use recorder_proc::process::OUTPUT_FILE;
-use volume_io::Volume;
+use voxel_grid::Ct;
 
 use super::ending::Ending;
 use super::hub::{DRR, Hub, HubError, LAUNCHER, PHYSICS, RECORDER, Recording, View};
@@ -197,8 +197,8 @@ pub struct RunSnapshot<'a> {
 /// Any [`RunError`]: the run did not begin. Later failures are part of the [`Outcome`].
 pub fn run(plan: &RunPlan, end: &EndRequest, show: impl FnMut(&RunSnapshot)) -> Result<RunResult, RunError> {
     let began = Instant::now();
-    let volume = volume_source::load(&plan.scene, plan.volume_files)?;
-    run_with(plan, volume, began, end, show)
+    let ct = volume_source::load(&plan.scene, plan.volume_files)?;
+    run_with(plan, ct, began, end, show)
 }
 
 /// Runs a scene with a volume that has been loading since `began`.
@@ -207,18 +207,18 @@ pub fn run(plan: &RunPlan, end: &EndRequest, show: impl FnMut(&RunSnapshot)) -> 
 /// As [`run`].
 pub fn run_with(
     plan: &RunPlan,
-    volume: Option<(Volume, [u8; 32])>,
+    ct: Option<Ct>,
     began: Instant,
     end: &EndRequest,
     mut show: impl FnMut(&RunSnapshot),
 ) -> Result<RunResult, RunError> {
     let loaded = Instant::now();
     let recording = if plan.output.is_some() { Recording::On } else { Recording::Off };
-    let hub = Hub::create(&plan.scene, volume.as_ref(), recording)?;
+    let hub = Hub::create(&plan.scene, ct.as_ref(), recording)?;
     let mut own_memory = Memory::default();
     own_memory.measure("self");
     // Keep only the copy in shared memory.
-    drop(volume);
+    drop(ct);
     let subscriptions = Subscriptions::open(&hub.host.session)?;
     let parts = start_parts(plan, &hub)?;
     let replacements = Replacements::new(&hub.host.session)?;

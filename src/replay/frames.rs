@@ -10,14 +10,13 @@ use run_log::{FrameReader, FrameRecord, LogError, LogReader, SavedState, Verdict
 use xray::arm_model::ArmModel;
 use xray::frame::{Cache, Job, label_job, render_job};
 use xray::from_scene::{renderer_parameters, scene_isocentre_m};
-use xray::message::{c_arm_of, volume_view};
+use xray::message::c_arm_of;
 use xray::{DrrRenderer, Labels, VolumeView};
 use zerocopy::IntoBytes;
 
 use super::OpenedLog;
 use super::replies::Replies;
 use crate::failure::Failure;
-use crate::launcher::volume_source;
 
 /// The frames of a log, each paired with what the renderer makes of the same tick, C-arm and seed now.
 ///
@@ -43,10 +42,9 @@ impl<'l> FrameReplay<'l> {
     /// # Errors
     /// The renderer refuses the scene, a mesh of the arm that frames show is not there or another one, or the file cannot be opened.
     pub fn new(log: &'l OpenedLog, threads: usize) -> Result<Option<FrameReplay<'l>>, Failure> {
-        let (Some(drr), Some((volume, hash))) = (&log.scene.drr, &log.volume) else { return Ok(None) };
-        let message = volume_source::message(volume, *hash);
+        let (Some(drr), Some(ct)) = (&log.scene.drr, &log.ct) else { return Ok(None) };
         let failed = |cause: String| Failure::failed(cause);
-        let view = volume_view(&message, volume.hu.as_bytes()).map_err(|cause| failed(cause.to_string()))?;
+        let view = VolumeView::try_from(&ct.volume).map_err(|cause| failed(cause.to_string()))?;
         let parameters =
             xray::DrrParameters { threads, ..renderer_parameters(drr, log.scene.tolerance.as_ref()) };
         let ticks = log.reader()?;

@@ -4,15 +4,14 @@ use ipc_types::scene::Scene;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde_json::{Value, json};
 use simulation::arm::{ArmParameters, Redundancy, initial_q_rad, place_base_for};
-use simulation::{Verdict, findings};
-use volume_io::Volume;
+use simulation::{CtView, Verdict, findings};
+use voxel_grid::Volume;
 
 use super::metres;
 use super::shape::{Shapes, length};
 use super::surroundings::Surroundings;
 use crate::failure::Failure;
 use crate::feasibility::is_program;
-use crate::launcher::volume_source::ct_view;
 
 /// Distance of the places where Hounsfield units are read, mm.
 const STEP_MM: f64 = 0.25;
@@ -63,11 +62,10 @@ impl Facts {
     /// Bad input: the simulation refuses the scene.
     pub fn of(
         scene: &Scene,
-        loaded: &(Volume, [u8; 32]),
+        volume: &Volume,
         surroundings: &Surroundings<'_>,
         shapes: &Shapes,
     ) -> Result<Facts, Failure> {
-        let volume = &loaded.0;
         let threshold_hu = scene.volume.as_ref().map_or(0, |volume| volume.bone_threshold_hu);
         let is_bone = |sample: &Sample| sample.hu.is_some_and(|hu| hu >= f64::from(threshold_hu));
         let profile = profile(volume, shapes, is_bone);
@@ -79,7 +77,7 @@ impl Facts {
         let (start, target) = (nearest(&shapes.start_mm), nearest(&shapes.target_mm()));
         let entry = profile.iter().find(|sample| is_bone(sample)).copied();
         let in_bone = profile.iter().filter(|sample| is_bone(sample)).count();
-        let found = findings(scene, Some(ct_view(loaded)), &is_program).map_err(Failure::bad_input)?;
+        let found = findings(scene, Some(CtView::from(volume)), &is_program).map_err(Failure::bad_input)?;
         let word = |verdict| if verdict == Verdict::Impossible { "refused" } else { "warning" };
         Ok(Facts {
             entry,

@@ -3,7 +3,7 @@
 use ipc_types::scene::Scene;
 use nalgebra::Vector3;
 use plotters::style::RGBColor;
-use volume_io::Volume;
+use voxel_grid::Volume;
 use voxel_grid::slice::ANATOMICAL;
 
 use super::facts::{Facts, Sample};

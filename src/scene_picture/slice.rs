@@ -1,8 +1,7 @@
 //! A plane through the CT as pixels.
 
 use nalgebra::Vector3;
-use volume_io::Volume;
-use voxel_grid::slice;
+use voxel_grid::{Volume, slice};
 
 use super::metres;
 use super::shape::Shapes;
@@ -106,7 +105,7 @@ fn outline(pixels: &mut [u8], inside: &[Inside], columns: usize, rows: usize) {
 mod tests {
     use super::*;
     use crate::scene_picture::shape::{ToolShape, Tube};
-    use volume_io::IDENTITY_DIRECTION;
+    use voxel_grid::VoxelGrid;
 
     /// A ball of bone of 10 mm in air, and nothing else in it.
     fn ball() -> (Volume, Shapes) {
@@ -121,13 +120,8 @@ mod tests {
                 }
             }
         }
-        let volume = Volume {
-            dims: [count; 3],
-            spacing_m: [0.5e-3; 3],
-            origin_m: [-20e-3; 3],
-            direction: IDENTITY_DIRECTION,
-            hu,
-        };
+        let grid = VoxelGrid::axis_aligned([count; 3], [0.5e-3; 3], [-20e-3; 3]).unwrap();
+        let volume = Volume { grid, hu };
         let tool = |at: [f64; 3]| {
             let tube = Tube { line_mm: vec![Vector3::from(at)], radius_mm: 3.0 };
             ToolShape { burr: vec![tube.clone()], outer: None, tube }

@@ -1,7 +1,7 @@
 //! Where the bone ends: what of the volume lies outside of it, and how far that is from a place.
 
 use nalgebra::Vector3;
-use volume_io::Volume;
+use voxel_grid::Volume;
 
 use super::metres;
 
@@ -23,7 +23,7 @@ pub struct Surroundings<'a> {
 impl<'a> Surroundings<'a> {
     /// Maps a volume.
     pub fn of(volume: &'a Volume, threshold_hu: i16) -> Surroundings<'a> {
-        let cells_at = |stride: usize| volume.dims.map(|count| count.div_ceil(stride));
+        let cells_at = |stride: usize| volume.grid.dims().map(|count| count.div_ceil(stride));
         let fits = |stride: &usize| cells_at(*stride).iter().product::<usize>() <= MOST_CELLS;
         let stride = (1..).find(fits).unwrap_or(1);
         let cells = cells_at(stride);
@@ -79,7 +79,7 @@ impl<'a> Surroundings<'a> {
 
     /// Whether a place is outside of the bone, by the nearest cell; outside of the volume it is.
     pub fn is_outside(&self, point_mm: &Vector3<f64>) -> bool {
-        let voxel = self.volume.world_to_voxel(metres((*point_mm).into()));
+        let voxel = self.volume.grid.voxel_at(metres((*point_mm).into()));
         let cell = [0, 1, 2].map(|axis| (voxel[axis] / self.stride as f64).round());
         if (0..3).any(|axis| cell[axis] < 0.0 || cell[axis] >= self.cells[axis] as f64) {
             return true;
@@ -92,9 +92,9 @@ impl<'a> Surroundings<'a> {
         if self.is_outside(point_mm) {
             return 0.0;
         }
-        let voxel = self.volume.world_to_voxel(metres((*point_mm).into()));
+        let voxel = self.volume.grid.voxel_at(metres((*point_mm).into()));
         let place = voxel.map(|index| index / self.stride as f64);
-        let size_mm = self.volume.spacing_m.map(|spacing_m| 1e3 * spacing_m * self.stride as f64);
+        let size_mm = self.volume.grid.spacing_m().map(|spacing_m| 1e3 * spacing_m * self.stride as f64);
         let least_mm = size_mm.iter().copied().fold(f64::INFINITY, f64::min);
         let mut half = 4;
         loop {
@@ -140,7 +140,7 @@ impl<'a> Surroundings<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use volume_io::IDENTITY_DIRECTION;
+    use voxel_grid::VoxelGrid;
 
     /// A ball of bone of 10 mm with marrow of 4 mm in it, in voxels of half a millimetre.
     fn ball() -> Volume {
@@ -161,13 +161,8 @@ mod tests {
                 }
             }
         }
-        Volume {
-            dims: [count; 3],
-            spacing_m: [0.5e-3; 3],
-            origin_m: [-15e-3; 3],
-            direction: IDENTITY_DIRECTION,
-            hu,
-        }
+        let grid = VoxelGrid::axis_aligned([count; 3], [0.5e-3; 3], [-15e-3; 3]).unwrap();
+        Volume { grid, hu }
     }
 
     #[test]

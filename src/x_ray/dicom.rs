@@ -8,7 +8,7 @@ use std::path::Path;
 use dicom_core::value::{DataSetSequence, PrimitiveValue, Value};
 use dicom_core::{DataElement, Tag, VR};
 use dicom_object::{FileMetaTableBuilder, InMemDicomObject};
-use xray::display::WindowLimits;
+use xray::WindowLimits;
 use xxhash_rust::xxh3::xxh3_128;
 use zerocopy::IntoBytes;
 

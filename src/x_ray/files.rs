@@ -6,7 +6,7 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use output_file::OutputFile;
-use xray::display::WindowLimits;
+use xray::WindowLimits;
 use zerocopy::IntoBytes;
 
 use super::poses::Placed;

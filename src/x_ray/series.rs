@@ -3,8 +3,7 @@
 use std::time::Instant;
 
 use rayon::prelude::*;
-use xray::display::WindowLimits;
-use xray::{DrrRenderer, FrameSeed, Machine, Output, Shot, Tool, VolumeView};
+use xray::{DrrRenderer, FrameSeed, Machine, Output, Shot, Tool, VolumeView, WindowLimits};
 
 use super::files::Picture;
 use super::poses::Placed;

@@ -44,7 +44,7 @@ fn no_scene_of_this_repository_is_warned_of() {
         }
         let scene: Scene = ipc_types::scene_file::load(&file).unwrap();
         let volume = match volume_source::load(&scene, VolumeFiles::default()) {
-            Ok(volume) => volume,
+            Ok(ct) => ct.map(|ct| ct.volume),
             Err(cause) => {
                 println!("{}: without its volume ({cause})", file.display());
                 None

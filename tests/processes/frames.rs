@@ -5,14 +5,13 @@ use std::fs::File;
 use std::path::Path;
 
 use drr_proc::ThisMachine;
-use ipc_types::messages::{DrrRequest, Pose, Restores, Tick, Volume as VolumeMessage};
+use ipc_types::messages::{DrrRequest, Pose, Restores, Tick};
 use ipc_types::scene::Scene;
 use recorder_proc::log_file::LogFile;
 use run_log::{EndReason, FrameRecord, MessageStream, ReadOptions, TimingLog, Topic, frames};
-use xray::DrrRenderer;
 use xray::frame::{Cache, Job, render_job};
 use xray::from_scene::{renderer_parameters, scene_c_arm, scene_isocentre_m};
-use xray::message::volume_view;
+use xray::{DrrRenderer, VolumeView};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::common::logs::{Whole, read};
@@ -72,16 +71,7 @@ fn drilled_voxels_are_gone_in_the_frames() {
     let ended = place.complete(&text);
     let scene = Scene::parse(&text, &place.path("scene.toml")).unwrap();
     let volume = volume_io::read(&file).unwrap();
-    let d = &volume.direction;
-    let message = VolumeMessage {
-        sha256: [0; 32],
-        origin_m: volume.origin_m,
-        spacing_m: volume.spacing_m,
-        direction: [d[0][0], d[1][0], d[2][0], d[0][1], d[1][1], d[2][1], d[0][2], d[1][2], d[2][2]],
-        dimensions: volume.dims.map(|n| n as u32),
-        hu_length: volume.hu.len() as u32,
-    };
-    let view = volume_view(&message, volume.hu.as_bytes()).unwrap();
+    let view = VolumeView::try_from(&volume).unwrap();
     let drr = scene.drr.as_ref().unwrap();
     let log = read(&ended.folder);
     let last = frames_of(&ended).pop().unwrap();

@@ -58,18 +58,18 @@ fn a_step_ends_at_its_tick_and_a_reset_is_counted() {
 fn poses_pixels_and_voxels_are_where_the_hub_has_them() {
     let Some(said) = done("places") else { return };
     let scene = ipc_types::scene::Scene::parse(&imaged(), Path::new("imaged.toml")).unwrap();
-    let (volume, _) = trabecula::launcher::volume_source::load(&scene, Default::default()).unwrap().unwrap();
+    let volume =
+        trabecula::launcher::volume_source::load(&scene, Default::default()).unwrap().unwrap().volume;
     assert_eq!(said.lines().count(), 2, "{said}");
     for line in said.lines() {
         let words: Vec<f64> = line.split(' ').skip(1).map(|word| word.parse().unwrap()).collect();
         let index = [words[0], words[1], words[2]];
-        let position_m = volume.voxel_to_world_m(index);
+        let position_m = volume.grid.world_m(index);
         assert!(
             (0..3).all(|axis| (position_m[axis] - words[3 + axis]).abs() < 1e-15),
             "{line}: {position_m:?}"
         );
-        let [i, j, k] = index.map(|x| x as usize);
-        let hu = volume.hu[i + volume.dims[0] * (j + volume.dims[1] * k)];
+        let hu = volume.at(index.map(|x| x as usize)).unwrap();
         assert_eq!(f64::from(hu), words[6], "{line}");
     }
 }

@@ -7,13 +7,12 @@ use controllers::Calibration;
 use foreign_text::number;
 use ipc_types::arm_meshes;
 use ipc_types::scene::{CurvedDrilling, Scene, keys_without_effect};
-use simulation::{Verdict, findings};
-use volume_io::Volume;
+use simulation::{CtView, Verdict, findings};
+use voxel_grid::Volume;
 use xray::DrrError;
 use xray::from_scene::scene_c_arm;
 
 use crate::failure::Failure;
-use crate::volume_source;
 
 /// Checks a scene with its volume; without one, what does not depend on bone. Returns a warning for everything unlikely. `source` names the
 /// scene in messages.
@@ -23,7 +22,7 @@ use crate::volume_source;
 pub fn check(
     scene: &Scene,
     source: &dyn std::fmt::Display,
-    volume: Option<&(Volume, [u8; 32])>,
+    volume: Option<&Volume>,
 ) -> Result<Vec<String>, Failure> {
     let refused = |cause: &dyn std::fmt::Display| Failure::bad_input(format!("{source}: {cause}"));
     match scene.arm.xray_density_g_per_cm3 {
@@ -38,7 +37,7 @@ pub fn check(
     for path in drillings(scene).filter_map(|drilling| drilling.calibration.as_ref()) {
         Calibration::load(path, &ipc_types::text_file::read).map_err(|cause| refused(&cause))?;
     }
-    let ct = volume.map(volume_source::ct_view);
+    let ct = volume.map(CtView::from);
     let found = findings(scene, ct, &is_program).map_err(|cause| match cause.is_of_the_machine() {
         true => Failure::failed(format!("{source}: {cause}")),
         false => refused(&cause),
@@ -49,7 +48,7 @@ pub fn check(
     if !impossible.is_empty() {
         return Err(Failure::bad_input(impossible.join("\n")));
     }
-    if let Some((volume, _)) = volume {
+    if let Some(volume) = volume {
         refuse_outside(scene, source, volume)?;
     }
     let undrawn = arm_meshes::undrawn(&scene.arm);

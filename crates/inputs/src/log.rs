@@ -9,8 +9,8 @@ use recorder_proc::build_info;
 use recorder_proc::log_file::{LogFile, log_path};
 use run_log::header::layout_hashes;
 use run_log::{BuildInfo, LogReader, ReadOptions};
-use simulation::Simulation;
-use volume_io::Volume;
+use simulation::{CtView, Simulation};
+use voxel_grid::Ct;
 
 use crate::failure::Failure;
 use crate::volume_source::{self, VolumeFiles};
@@ -34,8 +34,8 @@ pub struct OpenedLog {
     pub path: PathBuf,
     /// Scene.
     pub scene: Scene,
-    /// The volume with its hash.
-    pub volume: Option<(Volume, [u8; 32])>,
+    /// The CT.
+    pub ct: Option<Ct>,
     /// Mismatches with the log that the user allowed.
     pub mismatches: Vec<String>,
     options: ReadOptions,
@@ -62,12 +62,12 @@ impl OpenedLog {
         if let Some(file) = &overrides.volume {
             place_volume(&mut scene, file)?;
         }
-        let volume = volume_source::load(&scene, overrides.volume_files).map_err(|cause| {
+        let ct = volume_source::load(&scene, overrides.volume_files).map_err(|cause| {
             let moved = overrides.volume.is_none() && scene.volume.as_ref().is_some_and(|v| v.path.is_some());
             let advice = if moved { "; if the file has moved, give its path with --volume" } else { "" };
             Failure::bad_input(format!("{cause}{advice}"))
         })?;
-        mismatches.extend(volume_mismatch(&reader, volume.as_ref().map(|(_, hash)| hash)));
+        mismatches.extend(volume_mismatch(&reader, ct.as_ref().map(|ct| &ct.sha256)));
         if !mismatches.is_empty() && !overrides.allow_mismatch {
             let list = mismatches.join("\n  ");
             let originals = original_build(&reader.header().build, &build_info::current());
@@ -76,7 +76,7 @@ impl OpenedLog {
                 path.display()
             )));
         }
-        Ok(OpenedLog { path, scene, volume, mismatches, options })
+        Ok(OpenedLog { path, scene, ct, mismatches, options })
     }
 
     /// Opens a reader at the first tick.
@@ -97,7 +97,7 @@ impl OpenedLog {
     /// # Errors
     /// The physics refuses the scene.
     pub fn simulation(&self) -> Result<Simulation<'_>, String> {
-        let ct = self.volume.as_ref().map(volume_source::ct_view);
+        let ct = self.ct.as_ref().map(|ct| CtView::from(&ct.volume));
         Simulation::new(&self.scene, ct).map_err(|cause| cause.to_string())
     }
 

@@ -1,7 +1,7 @@
 //! What is valid in a volume and most likely a mistake. Nothing is refused for it: each is said, with what to do.
 
 use ipc_types::scene::Scene;
-use volume_io::Volume;
+use voxel_grid::Volume;
 
 /// A volume of two values, as a mask has.
 pub fn of_a_mask(volume: &Volume) -> Option<String> {
@@ -47,16 +47,11 @@ pub fn of_places(volume: &Volume, scene: &Scene) -> Vec<String> {
 #[allow(clippy::unwrap_used, reason = "a test")]
 mod tests {
     use super::*;
-    use volume_io::IDENTITY_DIRECTION;
+    use voxel_grid::VoxelGrid;
 
     fn volume(hu: [i16; 8]) -> Volume {
-        Volume {
-            dims: [2, 2, 2],
-            spacing_m: [0.01; 3],
-            origin_m: [0.04, 0.04, 0.0],
-            direction: IDENTITY_DIRECTION,
-            hu: hu.to_vec(),
-        }
+        let grid = VoxelGrid::axis_aligned([2, 2, 2], [0.01; 3], [0.04, 0.04, 0.0]).unwrap();
+        Volume { grid, hu: hu.to_vec() }
     }
 
     fn scene(burr_start_mm: &str) -> Scene {

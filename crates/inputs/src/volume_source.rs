@@ -2,19 +2,17 @@
 
 use std::path::Path;
 
+use crate::cache;
 use crate::cache::key::Key;
-use crate::cache::{self, Made};
 use crate::failure::Failure;
 use crate::suspicions;
 use foreign_text::foreign_path;
-use ipc_types::layout::Message;
-use ipc_types::messages::Volume as VolumeMessage;
 use ipc_types::scene::{Label as SceneLabel, Phantom, Resample, Scene, Volume as SceneVolume};
-use simulation::CtView;
 use volume_io::{
-    DataFiles, Label, MaskModel, ReadOptions, Slices, Volume, VolumeError, mask_to_hu, phantom, resample,
-    volume_hash,
+    DataFiles, Label, MaskModel, ReadOptions, Slices, VolumeError, grid_of, identified, mask_to_hu, phantom,
+    resample,
 };
+use voxel_grid::{Ct, Volume, density};
 
 /// Which files a volume may refer to. A command-line option and not a scene key, because a scene may be as untrusted as
 /// its volume.
@@ -84,28 +82,28 @@ pub fn refuse_missing(file: &dyn std::fmt::Display, scene: &Scene) -> Result<(),
     )))
 }
 
-/// A loaded volume as the simulation takes it.
-pub fn ct_view((volume, sha256): &(Volume, [u8; 32])) -> CtView<'_> {
-    CtView::new(&message(volume, *sha256), &volume.hu)
-}
-
-/// The volume of a scene with its hash; `None` if the scene has none.
+/// The CT of a scene; `None` if the scene has none.
 ///
 /// # Errors
 /// The file is not a volume, or cannot be read.
-pub fn load(scene: &Scene, files: VolumeFiles) -> Result<Option<(Volume, [u8; 32])>, VolumeError> {
-    Ok(load_with_notes(scene, files)?.map(|loaded| (loaded.volume, loaded.sha256)))
+pub fn load(scene: &Scene, files: VolumeFiles) -> Result<Option<Ct>, VolumeError> {
+    Ok(load_with_notes(scene, files)?.map(|loaded| loaded.ct))
 }
 
-/// The volume of a scene.
+/// A CT, and what is noteworthy about it.
 #[derive(Debug, Clone)]
 pub struct Loaded {
-    /// Voxels and geometry.
-    pub volume: Volume,
-    /// Its hash.
-    pub sha256: [u8; 32],
-    /// What its reader assumed or changed, and what looks wrong about it for this scene.
+    /// The CT.
+    pub ct: Ct,
+    /// What its reader assumed or changed, and what looks wrong about it for a scene.
     pub notes: Vec<String>,
+}
+
+impl Loaded {
+    /// With the hash of this volume.
+    pub(crate) fn of(volume: Volume, notes: Vec<String>) -> Loaded {
+        Loaded { ct: identified(volume), notes }
+    }
 }
 
 /// The same, with what its reader assumed or changed, and what looks wrong about it for this scene.
@@ -114,41 +112,33 @@ pub struct Loaded {
 /// As [`load`].
 pub fn load_with_notes(scene: &Scene, files: VolumeFiles) -> Result<Option<Loaded>, VolumeError> {
     let Some(source) = &scene.volume else { return Ok(None) };
-    let made = match (&source.path, source.phantom) {
+    let loaded = match (&source.path, source.phantom) {
         (Some(path), _) => of_file(path, source, files)?,
-        (None, Some(Phantom::Block)) => {
-            let volume = block(source)?;
-            Made { sha256: volume_hash(&volume), volume, notes: Vec::new() }
-        }
+        (None, Some(Phantom::Block)) => Loaded::of(block(source)?, Vec::new()),
         (None, _) => {
             let spacing_m = source.spacing_mm * 1e-3;
             let spec = phantom::FemurSpec { spacing_m, ..phantom::FemurSpec::default() };
             cache::through(&Key::of_phantom("femur", &spec), || Ok((phantom::femur(&spec)?, Vec::new())))?
         }
     };
-    let made = if scene.has_registration_error() { moved(made, scene) } else { made };
-    let Made { volume, sha256, mut notes } = made;
-    // Refuse early whatever a part would refuse later.
-    volume.check(source.path.as_deref().unwrap_or(Path::new("volume")))?;
+    let mut loaded = if scene.has_registration_error() { moved(loaded, scene)? } else { loaded };
     if source.path.is_some() {
-        notes.extend(suspicions::of_places(&volume, scene));
+        loaded.notes.extend(suspicions::of_places(&loaded.ct.volume, scene));
     }
-    Ok(Some(Loaded { volume, sha256, notes }))
+    Ok(Some(loaded))
 }
 
 /// The bone where it truly lies: `[truth]` has it elsewhere than the plan.
-fn moved(made: Made, scene: &Scene) -> Made {
-    let Made { mut volume, notes, .. } = made;
-    volume.origin_m = scene.in_bone_mm(volume.origin_m.map(|x| x * 1e3)).map(|x| x * 1e-3);
-    let column =
-        |axis: usize| scene.turned_with_bone(core::array::from_fn(|row| volume.direction[row][axis]));
-    let columns = [column(0), column(1), column(2)];
-    volume.direction = core::array::from_fn(|row| core::array::from_fn(|axis| columns[axis][row]));
-    Made { sha256: volume_hash(&volume), volume, notes }
+fn moved(loaded: Loaded, scene: &Scene) -> Result<Loaded, VolumeError> {
+    let Loaded { ct: Ct { volume: Volume { grid, hu }, .. }, notes } = loaded;
+    let origin_m = scene.in_bone_mm(grid.origin_m().map(|x| x * 1e3)).map(|x| x * 1e-3);
+    let axes = grid.axes().map(|axis| scene.turned_with_bone(axis));
+    let grid = grid_of(Path::new("volume"), grid.dims(), grid.spacing_m(), origin_m, axes)?;
+    Ok(Loaded::of(Volume { grid, hu }, notes))
 }
 
 /// The volume of a file, as the scene wants it: from the cache if it takes long to decode.
-fn of_file(path: &Path, source: &SceneVolume, files: VolumeFiles) -> Result<Made, VolumeError> {
+fn of_file(path: &Path, source: &SceneVolume, files: VolumeFiles) -> Result<Loaded, VolumeError> {
     let options = options(source, files);
     let treatment = match (source.mask, source.resample_mm) {
         (false, None) => String::new(),
@@ -188,9 +178,6 @@ const MASK_MODEL: MaskModel = MaskModel {
     air_hu: -1000,
 };
 
-/// Apparent density at 0 HU and per HU, kg/m³ (the line of the drilling law, `simulation::bone::MaterialLaw`).
-const DENSITY_AT_ZERO: f64 = 131.0;
-const DENSITY_PER_HU: f64 = 1.067;
 /// HU of the block's near half: cancellous bone.
 const BLOCK_HU: i16 = 300;
 
@@ -200,8 +187,8 @@ fn block(source: &SceneVolume) -> Result<Volume, VolumeError> {
     let voxels = |length_m: f64| (length_m / spacing_m + 0.5) as usize;
     let dims = [voxels(0.04), voxels(0.04), voxels(0.06)];
     let centred = |n: usize| -0.5 * spacing_m * (n as f64 - 1.0);
-    let near = DENSITY_AT_ZERO + DENSITY_PER_HU * f64::from(BLOCK_HU);
-    let far_hu = (near * source.block_density_ratio - DENSITY_AT_ZERO) / DENSITY_PER_HU;
+    let near_kg_m3 = density::AT_ZERO_KG_M3 + density::PER_HU_KG_M3 * f64::from(BLOCK_HU);
+    let far_hu = density::hu_of(near_kg_m3 * source.block_density_ratio);
     phantom::block(&phantom::BlockSpec {
         dims,
         spacing_m: [spacing_m; 3],
@@ -212,23 +199,4 @@ fn block(source: &SceneVolume) -> Result<Volume, VolumeError> {
         hu_ahead: far_hu.clamp(-1000.0, 30_000.0) as i16,
         ..phantom::BlockSpec::default()
     })
-}
-
-/// Header of the volume message.
-pub fn message(volume: &Volume, sha256: [u8; 32]) -> VolumeMessage {
-    let d = &volume.direction;
-    VolumeMessage {
-        sha256,
-        origin_m: volume.origin_m,
-        spacing_m: volume.spacing_m,
-        // Axis by axis; the reader stores rows of a matrix whose columns are the axes.
-        direction: [d[0][0], d[1][0], d[2][0], d[0][1], d[1][1], d[2][1], d[0][2], d[1][2], d[2][2]],
-        dimensions: volume.dims.map(|n| n as u32),
-        hu_length: volume.hu.len() as u32,
-    }
-}
-
-/// Size of the volume message in bytes.
-pub fn message_bytes(volume: &Volume) -> usize {
-    VolumeMessage::DESCRIPTION.size + volume.hu.len() * 2
 }

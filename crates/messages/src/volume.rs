@@ -1,4 +1,4 @@
-use voxel_grid::{GridError, VoxelGrid};
+use voxel_grid::{Ct, GridError, VoxelGrid};
 
 use crate::message;
 
@@ -68,6 +68,20 @@ message! {
 }
 
 impl Volume {
+    /// The message of a CT, whose voxels are its tail.
+    pub fn of(ct: &Ct) -> Volume {
+        let (grid, hu) = (&ct.volume.grid, &ct.volume.hu);
+        let [[a, b, c], [d, e, f], [g, h, i]] = grid.axes();
+        Volume {
+            sha256: ct.sha256,
+            origin_m: grid.origin_m(),
+            spacing_m: grid.spacing_m(),
+            direction: [a, b, c, d, e, f, g, h, i],
+            dimensions: grid.dims().map(|n| n as u32),
+            hu_length: hu.len() as u32,
+        }
+    }
+
     /// The grid of its voxels.
     ///
     /// # Errors

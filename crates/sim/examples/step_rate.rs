@@ -38,7 +38,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let [x, y, z, w] = sim.state().t_world_base.orientation_xyzw;
         [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)]
     };
-    let ct = shared.volume().map(|volume| simulation::CtView::new(volume, shared.hu()));
+    let ct = shared.ct().map(|ct| simulation::CtView::from(&ct.volume));
     for _ in 0..rounds {
         let mut bare = Simulation::new(scene, ct)?;
         let mut latch = Latch::new(scene);

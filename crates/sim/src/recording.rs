@@ -132,7 +132,7 @@ fn header(shared: &SharedScene) -> Result<LogHeader, SimError> {
         scene_toml: shared.toml()?,
         calibration_json: c_arm.map(calibration),
         scene_name: scene.name.clone(),
-        volume_sha256: shared.volume().map(|volume| volume.sha256),
+        volume_sha256: shared.ct().map(|ct| ct.sha256),
         volume_dimensions: shared.volume().map_or([0; 3], |volume| volume.dimensions),
         dt_ns: scene.dt_ns(),
         mode: RunMode::Lockstep,

@@ -10,7 +10,7 @@ use inputs::volume_source::{self, VolumeFiles};
 use inputs::{feasibility, plan};
 use messages::Volume as VolumeMessage;
 use scene::{Mode, Scene};
-use simulation::{CtView, SharedCt};
+use voxel_grid::Ct;
 
 use crate::error::SimError;
 
@@ -21,15 +21,8 @@ static NEWEST: Mutex<Weak<SharedScene>> = Mutex::new(Weak::new());
 #[derive(Debug)]
 pub struct SharedScene {
     scene: Scene,
-    volume: Option<SharedVolume>,
+    ct: Option<Arc<Ct>>,
     notes: Vec<String>,
-}
-
-/// A volume of one copy.
-#[derive(Debug, Clone)]
-struct SharedVolume {
-    message: VolumeMessage,
-    ct: SharedCt,
 }
 
 impl SharedScene {
@@ -74,26 +67,25 @@ impl SharedScene {
         scene.run.seed = seed.unwrap_or(scene.run.seed);
         volume_source::refuse_missing(&source, &scene)?;
         let same = other.filter(|other| other.scene.volume == scene.volume);
-        if let Some(volume) = same.and_then(|other| other.volume.clone()) {
-            let notes = feasibility::check(&scene, &source, Some(&volume.copied()))?;
-            return Ok(Arc::new(SharedScene { scene, volume: Some(volume), notes }));
+        if let Some(ct) = same.and_then(|other| other.ct.clone()) {
+            let notes = feasibility::check(&scene, &source, Some(&ct.volume))?;
+            return Ok(Arc::new(SharedScene { scene, ct: Some(ct), notes }));
         }
         let loaded = volume_source::load_with_notes(&scene, VolumeFiles::default()).map_err(Failure::from)?;
         let mut notes: Vec<String> = choice.into_iter().collect();
-        let volume = loaded.map(|loaded| {
+        let ct = loaded.map(|loaded| {
             notes.extend(loaded.notes);
-            (loaded.volume, loaded.sha256)
+            Arc::new(loaded.ct)
         });
-        notes.extend(feasibility::check(&scene, &source, volume.as_ref())?);
-        Ok(Arc::new(SharedScene { scene, volume: volume.map(SharedVolume::of), notes }))
+        notes.extend(feasibility::check(&scene, &source, ct.as_ref().map(|ct| &ct.volume))?);
+        Ok(Arc::new(SharedScene { scene, ct, notes }))
     }
 
     /// The scene and volume of a log.
     pub(crate) fn of_log(log: &mut OpenedLog) -> Arc<SharedScene> {
         let mut scene = log.scene.clone();
         scene.run.mode = Mode::Lockstep;
-        let volume = log.volume.take().map(SharedVolume::of);
-        Arc::new(SharedScene { scene, volume, notes: Vec::new() })
+        Arc::new(SharedScene { scene, ct: log.ct.take().map(Arc::new), notes: Vec::new() })
     }
 
     /// The scene, in lockstep.
@@ -115,46 +107,24 @@ impl SharedScene {
     }
 
     /// The volume's header; `None` if the scene has none.
-    pub fn volume(&self) -> Option<&VolumeMessage> {
-        self.volume.as_ref().map(|volume| &volume.message)
+    pub fn volume(&self) -> Option<VolumeMessage> {
+        self.ct.as_ref().map(|ct| VolumeMessage::of(ct))
     }
 
     /// The volume's Hounsfield units, x fastest; empty if the scene has none.
     pub fn hu(&self) -> &[i16] {
-        self.volume.as_ref().map_or(&[], |volume| &volume.ct.hu)
+        self.ct.as_ref().map_or(&[], |ct| &ct.volume.hu)
     }
 
-    pub(crate) fn ct(&self) -> Option<&SharedCt> {
-        self.volume.as_ref().map(|volume| &volume.ct)
+    /// The CT; `None` if the scene has none.
+    pub fn ct(&self) -> Option<&Arc<Ct>> {
+        self.ct.as_ref()
     }
 
     /// Whether a snapshot of a simulation of the other is one of this.
     pub(crate) fn is_same(self: &Arc<Self>, other: &Arc<SharedScene>) -> bool {
-        let sha256 = |shared: &SharedScene| shared.volume().map(|volume| volume.sha256);
+        let sha256 = |shared: &SharedScene| shared.ct().map(|ct| ct.sha256);
         Arc::ptr_eq(self, other) || (self.scene == other.scene && sha256(self) == sha256(other))
-    }
-}
-
-impl SharedVolume {
-    fn of((volume, sha256): (volume_io::Volume, [u8; 32])) -> SharedVolume {
-        let message = volume_source::message(&volume, sha256);
-        let geometry = CtView::new(&message, &volume.hu).geometry;
-        SharedVolume { message, ct: SharedCt { geometry, hu: volume.hu.into() } }
-    }
-
-    /// As a volume of its own.
-    fn copied(&self) -> (volume_io::Volume, [u8; 32]) {
-        let message = &self.message;
-        let d = message.direction;
-        let volume = volume_io::Volume {
-            dims: message.dimensions.map(|n| n as usize),
-            spacing_m: message.spacing_m,
-            origin_m: message.origin_m,
-            // The message has the axes one after the other, the volume the rows of a matrix whose columns they are.
-            direction: [[d[0], d[3], d[6]], [d[1], d[4], d[7]], [d[2], d[5], d[8]]],
-            hu: self.ct.hu.to_vec(),
-        };
-        (volume, message.sha256)
     }
 }
 

@@ -8,9 +8,8 @@ use messages::{CArmGeometry, Restores, State, Tick};
 use xray::arm_model::ArmModel;
 use xray::frame::{Cache, Job, Rendered, label_job, render_job, render_poses};
 use xray::from_scene::{renderer_parameters, scene_c_arm, scene_isocentre_m};
-use xray::message::{c_arm_of, volume_view};
+use xray::message::c_arm_of;
 use xray::{CArm, DetectorFormat, DrrError, DrrRenderer, Labels, PositionerAngles, VolumeView};
-use zerocopy::IntoBytes;
 
 use crate::error::SimError;
 use crate::shared::SharedScene;
@@ -170,8 +169,8 @@ impl XRay {
 
 /// The volume as the renderer takes it.
 fn volume(shared: &SharedScene) -> Result<VolumeView<'_>, SimError> {
-    let message = shared.volume().ok_or(SimError::NoXRay)?;
-    Ok(volume_view(message, shared.hu().as_bytes())?)
+    let volume = &shared.ct().ok_or(SimError::NoXRay)?.volume;
+    Ok(VolumeView::try_from(volume)?)
 }
 
 /// From where a picture is taken.

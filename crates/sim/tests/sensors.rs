@@ -79,7 +79,7 @@ fn load(folder: &Path, text: &str) -> Arc<SharedScene> {
 }
 
 fn simulation(shared: &SharedScene) -> Simulation<'_> {
-    let ct = CtView::new(shared.volume().unwrap(), shared.hu());
+    let ct = CtView::from(&shared.ct().unwrap().volume);
     Simulation::new(shared.scene(), Some(ct)).unwrap()
 }
 

@@ -104,7 +104,7 @@ fn built_in_controllers_lead_to_the_hubs_own_ticks() {
     let place = Place::with(DRILL);
     let shared = place.scene();
     let scene = shared.scene();
-    let ct = simulation::CtView::new(shared.volume().unwrap(), shared.hu());
+    let ct = simulation::CtView::from(&shared.ct().unwrap().volume);
     let mut run = InProcess::new(scene, Simulation::new(scene, Some(ct)).unwrap());
     let mut controller = built_in(scene, "reference", &|_| panic!("no calibration")).unwrap().unwrap();
     let mut sim = Sim::new(&shared, &Drive::Nothing).unwrap();

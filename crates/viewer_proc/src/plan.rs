@@ -16,7 +16,7 @@ use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
 use run_log::Topic;
 use serde_json::{Value, json};
-use voxel_grid::VoxelGrid;
+use voxel_grid::Volume;
 use zerocopy::IntoBytes;
 
 use crate::board::Board;
@@ -106,7 +106,7 @@ enum News {
 /// The server cannot be started.
 pub fn view(
     path: &Path,
-    (first, looks, volume): (Planned, ArmLooks, Option<(VoxelGrid, &[i16])>),
+    (first, looks, volume): (Planned, ArmLooks, Option<&Volume>),
     mut planner: impl Planner,
     door: &Door,
     ready: impl FnOnce(),
@@ -119,7 +119,7 @@ pub fn view(
     let name = path.display().to_string();
     let server = Server::behind(door, &name, Arc::clone(&board), calls, Arc::clone(&over))?;
     let threshold_hu = scene.volume.as_ref().map_or(0, |volume| volume.bone_threshold_hu);
-    let bone = volume.map(|(grid, hu)| (Bone::new(grid, threshold_hu), hu));
+    let bone = volume.map(|volume| (Bone::new(volume.grid, threshold_hu), volume.hu.as_slice()));
     let mut shown = Shown { board, origin: Origin::Plan(name), bone, predrilled: HashSet::new() };
     first.findings.iter().for_each(|text| shown.board.notice("warning", text));
     shown.take(&first);

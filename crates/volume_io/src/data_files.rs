@@ -4,6 +4,7 @@
 //! an equal part of the voxels, in order along the slowest axis.
 
 use crate::error::VolumeError;
+use crate::input::{self, DataFiles};
 use crate::text_header::wrong;
 use std::path::{Path, PathBuf};
 use voxel_grid::MAX_VOXELS_ALONG_AXIS;
@@ -14,8 +15,28 @@ pub(crate) struct DataFile {
     pub start: u64,
 }
 
+/// The data files that a header names in `field` by `value`: one, those of a pattern, or those of the lines behind `LIST`.
+pub(crate) fn named(
+    header: &Path,
+    (field, value): (&str, &str),
+    list: &[String],
+    files: DataFiles,
+) -> Result<Vec<DataFile>, VolumeError> {
+    let names = match is_list(value) {
+        true => within_list(header, field, list)?,
+        false => pattern(header, field, value)?.unwrap_or_else(|| vec![value.to_owned()]),
+    };
+    let find = |name: &String| Ok(DataFile { path: input::data_file(header, field, name, files)?, start: 0 });
+    names.iter().map(find).collect()
+}
+
+/// Whether a value says that names of files follow, one a line.
+pub(crate) fn is_list(value: &str) -> bool {
+    value.split_whitespace().next() == Some("LIST")
+}
+
 /// The names in the lines behind the word `LIST`.
-pub(crate) fn within_list(path: &Path, field: &str, lines: &[String]) -> Result<Vec<String>, VolumeError> {
+fn within_list(path: &Path, field: &str, lines: &[String]) -> Result<Vec<String>, VolumeError> {
     let names: Vec<String> = lines.iter().filter(|line| !line.is_empty()).cloned().collect();
     if names.is_empty() || names.len() > MAX_VOXELS_ALONG_AXIS {
         let given = format!("LIST and {} names", names.len());
@@ -25,7 +46,7 @@ pub(crate) fn within_list(path: &Path, field: &str, lines: &[String]) -> Result<
 }
 
 /// The names that a pattern stands for; `None` for a plain name.
-pub(crate) fn pattern(path: &Path, field: &str, value: &str) -> Result<Option<Vec<String>>, VolumeError> {
+fn pattern(path: &Path, field: &str, value: &str) -> Result<Option<Vec<String>>, VolumeError> {
     let words: Vec<&str> = value.split_whitespace().collect();
     // The name may hold spaces; the numbers behind it are three, or four with the number of axes in a file.
     let numbers = words.iter().rev().take_while(|word| word.parse::<i64>().is_ok()).count();

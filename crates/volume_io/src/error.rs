@@ -2,8 +2,42 @@
 //! to do.
 
 use foreign_text::{foreign, foreign_path};
-use std::path::PathBuf;
-use voxel_grid::{MAX_SPACING_M, MAX_VOXELS_ALONG_AXIS, MIN_SPACING_M};
+use std::fmt;
+use std::path::{Path, PathBuf};
+use voxel_grid::{MAX_SPACING_M, MAX_VOXELS, MAX_VOXELS_ALONG_AXIS, MIN_SPACING_M};
+
+/// A field of a file, and the value found in it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Field {
+    /// File or folder.
+    pub path: PathBuf,
+    /// Its name as the format spells it.
+    pub name: String,
+    /// The value found.
+    pub given: String,
+}
+
+impl Field {
+    pub(crate) fn new(path: &Path, name: impl Into<String>, given: impl Into<String>) -> Field {
+        Field { path: path.into(), name: name.into(), given: given.into() }
+    }
+
+    /// Name and value in words, with what kind of field it is.
+    fn of_kind(&self, kind: &str) -> String {
+        format!(
+            "{}: {kind}`{}`: given {}",
+            foreign_path(&self.path),
+            foreign(&self.name),
+            foreign(&self.given)
+        )
+    }
+}
+
+impl fmt::Display for Field {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.of_kind(""))
+    }
+}
 
 /// Why a volume could not be read, written or built.
 #[derive(Debug, thiserror::Error)]
@@ -23,7 +57,8 @@ pub enum VolumeError {
     Output(#[from] output_file::OutputError),
     /// Not a format that this crate reads.
     #[error(
-        "{}: not a volume: {}; expected NIfTI (.nii, .nii.gz, .hdr/.img), NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd) or a DICOM series (a folder or one of its files)", foreign_path(.path), foreign(.given)
+        "{}: not a volume: {}; expected NIfTI (.nii, .nii.gz, .hdr/.img), NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd) or a DICOM series \
+         (a folder or one of its files)", foreign_path(.path), foreign(.given)
     )]
     NotAVolume {
         /// File or folder.
@@ -32,26 +67,18 @@ pub enum VolumeError {
         given: String,
     },
     /// A header field is missing, malformed or contradicts another.
-    #[error("{}: header field `{}`: given {}; expected {expected}", foreign_path(.path), foreign(.field), foreign(.given))]
+    #[error("{}; expected {expected}", .field.of_kind("header field "))]
     Header {
-        /// File.
-        path: PathBuf,
-        /// Field name as the format spells it.
-        field: String,
-        /// The value found.
-        given: String,
+        /// The field.
+        field: Field,
         /// What a valid file contains there.
         expected: String,
     },
     /// Valid in the format, but not supported by this crate.
-    #[error("{}: field `{}`: given {}, which is not supported; expected {expected}", foreign_path(.path), foreign(.field), foreign(.given))]
+    #[error("{}, which is not supported; expected {expected}", .field.of_kind("field "))]
     Unsupported {
-        /// File.
-        path: PathBuf,
-        /// Field name as the format spells it.
-        field: String,
-        /// The value found.
-        given: String,
+        /// The field.
+        field: Field,
         /// What is supported, and how to convert.
         expected: String,
     },
@@ -81,32 +108,14 @@ pub enum VolumeError {
     },
     /// A header names a data file outside its own folder. Refused, because it could turn any of the user's files into a picture.
     #[error(
-        "{}: `{}`: given {}, which leads out of the header's folder; expected a file in it; move it there, or allow it (`--allow-elsewhere`)", foreign_path(.path),
-        foreign(.field),
-        foreign(.given)
+        "{0}, which leads out of the header's folder; expected a file in it; move it there, or allow it (`--allow-elsewhere`)"
     )]
-    Elsewhere {
-        /// The header, or the folder of a series.
-        path: PathBuf,
-        /// Field name as the format spells it.
-        field: String,
-        /// The name found.
-        given: String,
-    },
+    Elsewhere(Field),
     /// More voxels than this crate accepts (or dimensions whose product overflows).
     #[error(
-        "{}: `{}`: given {}; expected at most {limit} voxels in all and {MAX_VOXELS_ALONG_AXIS} along each axis; crop or resample the volume", foreign_path(.path), foreign(.field), foreign(.given)
+        "{0}; expected at most {MAX_VOXELS} voxels in all and {MAX_VOXELS_ALONG_AXIS} along each axis; crop or resample the volume"
     )]
-    TooLarge {
-        /// File.
-        path: PathBuf,
-        /// Field name as the format spells it.
-        field: String,
-        /// The dimensions found.
-        given: String,
-        /// The limit, [`voxel_grid::MAX_VOXELS`].
-        limit: usize,
-    },
+    TooLarge(Field),
     /// The machine, or the process's limit, has too little memory for the voxels.
     #[error(
         "{}: {voxels} voxels need {needed_bytes} bytes of memory, more than there is; crop or resample the volume", foreign_path(.path)
@@ -120,107 +129,40 @@ pub enum VolumeError {
         needed_bytes: u64,
     },
     /// Not a three-dimensional image.
-    #[error(
-        "{}: `{}`: given {}; expected one three-dimensional volume; extract one volume first", foreign_path(.path), foreign(.field), foreign(.given)
-    )]
-    NotThreeDimensional {
-        /// File.
-        path: PathBuf,
-        /// Field name as the format spells it.
-        field: String,
-        /// The dimensions found.
-        given: String,
-    },
+    #[error("{0}; expected one three-dimensional volume; extract one volume first")]
+    NotThreeDimensional(Field),
     /// Colour, complex, vector or tensor voxels.
-    #[error(
-        "{}: `{}`: given {}; expected one real number a voxel; convert to a scalar image first", foreign_path(.path), foreign(.field), foreign(.given)
-    )]
-    NotScalar {
-        /// File.
-        path: PathBuf,
-        /// Field name as the format spells it.
-        field: String,
-        /// The voxel type found.
-        given: String,
-    },
+    #[error("{0}; expected one real number a voxel; convert to a scalar image first")]
+    NotScalar(Field),
     /// A voxel spacing that is zero, negative, infinite or not a number.
-    #[error("{}: `{}`: given {}; expected three distances between {MIN_SPACING_M:e} m and {MAX_SPACING_M} m", foreign_path(.path), foreign(.field), foreign(.given))]
-    Spacing {
-        /// File.
-        path: PathBuf,
-        /// Field name as the format spells it.
-        field: String,
-        /// The value found.
-        given: String,
-    },
+    #[error("{0}; expected three distances between {MIN_SPACING_M:e} m and {MAX_SPACING_M} m")]
+    Spacing(Field),
     /// The axes do not span space, or are not finite.
-    #[error("{}: `{}`: given {}; expected three linearly independent, finite axis directions", foreign_path(.path), foreign(.field), foreign(.given))]
-    SingularDirection {
-        /// File.
-        path: PathBuf,
-        /// Field name as the format spells it.
-        field: String,
-        /// The value found.
-        given: String,
-    },
-    /// The axes are not at right angles: a sheared affine, or a CT taken with a tilted gantry.
+    #[error("{0}; expected three linearly independent, finite axis directions")]
+    SingularDirection(Field),
+    /// The axes are not at right angles: a sheared affine, or a CT taken with a tilted gantry. With the tolerance, a cosine.
     #[error(
-        "{}: `{}`: given {}; expected axes at right angles within {tolerance}; resample a tilted gantry's slices (`--rectify`, in a scene `volume.resample = \"rectify\"`), a sheared volume before", foreign_path(.path), foreign(.field), foreign(.given)
+        "{0}; expected axes at right angles within {1}; resample a tilted gantry's slices (`--rectify`, in a scene `volume.resample = \
+         \"rectify\"`), a sheared volume before"
     )]
-    Sheared {
-        /// File.
-        path: PathBuf,
-        /// Field name as the format spells it.
-        field: String,
-        /// The angles or vectors found.
-        given: String,
-        /// The tolerance, a cosine.
-        tolerance: f64,
-    },
-    /// Unevenly spaced slices.
+    Sheared(Field, f64),
+    /// Unevenly spaced slices. With the tolerance in metres.
     #[error(
-        "{}: `{}`: given {}; expected slices at equal distances within {tolerance_m} m; resample them (`--rectify`, in a scene `volume.resample = \"rectify\"`)", foreign_path(.path), foreign(.field), foreign(.given)
+        "{0}; expected slices at equal distances within {1} m; resample them (`--rectify`, in a scene `volume.resample = \"rectify\"`)"
     )]
-    VariableSpacing {
-        /// Folder or file.
-        path: PathBuf,
-        /// Field name as the format spells it.
-        field: String,
-        /// The distances found.
-        given: String,
-        /// Tolerance in metres.
-        tolerance_m: f64,
-    },
+    VariableSpacing(Field, f64),
     /// A gap in an otherwise regular series.
-    #[error("{}: `{}`: given {}; expected every slice of the series; export it again, or fill the gap (`--rectify`, in a scene `volume.resample = \"rectify\"`)", foreign_path(.path), foreign(.field), foreign(.given))]
-    MissingSlices {
-        /// Folder or file.
-        path: PathBuf,
-        /// Field name as the format spells it.
-        field: String,
-        /// Where the gap is.
-        given: String,
-    },
+    #[error(
+        "{0}; expected every slice of the series; export it again, or fill the gap (`--rectify`, in a scene `volume.resample = \
+         \"rectify\"`)"
+    )]
+    MissingSlices(Field),
     /// Two slices at the same position.
-    #[error("{}: `{}`: given {}; expected one slice a position; remove the copies", foreign_path(.path), foreign(.field), foreign(.given))]
-    DuplicateSlices {
-        /// Folder or file.
-        path: PathBuf,
-        /// Field name as the format spells it.
-        field: String,
-        /// The two files.
-        given: String,
-    },
+    #[error("{0}; expected one slice a position; remove the copies")]
+    DuplicateSlices(Field),
     /// Slices that do not belong together.
-    #[error("{}: `{}`: given {}; expected one value in all slices; put one series in a folder", foreign_path(.path), foreign(.field), foreign(.given))]
-    MixedSeries {
-        /// Folder or file.
-        path: PathBuf,
-        /// The field that differs.
-        field: String,
-        /// The values found.
-        given: String,
-    },
+    #[error("{0}; expected one value in all slices; put one series in a folder")]
+    MixedSeries(Field),
     /// A folder with the slices of several series and no choice between them, or a choice that is not there.
     #[error("{}: given {given}; expected one of its series: {series}; name one (`--series UID`, in a scene `volume.series`)", foreign_path(.path))]
     SeveralSeries {
@@ -251,4 +193,45 @@ pub enum VolumeError {
         /// What is expected.
         expected: String,
     },
+}
+
+impl VolumeError {
+    pub(crate) fn header(
+        path: &Path,
+        name: impl Into<String>,
+        given: impl Into<String>,
+        expected: impl Into<String>,
+    ) -> VolumeError {
+        VolumeError::Header { field: Field::new(path, name, given), expected: expected.into() }
+    }
+
+    pub(crate) fn unsupported(
+        path: &Path,
+        name: impl Into<String>,
+        given: impl Into<String>,
+        expected: impl Into<String>,
+    ) -> VolumeError {
+        VolumeError::Unsupported { field: Field::new(path, name, given), expected: expected.into() }
+    }
+
+    pub(crate) fn argument(
+        field: &'static str,
+        given: impl Into<String>,
+        expected: impl Into<String>,
+    ) -> VolumeError {
+        VolumeError::Argument { field, given: given.into(), expected: expected.into() }
+    }
+
+    pub(crate) fn truncated(
+        path: &Path,
+        field: impl Into<String>,
+        [given, expected]: [u64; 2],
+    ) -> VolumeError {
+        let (given_bytes, expected_bytes) = (given, expected);
+        VolumeError::Truncated { path: path.into(), field: field.into(), given_bytes, expected_bytes }
+    }
+
+    pub(crate) fn not_a_volume(path: &Path, given: impl Into<String>) -> VolumeError {
+        VolumeError::NotAVolume { path: path.into(), given: given.into() }
+    }
 }

@@ -1,43 +1,49 @@
 //! The identity of a volume: SHA-256 over its geometry and voxels.
 
-use crate::volume::Volume;
+use std::convert::Infallible;
+
 use sha2::{Digest, Sha256};
+use voxel_grid::{Ct, Volume};
 
 /// Prefix of every hash, so that another layout of the same numbers cannot collide with this one.
 const DOMAIN: &[u8] = b"trabecula volume v1\0";
 
-/// SHA-256 of a volume's geometry and voxels; see [`volume_hash_of_parts`].
-pub fn volume_hash(volume: &Volume) -> [u8; 32] {
-    volume_hash_of_parts(volume.dims, volume.spacing_m, volume.origin_m, volume.direction, &volume.hu)
+/// A volume with its hash.
+pub fn identified(volume: Volume) -> Ct {
+    Ct { sha256: volume_hash(&volume), volume }
 }
 
-/// SHA-256 of geometry and voxels passed separately, for a caller that holds them in shared memory.
+/// SHA-256 of a volume's geometry and voxels.
 ///
-/// Hashed, in this order, all little-endian: the text `trabecula volume v1` and a zero byte; `dims` as three u64; `spacing_m`, `origin_m`
-/// and `direction` (row by row) as f64 bits, with −0 hashed as +0; the voxels as i16, i fastest.
-pub fn volume_hash_of_parts(
-    dims: [usize; 3],
-    spacing_m: [f64; 3],
-    origin_m: [f64; 3],
-    direction: [[f64; 3]; 3],
-    hu: &[i16],
-) -> [u8; 32] {
+/// Hashed, in this order, all little-endian: the text `trabecula volume v1` and a zero byte; the dimensions as three u64; spacing and
+/// origin in metres and the direction matrix (row by row) as f64 bits, with −0 hashed as +0; the voxels as i16, i fastest.
+pub fn volume_hash(volume: &Volume) -> [u8; 32] {
+    let Volume { grid, hu } = volume;
     let mut hasher = Sha256::new();
     hasher.update(DOMAIN);
-    for n in dims {
+    for n in grid.dims() {
         hasher.update((n as u64).to_le_bytes());
     }
-    for value in spacing_m.iter().chain(&origin_m).chain(direction.iter().flatten()) {
+    for value in grid.spacing_m().iter().chain(&grid.origin_m()).chain(grid.direction().iter().flatten()) {
         // Adding zero turns −0 into +0 and leaves every other value unchanged.
         hasher.update((value + 0.0).to_le_bytes());
     }
     // Buffered, because hashing two bytes at a time costs more than the hash itself.
+    let Ok(()) = in_little_endian(hu, |bytes| Ok::<(), Infallible>(hasher.update(bytes)));
+    hasher.finalize().into()
+}
+
+/// Calls `take` with the voxels as little-endian bytes, a few thousand at a time.
+///
+/// # Errors
+/// Those of `take`.
+pub(crate) fn in_little_endian<E>(hu: &[i16], mut take: impl FnMut(&[u8]) -> Result<(), E>) -> Result<(), E> {
     let mut buffer = [0_u8; 8192];
     for chunk in hu.chunks(buffer.len() / 2) {
         for (bytes, value) in buffer.chunks_exact_mut(2).zip(chunk) {
             bytes.copy_from_slice(&value.to_le_bytes());
         }
-        hasher.update(&buffer[..2 * chunk.len()]);
+        take(&buffer[..2 * chunk.len()])?;
     }
-    hasher.finalize().into()
+    Ok(())
 }

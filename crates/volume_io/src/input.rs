@@ -1,6 +1,6 @@
 //! Opens files and compressed streams without trusting the sizes they claim.
 
-use crate::error::VolumeError;
+use crate::error::{Field, VolumeError};
 use crate::gzip::GzipMembers;
 use std::fs::File;
 use std::io::{BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom};
@@ -64,7 +64,7 @@ pub(crate) fn open(path: &Path) -> Result<(File, u64), VolumeError> {
     // Checks the type before opening, because opening a pipe would block until it has a writer.
     let metadata = std::fs::metadata(path).map_err(io_error(path, "open"))?;
     if !metadata.is_file() {
-        return Err(VolumeError::NotAVolume { path: path.into(), given: "not a regular file".into() });
+        return Err(VolumeError::not_a_volume(path, "not a regular file"));
     }
     let file = File::open(path).map_err(io_error(path, "open"))?;
     Ok((file, metadata.len()))
@@ -78,12 +78,7 @@ pub(crate) fn open_stream(
 ) -> Result<(Box<dyn Read>, u64), VolumeError> {
     let (mut file, length) = open(path)?;
     if offset > length {
-        return Err(VolumeError::Truncated {
-            path: path.into(),
-            field: "file".into(),
-            given_bytes: length,
-            expected_bytes: offset,
-        });
+        return Err(VolumeError::truncated(path, "file", [length, offset]));
     }
     file.seek(SeekFrom::Start(offset)).map_err(io_error(path, "seek"))?;
     let reader = BufReader::with_capacity(1 << 16, file);
@@ -132,12 +127,7 @@ pub(crate) fn check_length(path: &Path, most_bytes: u64, needed_bytes: u64) -> R
     if most_bytes >= needed_bytes {
         return Ok(());
     }
-    Err(VolumeError::Truncated {
-        path: path.into(),
-        field: "voxel data".into(),
-        given_bytes: most_bytes,
-        expected_bytes: needed_bytes,
-    })
+    Err(VolumeError::truncated(path, "voxel data", [most_bytes, needed_bytes]))
 }
 
 /// Fills `buffer` until the stream ends; returns the bytes read. A stream cut in the middle counts as ended there.
@@ -174,29 +164,14 @@ pub(crate) fn skip(
         let wanted = left.min(buffer.len() as u64) as usize;
         let got = read_full(path, codec, reader, &mut buffer[..wanted])?;
         if got == 0 {
-            return Err(VolumeError::Truncated {
-                path: path.into(),
-                field: "bytes before the voxel data".into(),
-                given_bytes: count - left,
-                expected_bytes: count,
-            });
+            return Err(VolumeError::truncated(path, "bytes before the voxel data", [count - left, count]));
         }
         left -= got as u64;
     }
     Ok(())
 }
 
-/// What a header says of a stream's size.
-pub(crate) struct StatedLength<'a> {
-    /// The header's field that says it.
-    pub field: &'a str,
-    /// Bytes up to the end of the voxels.
-    pub needed: u64,
-    /// Most bytes that the stream can hold.
-    pub most: u64,
-}
-
-/// Checks what follows the voxels of a stream.
+/// Checks what follows the voxels of a stream, which end at byte `needed` by the header's `field`; the stream holds at most `most` bytes.
 ///
 /// Extra compressed bytes mean that the header is wrong, and every voxel with it. After raw voxels other programs leave padding and
 /// trailers; ITK and nibabel read the voxels and ignore the rest, and so does this reader, with a note.
@@ -204,10 +179,9 @@ pub(crate) fn check_end(
     path: &Path,
     codec: Codec,
     reader: &mut dyn Read,
-    length: &StatedLength<'_>,
+    (field, needed, most): (&str, u64, u64),
     notes: &mut Vec<String>,
 ) -> Result<(), VolumeError> {
-    let StatedLength { field, needed, most } = *length;
     if codec == Codec::Raw {
         if most > needed {
             notes.push(format!("{} bytes behind the voxels are not read", most - needed));
@@ -218,12 +192,12 @@ pub(crate) fn check_end(
     if read_full(path, codec.name(), reader, &mut one)? == 0 {
         return Ok(());
     }
-    Err(VolumeError::Header {
-        path: path.into(),
-        field: field.into(),
-        given: format!("more than {needed} bytes of data"),
-        expected: "as many bytes as the voxels need".into(),
-    })
+    Err(VolumeError::header(
+        path,
+        field,
+        format!("more than {needed} bytes of data"),
+        "as many bytes as the voxels need",
+    ))
 }
 
 /// The first bytes of a stream, at most `count`.
@@ -247,11 +221,7 @@ pub(crate) fn data_file(
     let folder = folder_of(header);
     let path = folder.join(name);
     let real = inside(folder, &path, files)?;
-    real.ok_or_else(|| VolumeError::Elsewhere {
-        path: header.into(),
-        field: field.into(),
-        given: format!("`{name}`"),
-    })
+    real.ok_or_else(|| VolumeError::Elsewhere(Field::new(header, field, format!("`{name}`"))))
 }
 
 /// The folder that contains a path.

@@ -1,6 +1,6 @@
 //! CT volumes for the hub: readers, a synthetic femur with known landmarks, and geometry in world LPS.
 //!
-//! Every reader returns one [`Volume`]: Hounsfield units as `i16`, i fastest, with spacing, origin and direction in the world frame (LPS,
+//! Every reader returns one [`Volume`](voxel_grid::Volume): Hounsfield units as `i16`, i fastest, with spacing, origin and direction in the world frame (LPS,
 //! metres). Readers never resample or reorder voxels; they only convert the geometry, which [`voxel_grid`] checks. [`resample`] is explicit.
 //!
 //! **Boundary:** it knows nothing of processes or scenes. **Invariants:** every length in a file is checked before memory is allocated for
@@ -8,22 +8,18 @@
 //! refused, never assumed to be uniform.
 //!
 //! ```
-//! use volume_io::{IDENTITY_DIRECTION, Volume, read, write_nrrd};
+//! use volume_io::{read, write_nrrd};
+//! use voxel_grid::{Volume, VoxelGrid};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! let volume = Volume {
-//!     dims: [2, 2, 2],
-//!     spacing_m: [1e-3; 3],
-//!     origin_m: [0.0, 0.0, 0.1],
-//!     direction: IDENTITY_DIRECTION,
-//!     hu: vec![-1000, 0, 40, 300, 700, 1000, 1500, 1900],
-//! };
+//! let grid = VoxelGrid::axis_aligned([2, 2, 2], [1e-3; 3], [0.0, 0.0, 0.1])?;
+//! let volume = Volume { grid, hu: vec![-1000, 0, 40, 300, 700, 1000, 1500, 1900] };
 //! let folder = tempfile::tempdir()?;
 //! let path = folder.path().join("block.nrrd");
 //! write_nrrd(&path, &volume)?;
 //! let again = read(&path)?;
 //! assert_eq!(again.at([1, 1, 1]), Some(1900));
-//! assert!((again.voxel_to_world_m([1.0, 0.0, 0.0])[0] - 1e-3).abs() < 1e-12);
+//! assert!((again.grid.world_m([1.0, 0.0, 0.0])[0] - 1e-3).abs() < 1e-12);
 //! # Ok(())
 //! # }
 //! ```
@@ -53,8 +49,8 @@ mod text_header;
 mod volume;
 
 pub use edt::squared_distance_m2;
-pub use error::VolumeError;
-pub use hash::{volume_hash, volume_hash_of_parts};
+pub use error::{Field, VolumeError};
+pub use hash::{identified, volume_hash};
 pub use input::DataFiles;
 pub use mask::{MaskModel, mask_to_hu};
 pub use nifti_write::write_nifti;
@@ -63,4 +59,4 @@ pub use options::{Label, ReadOptions, Slices};
 pub use read::{read, read_as, read_with_info};
 pub use resample::resample;
 pub use sources::{Sources, sources};
-pub use volume::{HuStatistics, IDENTITY_DIRECTION, Volume, VolumeInfo};
+pub use volume::{HuStatistics, VolumeInfo, grid_of};

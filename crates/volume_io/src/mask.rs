@@ -2,8 +2,8 @@
 
 use crate::edt::squared_distance_m2;
 use crate::error::VolumeError;
-use crate::volume::Volume;
 use std::path::Path;
+use voxel_grid::Volume;
 
 /// How to fill a solid 0/1 mask. The result is synthetic: only the outline comes from the patient.
 ///
@@ -58,14 +58,15 @@ pub fn mask_to_hu(volume: &mut Volume, model: &MaskModel) -> Result<(), VolumeEr
     check_model(model)?;
     let label = mask_label(volume)?;
     let inside: Vec<bool> = volume.hu.iter().map(|value| *value == label).collect();
-    let reach_m = model.soft_tissue_m + 2.0 * volume.spacing_m.iter().copied().fold(0.0, f64::max);
+    let spacing_m = volume.grid.spacing_m();
+    let reach_m = model.soft_tissue_m + 2.0 * spacing_m.iter().copied().fold(0.0, f64::max);
     let part = Part::around(volume, &inside, reach_m);
     let bone: Vec<bool> = part.indices().map(|index| inside[index]).collect();
     let outside: Vec<bool> = bone.iter().map(|b| !b).collect();
     // The surface is half a voxel from the last centre inside.
-    let half_m = 0.5 * volume.spacing_m.iter().copied().fold(f64::INFINITY, f64::min);
-    let to_outside = squared_distance_m2(part.dims, volume.spacing_m, &outside);
-    let to_bone = squared_distance_m2(part.dims, volume.spacing_m, &bone);
+    let half_m = 0.5 * spacing_m.iter().copied().fold(f64::INFINITY, f64::min);
+    let to_outside = squared_distance_m2(part.dims, spacing_m, &outside);
+    let to_bone = squared_distance_m2(part.dims, spacing_m, &bone);
 
     volume.hu.fill(model.air_hu);
     let distances = to_outside.iter().zip(&to_bone);
@@ -87,11 +88,11 @@ pub fn mask_to_hu(volume: &mut Volume, model: &MaskModel) -> Result<(), VolumeEr
 /// [`VolumeError::NoSuchLabel`] if no voxel has it; [`VolumeError::Argument`] if there are negative values, which no label is.
 pub(crate) fn keep_label(path: &Path, values: &mut [i16], label: i16) -> Result<(), VolumeError> {
     if let Some(negative) = values.iter().find(|value| **value < 0) {
-        return Err(VolumeError::Argument {
-            field: "label",
-            given: format!("{label} of {}, which holds {negative}", path.display()),
-            expected: "a map of labels, 0 and above; these are Hounsfield units".into(),
-        });
+        return Err(VolumeError::argument(
+            "label",
+            format!("{label} of {}, which holds {negative}", path.display()),
+            "a map of labels, 0 and above; these are Hounsfield units",
+        ));
     }
     if !values.contains(&label) {
         let mut there: Vec<i16> = Vec::new();
@@ -139,11 +140,11 @@ fn check_model(model: &MaskModel) -> Result<(), VolumeError> {
     ];
     for (field, value) in lengths {
         if !(value.is_finite() && value >= 0.0) {
-            return Err(VolumeError::Argument {
+            return Err(VolumeError::argument(
                 field,
-                given: format!("{value} m"),
-                expected: "a finite thickness, zero or more".into(),
-            });
+                format!("{value} m"),
+                "a finite thickness, zero or more",
+            ));
         }
     }
     Ok(())
@@ -151,10 +152,8 @@ fn check_model(model: &MaskModel) -> Result<(), VolumeError> {
 
 /// The mask's one value other than zero.
 fn mask_label(volume: &Volume) -> Result<i16, VolumeError> {
-    let refuse = |given: String| VolumeError::Argument {
-        field: "volume",
-        given,
-        expected: "a binary mask: 0 and one other value, both present".into(),
+    let refuse = |given: String| {
+        VolumeError::argument("volume", given, "a binary mask: 0 and one other value, both present")
     };
     let Some(label) = volume.hu.iter().copied().find(|value| *value != 0) else {
         return Err(refuse("only zeros".into()));
@@ -180,21 +179,21 @@ struct Part {
 impl Part {
     /// The bounding box of `inside`, grown by `reach_m` within the volume.
     fn around(volume: &Volume, inside: &[bool], reach_m: f64) -> Self {
-        let [ni, nj, _] = volume.dims;
-        let (mut low, mut high) = (volume.dims, [0; 3]);
-        for index in inside.iter().enumerate().filter_map(|(index, b)| b.then_some(index)) {
-            let voxel = [index % ni, index / ni % nj, index / (ni * nj)];
+        let (dims, spacing_m) = (volume.grid.dims(), volume.grid.spacing_m());
+        let (mut low, mut high) = (dims, [0; 3]);
+        let voxels = inside.iter().enumerate().filter(|(_, is_inside)| **is_inside);
+        for voxel in voxels.filter_map(|(index, _)| volume.grid.voxel(index)) {
             for axis in 0..3 {
                 low[axis] = low[axis].min(voxel[axis]);
                 high[axis] = high[axis].max(voxel[axis]);
             }
         }
         for axis in 0..3 {
-            let grow = libm::ceil(reach_m / volume.spacing_m[axis]) as usize;
+            let grow = libm::ceil(reach_m / spacing_m[axis]) as usize;
             low[axis] = low[axis].saturating_sub(grow);
-            high[axis] = high[axis].saturating_add(grow).min(volume.dims[axis] - 1);
+            high[axis] = high[axis].saturating_add(grow).min(dims[axis] - 1);
         }
-        Self { low, dims: [0, 1, 2].map(|axis| high[axis] - low[axis] + 1), whole: volume.dims }
+        Self { low, dims: [0, 1, 2].map(|axis| high[axis] - low[axis] + 1), whole: dims }
     }
 
     /// Indices into the whole volume, in the order of the part.

@@ -3,16 +3,16 @@
 //! Source: MetaIO documentation (itk.org/Wiki/MetaIO/Documentation) and ITK's `MetaImageIO`: world LPS, rows of `TransformMatrix` are
 //! the directions of the axes. No well-kept crate reads this format.
 
-use crate::data_files::{DataFile, pattern, read_each, within_list};
-use crate::error::VolumeError;
-use crate::input::{self, Codec, DataFiles, StatedLength};
+use crate::data_files::{DataFile, is_list, named, read_each};
+use crate::error::{Field, VolumeError};
+use crate::input::{self, Codec, DataFiles};
 use crate::options::ReadOptions;
 use crate::scalar::{Endian, HuSink, Layout, Scalar, Scale};
 use crate::text_header::{MAX_HEADER_BYTES, all_sizes, numbers, read_ascii, unit_of_length, wrong};
-use crate::volume::{GeometryFields, StatedGeometry, Volume, VolumeInfo, placement, voxel_count};
+use crate::volume::{GeometryFields, StatedGeometry, VolumeInfo, placed, placement, voxel_count};
 use std::collections::BTreeMap;
 use std::path::Path;
-use voxel_grid::Placement;
+use voxel_grid::{Placement, Volume};
 
 struct Header<'a> {
     path: &'a Path,
@@ -61,10 +61,8 @@ pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<(Volume, Volume
         ("ascii", scalar.name().into())
     };
     let mut hu = sink.finish(&mut notes);
-    if let Some(label) = &options.label {
-        crate::mask::keep_label(path, &mut hu, label.value(path)?)?;
-    }
-    let volume = Volume::placed(dims, &geometry, hu);
+    options.keep_label(path, &mut hu)?;
+    let volume = placed(path, dims, geometry, hu)?;
     let kind = if files.iter().any(|file| file.path == path) { "local" } else { "detached" };
     let format = format!("MetaImage ({encoding}, {kind})");
     let info = VolumeInfo::new(&volume, format, stored_as, unit_name, notes);
@@ -111,12 +109,7 @@ impl<'a> Header<'a> {
     }
 
     fn unsupported(&self, field: &str, given: &str, expected: &str) -> VolumeError {
-        VolumeError::Unsupported {
-            path: self.path.into(),
-            field: field.into(),
-            given: format!("`{given}`"),
-            expected: expected.into(),
-        }
+        VolumeError::unsupported(self.path, field, format!("`{given}`"), expected)
     }
 
     /// A truth value; none if the header lacks the field.
@@ -143,20 +136,18 @@ impl<'a> Header<'a> {
         // A fourth axis may hold one time.
         let axes = if rank == "4" { 4 } else { 3 };
         let sizes = all_sizes(self.path, "DimSize", given, axes);
-        let not_three = || VolumeError::NotThreeDimensional {
-            path: self.path.into(),
-            field: "NDims".into(),
-            given: format!("{rank} with DimSize {given}"),
+        let not_three = || {
+            VolumeError::NotThreeDimensional(Field::new(
+                self.path,
+                "NDims",
+                format!("{rank} with DimSize {given}"),
+            ))
         };
         if rank != "3" && rank != "4" {
             return Err(not_three());
         }
         if let Some((field, channels)) = self.get(&["ElementNumberOfChannels"]).filter(|(_, n)| *n != "1") {
-            return Err(VolumeError::NotScalar {
-                path: self.path.into(),
-                field: field.into(),
-                given: format!("{channels} channels"),
-            });
+            return Err(VolumeError::NotScalar(Field::new(self.path, field, format!("{channels} channels"))));
         }
         match sizes?.as_slice() {
             [i, j, k] | [i, j, k, 1] => Ok([*i, *j, *k]),
@@ -179,11 +170,7 @@ impl<'a> Header<'a> {
             "MET_FLOAT" => Scalar::F32,
             "MET_DOUBLE" => Scalar::F64,
             _ if name.ends_with("_ARRAY") => {
-                return Err(VolumeError::NotScalar {
-                    path: self.path.into(),
-                    field: field.into(),
-                    given: name.into(),
-                });
+                return Err(VolumeError::NotScalar(Field::new(self.path, field, name)));
             }
             _ => {
                 return Err(self.unsupported(
@@ -272,18 +259,13 @@ impl<'a> Header<'a> {
     /// The data files in order; the header's own file if its voxels are local.
     fn data_files(&self) -> Result<Vec<DataFile>, VolumeError> {
         let (field, name) = self.require(&["ElementDataFile"], "LOCAL or a file name")?;
-        let names = match name {
+        match name {
             "LOCAL" | "Local" | "local" => {
-                return Ok(vec![DataFile { path: self.path.to_path_buf(), start: self.length }]);
+                Ok(vec![DataFile { path: self.path.to_path_buf(), start: self.length }])
             }
-            "" => return Err(wrong(self.path, field, name, "LOCAL or a file name")),
-            _ if is_list(name) => within_list(self.path, field, &self.list)?,
-            _ => pattern(self.path, field, name)?.unwrap_or_else(|| vec![name.to_owned()]),
-        };
-        let find = |name: &String| {
-            Ok(DataFile { path: input::data_file(self.path, field, name, self.files)?, start: 0 })
-        };
-        names.iter().map(find).collect()
+            "" => Err(wrong(self.path, field, name, "LOCAL or a file name")),
+            _ => named(self.path, (field, name), &self.list, self.files),
+        }
     }
 
     fn read_binary(
@@ -295,7 +277,6 @@ impl<'a> Header<'a> {
         notes: &mut Vec<String>,
     ) -> Result<Codec, VolumeError> {
         let (path, start) = (file.path.as_path(), file.start);
-        let needed = layout.byte_count(count);
         let codec = if self.flag("CompressedData")?.unwrap_or(false) {
             // MetaIO writes zlib streams but reads gzip as well.
             let magic = input::head(path, start, Codec::Raw, 2)?;
@@ -318,21 +299,12 @@ impl<'a> Header<'a> {
             Ok(skip) => start.saturating_add(skip),
             // −1: the voxels are the last bytes of the file.
             Err(_) => {
-                let (_, length) = input::open(path)?;
+                let ((_, length), needed) = (input::open(path)?, layout.byte_count(count));
                 input::check_length(path, length, needed)?;
                 length - needed
             }
         };
-        let (mut reader, most_bytes) = input::open_stream(path, offset, codec)?;
-        input::check_length(path, most_bytes, needed)?;
-        layout.read(path, codec.name(), reader.as_mut(), count, sink)?;
-        let length = StatedLength { field: "DimSize", needed, most: most_bytes };
-        input::check_end(path, codec, reader.as_mut(), &length, notes)?;
+        layout.read_file((path, offset, codec), 0, ("DimSize", count), sink, notes)?;
         Ok(codec)
     }
-}
-
-/// Whether the value of `ElementDataFile` says that names of files follow, one a line.
-fn is_list(value: &str) -> bool {
-    value.split_whitespace().next() == Some("LIST")
 }

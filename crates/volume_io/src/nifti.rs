@@ -1,15 +1,15 @@
 //! NIfTI-1 and NIfTI-2 files: .nii, .hdr/.img, each plain or gzip.
 
-use crate::error::VolumeError;
-use crate::input::{self, Codec, DataFiles, StatedLength};
+use crate::error::{Field, VolumeError};
+use crate::input::{self, Codec, DataFiles};
 use crate::nifti_header::{NIFTI2_SIZE, parse};
 use crate::options::ReadOptions;
 use crate::scalar::HuSink;
 use crate::volume::{
-    GeometryFields, StatedGeometry, Volume, VolumeInfo, columns, norm, placement, voxel_count,
+    GeometryFields, StatedGeometry, VolumeInfo, columns, norm, placed, placement, voxel_count,
 };
 use std::path::{Path, PathBuf};
-use voxel_grid::Placement;
+use voxel_grid::{Placement, Volume};
 
 /// Reads the volume whose header is at `path`.
 pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<(Volume, VolumeInfo), VolumeError> {
@@ -27,25 +27,16 @@ pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<(Volume, Volume
         let codec = codec_of(&image)?;
         (image, codec)
     };
-    let needed = header.layout.byte_count(count);
-    let (mut reader, most_bytes) = input::open_stream(&data_path, 0, data_codec)?;
-    input::check_length(&data_path, most_bytes, header.data_offset.saturating_add(needed))?;
-    input::skip(&data_path, data_codec.name(), reader.as_mut(), header.data_offset)?;
     let mut sink = HuSink::default();
-    header.layout.read(&data_path, data_codec.name(), reader.as_mut(), count, &mut sink)?;
-
-    let needed = header.data_offset.saturating_add(needed);
-    let length = StatedLength { field: "dim", needed, most: most_bytes };
-    input::check_end(&data_path, data_codec, reader.as_mut(), &length, &mut notes)?;
+    let data = (data_path.as_path(), 0, data_codec);
+    header.layout.read_file(data, header.data_offset, ("dim", count), &mut sink, &mut notes)?;
     if header.layout.scale != crate::scalar::Scale::IDENTITY {
         let scale = header.layout.scale;
         notes.push(format!("values are {} x stored + {}", scale.slope, scale.intercept));
     }
     let mut hu = sink.finish(&mut notes);
-    if let Some(label) = &options.label {
-        crate::mask::keep_label(path, &mut hu, label.value(path)?)?;
-    }
-    let volume = Volume::placed(header.dims, &geometry, hu);
+    options.keep_label(path, &mut hu)?;
+    let volume = placed(path, header.dims, geometry, hu)?;
     let pair = if header.single_file { "" } else { ", .hdr/.img" };
     let format = format!("NIfTI-{} ({}{pair})", header.version, data_codec.name());
     let stored_as = header.layout.scalar.describe(header.endian);
@@ -77,11 +68,7 @@ fn geometry(
         !(length.is_finite() && length > 0.0)
     });
     if singular {
-        return Err(VolumeError::SingularDirection {
-            path: path.into(),
-            field: names.direction.into(),
-            given: format!("{affine:?}"),
-        });
+        return Err(VolumeError::SingularDirection(Field::new(path, names.direction, format!("{affine:?}"))));
     }
     let spacing_m = axes.map(|axis| norm(axis) * unit_m);
     let stated = StatedGeometry { spacing_m, origin_m: lps.map(|row| row[3] * unit_m), axes };
@@ -90,11 +77,13 @@ fn geometry(
 
 /// The .img file of a .hdr file (plain or gzip).
 fn image_of(header: &Path, files: DataFiles) -> Result<PathBuf, VolumeError> {
-    let image = partner(header, ".hdr", ".img").ok_or_else(|| VolumeError::Header {
-        path: header.into(),
-        field: "magic".into(),
-        given: "ni1 or ni2: the voxels are in a separate file".into(),
-        expected: "an .img or .img.gz file beside a header named .hdr or .hdr.gz".into(),
+    let image = partner(header, ".hdr", ".img").ok_or_else(|| {
+        VolumeError::header(
+            header,
+            "magic",
+            "ni1 or ni2: the voxels are in a separate file",
+            "an .img or .img.gz file beside a header named .hdr or .hdr.gz",
+        )
     })?;
     // The name derives from the header's, but the file may be a link.
     let name = image.file_name().unwrap_or_default().to_string_lossy().into_owned();

@@ -3,7 +3,7 @@
 //! Sources: nifti1.h and nifti2.h (NIfTI DFWG, 2003 and 2011). Parsed here because the `nifti` crate does not read NIfTI-2 and because
 //! every field must be checked before any data is read; the tests compare the result with the `nifti` crate.
 
-use crate::error::VolumeError;
+use crate::error::{Field, VolumeError};
 use crate::scalar::{Endian, Layout, Scalar, Scale};
 use std::path::Path;
 
@@ -140,24 +140,15 @@ impl RawHeader {
 
 /// Reads and checks a header from the first bytes of a file.
 pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<NiftiHeader, VolumeError> {
-    let wrong = |field: &str, given: String, expected: &str| VolumeError::Header {
-        path: path.into(),
-        field: field.into(),
-        given,
-        expected: expected.into(),
-    };
+    let wrong =
+        |field: &str, given: String, expected: &str| VolumeError::header(path, field, given, expected);
     let Some((version, endian)) = sniff(bytes) else {
         let given = format!("{:02x?}", bytes.get(..4).unwrap_or(bytes));
         return Err(wrong("sizeof_hdr", given, "348 (NIfTI-1) or 540 (NIfTI-2) in either byte order"));
     };
     let size = if version == 1 { NIFTI1_SIZE } else { NIFTI2_SIZE };
     if bytes.len() < size {
-        return Err(VolumeError::Truncated {
-            path: path.into(),
-            field: "header".into(),
-            given_bytes: bytes.len() as u64,
-            expected_bytes: size as u64,
-        });
+        return Err(VolumeError::truncated(path, "header", [bytes.len() as u64, size as u64]));
     }
     let fields = Fields { bytes, endian };
     let raw = if version == 1 { RawHeader::version1(&fields) } else { RawHeader::version2(&fields) };
@@ -216,11 +207,7 @@ pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<NiftiHeader, VolumeErro
 
 fn voxel_type(path: &Path, datatype: i64) -> Result<Scalar, VolumeError> {
     let not_scalar = |what: &str| {
-        Err(VolumeError::NotScalar {
-            path: path.into(),
-            field: "datatype".into(),
-            given: format!("{datatype} ({what})"),
-        })
+        Err(VolumeError::NotScalar(Field::new(path, "datatype", format!("{datatype} ({what})"))))
     };
     Ok(match datatype {
         2 => Scalar::U8,
@@ -236,12 +223,12 @@ fn voxel_type(path: &Path, datatype: i64) -> Result<Scalar, VolumeError> {
         32 | 1792 | 2048 => return not_scalar("complex"),
         128 | 2304 => return not_scalar("RGB"),
         _ => {
-            return Err(VolumeError::Unsupported {
-                path: path.into(),
-                field: "datatype".into(),
-                given: datatype.to_string(),
-                expected: "an integer of 8 to 64 bits or a float of 32 or 64 bits".into(),
-            });
+            return Err(VolumeError::unsupported(
+                path,
+                "datatype",
+                datatype.to_string(),
+                "an integer of 8 to 64 bits or a float of 32 or 64 bits",
+            ));
         }
     })
 }
@@ -249,31 +236,17 @@ fn voxel_type(path: &Path, datatype: i64) -> Result<Scalar, VolumeError> {
 fn dimensions(path: &Path, dim: &[i64; 8]) -> Result<[usize; 3], VolumeError> {
     let rank = dim[0];
     if !(1..=7).contains(&rank) {
-        return Err(VolumeError::Header {
-            path: path.into(),
-            field: "dim[0]".into(),
-            given: rank.to_string(),
-            expected: "1 to 7".into(),
-        });
+        return Err(VolumeError::header(path, "dim[0]", rank.to_string(), "1 to 7"));
     }
     let used = &dim[1..=rank as usize];
     let flat = used.iter().skip(3).all(|n| *n == 1);
     if rank < 3 || !flat {
-        return Err(VolumeError::NotThreeDimensional {
-            path: path.into(),
-            field: "dim".into(),
-            given: format!("{used:?}"),
-        });
+        return Err(VolumeError::NotThreeDimensional(Field::new(path, "dim", format!("{used:?}"))));
     }
     let positive = |n: i64| usize::try_from(n).ok().filter(|n| *n > 0);
     match (positive(dim[1]), positive(dim[2]), positive(dim[3])) {
         (Some(i), Some(j), Some(k)) => Ok([i, j, k]),
-        _ => Err(VolumeError::Header {
-            path: path.into(),
-            field: "dim".into(),
-            given: format!("{used:?}"),
-            expected: "positive sizes".into(),
-        }),
+        _ => Err(VolumeError::header(path, "dim", format!("{used:?}"), "positive sizes")),
     }
 }
 
@@ -284,12 +257,12 @@ fn unit(path: &Path, xyzt_units: i64) -> Result<(f64, &'static str), VolumeError
         1 => Ok((1.0, "m")),
         2 => Ok((1e-3, "mm")),
         3 => Ok((1e-6, "um")),
-        other => Err(VolumeError::Header {
-            path: path.into(),
-            field: "xyzt_units".into(),
-            given: format!("spatial code {other}"),
-            expected: "0 (unknown), 1 (m), 2 (mm) or 3 (um)".into(),
-        }),
+        other => Err(VolumeError::header(
+            path,
+            "xyzt_units",
+            format!("spatial code {other}"),
+            "0 (unknown), 1 (m), 2 (mm) or 3 (um)",
+        )),
     }
 }
 

@@ -10,7 +10,9 @@ use flate2::write::GzEncoder;
 use output_file::{OutputError, OutputFile};
 
 use crate::error::VolumeError;
-use crate::volume::Volume;
+use crate::hash::in_little_endian;
+use crate::volume::check_length;
+use voxel_grid::Volume;
 
 /// Bytes of header and of the empty extension flag behind it.
 const HEADER_BYTES: usize = 352;
@@ -22,18 +24,18 @@ const HEADER_BYTES: usize = 352;
 ///
 /// # Errors
 /// [`VolumeError::Output`] if the file exists or cannot be written, in which case nothing is left of it; [`VolumeError::Unsupported`] for
-/// more than 32767 voxels along an axis; as [`Volume::check`] for an inconsistent volume.
+/// more than 32767 voxels along an axis; [`VolumeError::Header`] for more or fewer voxels than the grid has.
 pub fn write_nifti(path: impl AsRef<Path>, volume: &Volume) -> Result<(), VolumeError> {
     let path = path.as_ref();
-    volume.check(path)?;
-    let dims = volume.dims.map(i16::try_from);
+    check_length(path, volume)?;
+    let dims = volume.grid.dims().map(i16::try_from);
     let [Ok(ni), Ok(nj), Ok(nk)] = dims else {
-        return Err(VolumeError::Unsupported {
-            path: path.to_owned(),
-            field: "dim".to_owned(),
-            given: format!("{:?}", volume.dims),
-            expected: "at most 32767 voxels along each axis; write NRRD".to_owned(),
-        });
+        return Err(VolumeError::unsupported(
+            path,
+            "dim",
+            format!("{:?}", volume.grid.dims()),
+            "at most 32767 voxels along each axis; write NRRD",
+        ));
     };
     let header = header(volume, [ni, nj, nk]);
     let mut file = OutputFile::create(path)?;
@@ -55,14 +57,7 @@ pub fn write_nifti(path: impl AsRef<Path>, volume: &Volume) -> Result<(), Volume
 
 fn write_into(out: &mut impl Write, header: &[u8], volume: &Volume) -> std::io::Result<()> {
     out.write_all(header)?;
-    let mut buffer = [0_u8; 8192];
-    for chunk in volume.hu.chunks(buffer.len() / 2) {
-        for (bytes, value) in buffer.chunks_exact_mut(2).zip(chunk) {
-            bytes.copy_from_slice(&value.to_le_bytes());
-        }
-        out.write_all(&buffer[..2 * chunk.len()])?;
-    }
-    Ok(())
+    in_little_endian(&volume.hu, |bytes| out.write_all(bytes))
 }
 
 /// Offsets as in nifti1.h.
@@ -76,7 +71,7 @@ fn header(volume: &Volume, [ni, nj, nk]: [i16; 3]) -> [u8; HEADER_BYTES] {
     // DT_INT16, 16 bits a voxel.
     put(70, &4_i16.to_le_bytes());
     put(72, &16_i16.to_le_bytes());
-    let spacing_mm = volume.spacing_m.map(|spacing_m| (1e3 * spacing_m) as f32);
+    let spacing_mm = volume.grid.spacing_m().map(|spacing_m| (1e3 * spacing_m) as f32);
     for (index, spacing_mm) in [1.0, spacing_mm[0], spacing_mm[1], spacing_mm[2]].into_iter().enumerate() {
         put(76 + 4 * index, &spacing_mm.to_le_bytes());
     }
@@ -88,11 +83,13 @@ fn header(volume: &Volume, [ni, nj, nk]: [i16; 3]) -> [u8; HEADER_BYTES] {
     put(148, b"Hounsfield units, written by Trabecula");
     // NIFTI_XFORM_SCANNER_ANAT for the sform; no qform, which cannot hold left-handed axes without its sign.
     put(254, &1_i16.to_le_bytes());
+    let (spacing_m, origin_m, direction) =
+        (volume.grid.spacing_m(), volume.grid.origin_m(), volume.grid.direction());
     for row in 0..3 {
         // NIfTI is RAS: x and y of LPS change their sign.
         let sign = if row < 2 { -1.0 } else { 1.0 };
-        let axis = |axis: usize| volume.direction[row][axis] * volume.spacing_m[axis];
-        for (column, value) in [axis(0), axis(1), axis(2), volume.origin_m[row]].into_iter().enumerate() {
+        let axis = |axis: usize| direction[row][axis] * spacing_m[axis];
+        for (column, value) in [axis(0), axis(1), axis(2), origin_m[row]].into_iter().enumerate() {
             put(280 + 16 * row + 4 * column, &((sign * 1e3 * value) as f32).to_le_bytes());
         }
     }

@@ -1,12 +1,14 @@
 //! Writes NRRD: gzip-compressed int16 in left-posterior-superior space, millimetres.
 
 use crate::error::VolumeError;
-use crate::volume::Volume;
+use crate::hash::in_little_endian;
+use crate::volume::check_length;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use output_file::{OutputError, OutputFile};
 use std::io::{BufWriter, Write};
 use std::path::Path;
+use voxel_grid::Volume;
 
 /// Writes `volume` to `path` as an attached, gzip-compressed NRRD in LPS and millimetres.
 ///
@@ -14,11 +16,11 @@ use std::path::Path;
 /// metres as millimetres and the product of direction and spacing.
 ///
 /// # Errors
-/// [`VolumeError::Output`] if the file exists or cannot be written, in which case nothing is left of it; as [`Volume::check`] for an
-/// inconsistent volume.
+/// [`VolumeError::Output`] if the file exists or cannot be written, in which case nothing is left of it; [`VolumeError::Header`] for more
+/// or fewer voxels than the grid has.
 pub fn write_nrrd(path: impl AsRef<Path>, volume: &Volume) -> Result<(), VolumeError> {
     let path = path.as_ref();
-    volume.check(path)?;
+    check_length(path, volume)?;
     let mut file = OutputFile::create(path)?;
     write_into(&mut file, volume).map_err(OutputError::write(path))?;
     Ok(file.keep()?)
@@ -29,24 +31,19 @@ fn write_into(file: &mut OutputFile, volume: &Volume) -> std::io::Result<()> {
     writer.write_all(header(volume).as_bytes())?;
     // Level 6 is gzip's own default; higher levels take several times as long for a few per cent.
     let mut encoder = GzEncoder::new(writer, Compression::new(6));
-    let mut buffer = [0_u8; 8192];
-    for chunk in volume.hu.chunks(buffer.len() / 2) {
-        for (bytes, value) in buffer.chunks_exact_mut(2).zip(chunk) {
-            bytes.copy_from_slice(&value.to_le_bytes());
-        }
-        encoder.write_all(&buffer[..2 * chunk.len()])?;
-    }
+    in_little_endian(&volume.hu, |bytes| encoder.write_all(bytes))?;
     encoder.finish()?.flush()
 }
 
 fn header(volume: &Volume) -> String {
-    let [ni, nj, nk] = volume.dims;
+    let grid = &volume.grid;
+    let [ni, nj, nk] = grid.dims();
     let vector = |v: [f64; 3]| format!("({:?},{:?},{:?})", v[0], v[1], v[2]);
     let axes = [0, 1, 2].map(|axis| {
-        let length_mm = volume.spacing_m[axis] * 1e3;
-        vector([0, 1, 2].map(|row| volume.direction[row][axis] * length_mm))
+        let length_mm = grid.spacing_m()[axis] * 1e3;
+        vector(grid.axes()[axis].map(|x| x * length_mm))
     });
-    let origin = vector(volume.origin_m.map(|o| o * 1e3));
+    let origin = vector(grid.origin_m().map(|o| o * 1e3));
     format!(
         "NRRD0005\n# Hounsfield units, written by Trabecula\ntype: int16\ndimension: 3\n\
          space: left-posterior-superior\nsizes: {ni} {nj} {nk}\nspace directions: {} {} {}\n\

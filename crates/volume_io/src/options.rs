@@ -17,6 +17,21 @@ pub struct ReadOptions {
     pub label: Option<Label>,
 }
 
+impl ReadOptions {
+    /// Keeps the label to be read, if any, of a file whose labels are numbers alone.
+    pub(crate) fn keep_label(&self, path: &Path, hu: &mut [i16]) -> Result<(), VolumeError> {
+        match &self.label {
+            None => Ok(()),
+            Some(Label::Value(value)) => crate::mask::keep_label(path, hu, *value),
+            Some(Label::Name(name)) => Err(VolumeError::NoSuchLabel {
+                path: path.into(),
+                given: format!("label \"{name}\""),
+                there: "numbers alone; only a .seg.nrrd has names".into(),
+            }),
+        }
+    }
+}
+
 /// What becomes of slices that lie on no rectangular grid: unevenly spaced, or stacked at an angle (a tilted gantry).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Slices {
@@ -34,18 +49,4 @@ pub enum Label {
     Value(i16),
     /// The segment of this name in a 3D Slicer segmentation (`.seg.nrrd`).
     Name(String),
-}
-
-impl Label {
-    /// The label's value in a file without names.
-    pub(crate) fn value(&self, path: &Path) -> Result<i16, VolumeError> {
-        match self {
-            Label::Value(value) => Ok(*value),
-            Label::Name(name) => Err(VolumeError::NoSuchLabel {
-                path: path.into(),
-                given: format!("label \"{name}\""),
-                there: "numbers alone; only a .seg.nrrd has names".into(),
-            }),
-        }
-    }
 }

@@ -3,9 +3,10 @@
 use crate::error::VolumeError;
 use crate::input::{self, Codec, lower_name};
 use crate::options::{ReadOptions, Slices};
-use crate::volume::{Volume, VolumeInfo};
+use crate::volume::VolumeInfo;
 use crate::{dicom, metaimage, nifti, nifti_header, nrrd};
 use std::path::Path;
+use voxel_grid::Volume;
 
 /// Reads a CT volume; see [`read_with_info`].
 ///
@@ -101,5 +102,5 @@ fn on_a_grid(
 }
 
 fn refused(path: &Path, given: String) -> VolumeError {
-    VolumeError::NotAVolume { path: path.into(), given }
+    VolumeError::not_a_volume(path, given)
 }

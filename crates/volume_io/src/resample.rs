@@ -1,10 +1,7 @@
 //! Resamples to smaller (or larger) cubic voxels.
 
-use std::path::Path;
-
 use crate::error::VolumeError;
-use crate::volume::Volume;
-use voxel_grid::MAX_VOXELS;
+use voxel_grid::{MAX_VOXELS, Volume, VoxelGrid};
 
 /// Resamples to cubic voxels of `spacing_m` by trilinear interpolation between voxel centres. Keeps axes and outer extent; values at the
 /// rim are those of the outermost centres. Resample a binary mask after [`mask_to_hu`](crate::mask_to_hu).
@@ -12,16 +9,12 @@ use voxel_grid::MAX_VOXELS;
 /// # Errors
 /// [`VolumeError::Argument`] if the spacing is not a positive length, or the result would have more than [`MAX_VOXELS`].
 pub fn resample(volume: &Volume, spacing_m: f64) -> Result<Volume, VolumeError> {
-    volume.check(Path::new("volume to resample"))?;
-    let refuse = |given: String, expected: &str| VolumeError::Argument {
-        field: "spacing_m",
-        given,
-        expected: expected.to_owned(),
-    };
+    let (old_dims, old_m) = (volume.grid.dims(), volume.grid.spacing_m());
+    let refuse = |given: String, expected: &str| VolumeError::argument("spacing_m", given, expected);
     if !(spacing_m.is_finite() && spacing_m > 0.0) {
         return Err(refuse(spacing_m.to_string(), "a finite length above 0"));
     }
-    let extent = |axis: usize| volume.dims[axis] as f64 * volume.spacing_m[axis];
+    let extent = |axis: usize| old_dims[axis] as f64 * old_m[axis];
     let counts = [0, 1, 2].map(|axis| libm::floor(extent(axis) / spacing_m + 0.5).max(1.0));
     if counts.iter().product::<f64>() > MAX_VOXELS as f64 {
         let given = format!(
@@ -32,9 +25,12 @@ pub fn resample(volume: &Volume, spacing_m: f64) -> Result<Volume, VolumeError> 
     }
     let dims = counts.map(|count| count as usize);
     // The outer faces of the first voxels coincide.
-    let first = [0, 1, 2].map(|axis| 0.5 * (spacing_m / volume.spacing_m[axis] - 1.0));
-    let axes = [0, 1, 2]
-        .map(|axis| samples(dims[axis], volume.dims[axis], first[axis], spacing_m / volume.spacing_m[axis]));
+    let first = [0, 1, 2].map(|axis| 0.5 * (spacing_m / old_m[axis] - 1.0));
+    let axes =
+        [0, 1, 2].map(|axis| samples(dims[axis], old_dims[axis], first[axis], spacing_m / old_m[axis]));
+    let grid = VoxelGrid::new(dims, [spacing_m; 3], volume.grid.world_m(first), volume.grid.axes());
+    let grid =
+        grid.map_err(|cause| refuse(format!("{spacing_m} m, which makes {cause}"), "another spacing"))?;
     let mut hu = Vec::with_capacity(dims.iter().product());
     for k in &axes[2] {
         for j in &axes[1] {
@@ -43,13 +39,7 @@ pub fn resample(volume: &Volume, spacing_m: f64) -> Result<Volume, VolumeError> 
             }
         }
     }
-    Ok(Volume {
-        dims,
-        spacing_m: [spacing_m; 3],
-        origin_m: volume.voxel_to_world_m(first),
-        direction: volume.direction,
-        hu,
-    })
+    Ok(Volume { grid, hu })
 }
 
 /// Two neighbours along an axis and the weight of the second.
@@ -70,7 +60,7 @@ fn samples(count: usize, voxels: usize, first: f64, step: f64) -> Vec<Sample> {
 }
 
 fn interpolate(volume: &Volume, i: &Sample, j: &Sample, k: &Sample) -> i16 {
-    let [nx, ny, _] = volume.dims;
+    let [nx, ny, _] = volume.grid.dims();
     let row = |j: usize, k: usize| {
         let start = nx * (j + ny * k);
         let (a, b) = (f64::from(volume.hu[start + i.low]), f64::from(volume.hu[start + i.high]));
@@ -90,34 +80,23 @@ mod tests {
 
     /// HU linear in world coordinates.
     fn linear(dims: [usize; 3], spacing_m: [f64; 3]) -> Volume {
-        let direction = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]];
-        let mut volume = Volume {
-            dims,
-            spacing_m,
-            origin_m: [0.01, -0.02, 0.03],
-            direction,
-            hu: vec![0; dims.iter().product()],
+        let axes = [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]];
+        let grid = VoxelGrid::new(dims, spacing_m, [0.01, -0.02, 0.03], axes).unwrap();
+        let hu = |index| {
+            let p = grid.world_m(grid.voxel(index).unwrap().map(|n| n as f64));
+            (p[0] * 2e4 - p[1] * 3e4 + p[2] * 1e4) as i16
         };
-        for k in 0..dims[2] {
-            for j in 0..dims[1] {
-                for i in 0..dims[0] {
-                    let p = volume.voxel_to_world_m([i as f64, j as f64, k as f64]);
-                    volume.hu[i + dims[0] * (j + dims[1] * k)] =
-                        (p[0] * 2e4 - p[1] * 3e4 + p[2] * 1e4) as i16;
-                }
-            }
-        }
-        volume
+        Volume { grid, hu: (0..grid.voxel_count()).map(hu).collect() }
     }
 
     #[test]
     fn a_linear_field_stays_the_same_field_in_the_world() {
         let coarse = linear([8, 7, 6], [3e-3, 2e-3, 4e-3]);
         let fine = resample(&coarse, 1e-3).unwrap();
-        assert_eq!(fine.dims, [24, 14, 24]);
+        assert_eq!(fine.grid.dims(), [24, 14, 24]);
         // Inside the outermost centres; 1 HU for rounding the coarse values, 1 for the fine ones.
         for (i, j, k) in [(5, 4, 5), (12, 7, 11), (20, 11, 20)] {
-            let p = fine.voxel_to_world_m([i as f64, j as f64, k as f64]);
+            let p = fine.grid.world_m([i as f64, j as f64, k as f64]);
             let exact = p[0] * 2e4 - p[1] * 3e4 + p[2] * 1e4;
             let given = f64::from(fine.at([i, j, k]).unwrap());
             assert!((given - exact).abs() <= 2.0, "{given} against {exact}");

@@ -1,7 +1,7 @@
 //! Converts stored numbers to Hounsfield units: voxel types, byte orders, scaling, rounding, clamping.
 
 use crate::error::VolumeError;
-use crate::input::{Codec, read_full};
+use crate::input::{self, Codec, read_full};
 use std::io::Read;
 use std::path::Path;
 
@@ -103,12 +103,12 @@ impl Scale {
         if slope.is_finite() && intercept.is_finite() && slope != 0.0 {
             return Ok(Self { slope, intercept });
         }
-        Err(VolumeError::Header {
-            path: path.into(),
-            field: field.into(),
-            given: format!("slope {slope}, intercept {intercept}"),
-            expected: "finite numbers and a slope that is not zero".into(),
-        })
+        Err(VolumeError::header(
+            path,
+            field,
+            format!("slope {slope}, intercept {intercept}"),
+            "finite numbers and a slope that is not zero",
+        ))
     }
 }
 
@@ -193,6 +193,33 @@ impl Layout {
         count as u64 * self.scalar.size() as u64
     }
 
+    /// Reads `count` voxels of a data file into `sink`: those behind `skip` decoded bytes, to the end of the file. `field` is what the header
+    /// says their number with.
+    pub fn read_file(
+        self,
+        (path, start, codec): (&Path, u64, Codec),
+        skip: u64,
+        (field, count): (&str, usize),
+        sink: &mut HuSink,
+        notes: &mut Vec<String>,
+    ) -> Result<(), VolumeError> {
+        let needed = skip.saturating_add(self.byte_count(count));
+        let (mut reader, most) = input::open_stream(path, start, codec)?;
+        if codec == Codec::Bzip2 && most < needed {
+            let voxels = self.byte_count(count);
+            return Err(VolumeError::unsupported(
+                path,
+                "encoding",
+                format!("bzip2 data that would grow to {voxels} bytes of voxels"),
+                "data that grow by a factor of at most 10000; store it as raw or gzip",
+            ));
+        }
+        input::check_length(path, most, needed)?;
+        input::skip(path, codec.name(), reader.as_mut(), skip)?;
+        self.read(path, codec.name(), reader.as_mut(), count, sink)?;
+        input::check_end(path, codec, reader.as_mut(), (field, needed, most), notes)
+    }
+
     /// Reads `count` voxels from a stream into `sink`; memory grows with the data that arrives, not with what a header promises.
     pub fn read(
         self,
@@ -213,12 +240,11 @@ impl Layout {
             let wanted = left.min(buffer.len() / size) * size;
             let got = read_full(path, codec, reader, &mut buffer[..wanted])?;
             if got < wanted {
-                return Err(VolumeError::Truncated {
-                    path: path.into(),
-                    field: "voxel data".into(),
-                    given_bytes: self.byte_count(count - left) + got as u64,
-                    expected_bytes: self.byte_count(count),
-                });
+                return Err(VolumeError::truncated(
+                    path,
+                    "voxel data",
+                    [self.byte_count(count - left) + got as u64, self.byte_count(count)],
+                ));
             }
             if self.endian == Endian::Big && size > 1 {
                 buffer[..wanted].chunks_exact_mut(size).for_each(<[u8]>::reverse);

@@ -10,12 +10,7 @@ pub(crate) const MAX_HEADER_BYTES: usize = 1 << 20;
 
 /// A [`VolumeError::Header`] for a field of a text header.
 pub(crate) fn wrong(path: &Path, field: &str, given: &str, expected: &str) -> VolumeError {
-    VolumeError::Header {
-        path: path.into(),
-        field: field.into(),
-        given: format!("`{given}`"),
-        expected: expected.into(),
-    }
+    VolumeError::header(path, field, format!("`{given}`"), expected)
 }
 
 /// Parses exactly `N` numbers separated by white space or commas.
@@ -69,12 +64,8 @@ pub(crate) fn read_ascii(
     let mut buffer = vec![0_u8; 1 << 16];
     let mut word = Vec::new();
     let mut found = 0_usize;
-    let wrong_count = |given: String| VolumeError::Header {
-        path: path.into(),
-        field: "voxel data".into(),
-        given,
-        expected: format!("{count} numbers"),
-    };
+    let wrong_count =
+        |given: String| VolumeError::header(path, "voxel data", given, format!("{count} numbers"));
     loop {
         let got = read_full(path, Codec::Raw.name(), reader.as_mut(), &mut buffer)?;
         // A separator after the end terminates the last word.

@@ -1,14 +1,16 @@
 //! Where the voxels of a CT lie in the world (patient frame, LPS, metres): dimensions, spacing, origin and axes.
 //!
 //! A [`VoxelGrid`] is checked on creation and immutable, so a grid that one reader accepts, all accept: files (`volume_io`), the message
-//! in shared memory (`messages`), the physics (`simulation`) and the X-ray (`xray`) all use it.
+//! in shared memory (`messages`), the physics (`simulation`) and the X-ray (`xray`) all use it. A [`Volume`] is the voxels on it, a [`Ct`]
+//! those with their hash.
 //!
 //! Its axes are perpendicular to rounding. Files store them with few digits (DICOM six, NIfTI as f32), so axes within
 //! [`PERPENDICULAR_TOLERANCE`] are made perpendicular by Gram-Schmidt, which keeps the first axis and adjusts the others. This matches
 //! DICOM, where the row direction is stored and the slice direction is the normal of the image. ITK applies the same tolerance and
 //! correction to NIfTI files. Axes further off are sheared and refused: only resampling could put the voxels where the file says.
 //!
-//! [`sample`] reads Hounsfield units between voxel centres, [`mod@slice`] is a plane through them as pixels.
+//! [`sample`] reads Hounsfield units between voxel centres, [`mod@slice`] is a plane through them as pixels, [`density`] the bone
+//! density that they stand for.
 //!
 //! ```
 //! use voxel_grid::{GridError, VoxelGrid};
@@ -23,8 +25,12 @@
 //! # Ok::<(), GridError>(())
 //! ```
 
+pub mod density;
 pub mod sample;
 pub mod slice;
+mod volume;
+
+pub use volume::{Ct, Volume};
 
 /// Most voxels of a volume (2^29, 1 GiB of `i16`), to limit what a hostile header can claim.
 pub const MAX_VOXELS: usize = 1 << 29;
@@ -39,6 +45,8 @@ pub const MAX_ORIGIN_M: f64 = 100.0;
 /// Largest deviation from orthonormal axes that counts as rounding, in their dot products: for two axes, the cosine of their angle (0.006
 /// degrees, which moves a slice 500 mm away by 0.05 mm).
 pub const PERPENDICULAR_TOLERANCE: f64 = 1e-4;
+/// Axes of a grid along the world axes: i to the patient's left, j to posterior, k to superior.
+const WORLD_AXES: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 /// Axes this close to perpendicular are kept bit for bit.
 const EXACT: f64 = 1e-12;
 
@@ -99,6 +107,18 @@ impl VoxelGrid {
         VoxelGrid::placed(dims, Placement::new(spacing_m, origin_m, axes)?)
     }
 
+    /// A checked grid along the world axes.
+    ///
+    /// # Errors
+    /// As [`VoxelGrid::new`].
+    pub fn axis_aligned(
+        dims: [usize; 3],
+        spacing_m: [f64; 3],
+        origin_m: [f64; 3],
+    ) -> Result<VoxelGrid, GridError> {
+        VoxelGrid::new(dims, spacing_m, origin_m, WORLD_AXES)
+    }
+
     /// A grid of these dimensions at a placement.
     ///
     /// # Errors
@@ -133,13 +153,25 @@ impl VoxelGrid {
         self.placement.axes
     }
 
+    /// Row-major matrix whose columns are the axes: `direction()[row][axis]`.
+    pub fn direction(&self) -> [[f64; 3]; 3] {
+        let axes = self.placement.axes;
+        [0, 1, 2].map(|row| [axes[0][row], axes[1][row], axes[2][row]])
+    }
+
     /// World position of a point that is given in voxels; (0, 0, 0) is the centre of the first.
     pub fn world_m(&self, voxel: [f64; 3]) -> [f64; 3] {
         let Placement { spacing_m, origin_m, axes } = self.placement;
-        core::array::from_fn(|row| {
-            let part = |axis: usize| axes[axis][row] * spacing_m[axis] * voxel[axis];
-            origin_m[row] + part(0) + part(1) + part(2)
+        let step = [0, 1, 2].map(|axis| voxel[axis] * spacing_m[axis]);
+        [0, 1, 2].map(|row| {
+            origin_m[row] + (axes[0][row] * step[0] + axes[1][row] * step[1] + axes[2][row] * step[2])
         })
+    }
+
+    /// Place in memory of voxel (i, j, k); `None` outside the grid.
+    pub fn index(&self, [i, j, k]: [usize; 3]) -> Option<usize> {
+        let [ni, nj, nk] = self.dims;
+        (i < ni && j < nj && k < nk).then(|| i + ni * (j + nj * k))
     }
 
     /// i, j, k of a voxel by its place in memory; `None` outside the grid.
@@ -248,7 +280,7 @@ mod tests {
 
     use super::*;
 
-    const AXES: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    const AXES: [[f64; 3]; 3] = WORLD_AXES;
 
     fn with(
         dims: [usize; 3],

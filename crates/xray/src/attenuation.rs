@@ -90,20 +90,6 @@ fn log_log<const N: usize>(energies_kev: &[f64; N], values: &[f64; N], energy_ke
     m0 * libm::exp(t * libm::log(m1 / m0))
 }
 
-/// How Hounsfield units convert to attenuation.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum HuLaw {
-    /// `mu = mu_water (1 + HU/1000)`, the inverse of the Hounsfield definition. Exact for water, and for any tissue if the frame's energy
-    /// equals the CT's effective energy. For a CT of 70 keV, cortical bone is off by -12 % at 60 keV and +11 % at 80 keV.
-    WaterScaling,
-    /// Piecewise linear: water scaling up to HU 0, then through the ICRU-44 cortical bone point of a CT taken at `ct_energy_kev`. Exact
-    /// for mixtures of water and cortical bone at any energy.
-    BoneCorrected {
-        /// Effective photon energy of the CT, keV (about 70 for a 120 kV scan).
-        ct_energy_kev: f64,
-    },
-}
-
 /// Attenuation of every possible Hounsfield value, so that any law costs one load per voxel.
 #[derive(Debug, Clone)]
 pub struct MuTable {
@@ -111,26 +97,17 @@ pub struct MuTable {
 }
 
 impl MuTable {
-    /// Tabulates `law` at a photon energy. Values below `air_below_hu` count as air and attenuate nothing, so that noisy air and padding
-    /// can be skipped. No entry is negative.
+    /// Tabulates water scaling at a photon energy: `mu = mu_water (1 + HU/1000)`, the inverse of the Hounsfield definition. Exact for water,
+    /// and for any tissue if the frame's energy equals the CT's effective energy; for a CT of 70 keV, cortical bone is off by -12 % at 60 keV
+    /// and +11 % at 80 keV. Values below `air_below_hu` count as air and attenuate nothing, so that noisy air and padding can be skipped. No
+    /// entry is negative.
     ///
     /// # Errors
-    /// An energy is outside 30 to 120 keV.
-    pub fn new(law: HuLaw, energy_kev: f64, air_below_hu: i16) -> Result<Self, DrrError> {
+    /// The energy is outside 30 to 120 keV.
+    pub fn new(energy_kev: f64, air_below_hu: i16) -> Result<Self, DrrError> {
         let water = Material::Water.mu_per_m(energy_kev)?;
-        let slope_above = match law {
-            HuLaw::WaterScaling => water / 1000.0,
-            HuLaw::BoneCorrected { ct_energy_kev } => {
-                let bone_hu = cortical_bone_hu(ct_energy_kev)?;
-                (Material::CorticalBone.mu_per_m(energy_kev)? - water) / bone_hu
-            }
-        };
-        let mut mu_per_m = Box::new([0.0; 65536]);
-        for (hu, mu) in (i16::MIN..=i16::MAX).zip(mu_per_m.iter_mut()) {
-            let slope = if hu > 0 { slope_above } else { water / 1000.0 };
-            *mu = if hu < air_below_hu { 0.0 } else { (water + slope * f64::from(hu)).max(0.0) };
-        }
-        Ok(Self { mu_per_m })
+        let slope = water / 1000.0;
+        Ok(Self::of(air_below_hu, |hu| (water + slope * hu).max(0.0)))
     }
 
     /// Tabulates any function of the Hounsfield value for integration along rays; 0 below `air_below_hu`.

@@ -6,22 +6,14 @@
 //! from the detector's side, which mirrors what a camera at the source sees. With a proper rotation that means a negative focal length,
 //! which DeepDRR also uses.
 
+use scene::PixelCentre;
+
 use crate::carm::CArm;
 use crate::error::{DrrError, check_orthonormal, check_range};
 use crate::vector::{Vec3, add_scaled, cross, dot, scale, sub};
 
 /// Tolerance on the orthonormality of R.
 const ROTATION_LIMIT: f64 = 1e-6;
-
-/// Pixel-centre convention.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum PixelCentre {
-    /// At integers: the first is (0, 0), as in OpenCV, ITK and DICOM.
-    #[default]
-    Whole,
-    /// At half-integers: the first is (0.5, 0.5), as in DeepDRR.
-    Half,
-}
 
 /// A pinhole camera.
 #[derive(Debug, Clone, Copy, PartialEq)]

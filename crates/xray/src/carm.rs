@@ -139,30 +139,6 @@ impl CArm {
         )
     }
 
-    /// The same field of view with `factor` x `factor` pixels binned into one, for a cheap preview. Drops rows and columns on the right
-    /// and at the bottom that do not fill a whole pixel.
-    ///
-    /// # Errors
-    /// The factor is 0 or larger than the detector.
-    pub fn binned(&self, factor: u32) -> Result<Self, DrrError> {
-        let side = self.columns.min(self.rows);
-        check_range(
-            "binning factor",
-            f64::from(factor),
-            1.0,
-            f64::from(side),
-            "1 to the detector's shorter side",
-        )?;
-        let (columns, rows) = (self.columns / factor, self.rows / factor);
-        let pitch = self.pixel_pitch_m;
-        let cut_columns = f64::from(self.columns - columns * factor) / 2.0;
-        let cut_rows = f64::from(self.rows - rows * factor) / 2.0;
-        let centre = add_scaled(self.detector_centre_m, -cut_columns * pitch[0], self.row_axis);
-        let centre = add_scaled(centre, -cut_rows * pitch[1], self.column_axis);
-        let pitch = pitch.map(|p| p * f64::from(factor));
-        Ok(Self { detector_centre_m: centre, pixel_pitch_m: pitch, columns, rows, ..*self })
-    }
-
     /// Number of pixels.
     pub fn pixels(&self) -> usize {
         self.columns as usize * self.rows as usize

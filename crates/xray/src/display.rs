@@ -2,24 +2,13 @@
 //!
 //! Fluoroscopes show the logarithm of the signal: equal steps of attenuation are equal steps of grey. A window (lowest and highest
 //! attenuation shown) sets the contrast.
+//!
+//! As on a fluoroscope's intensifier ([`Display::BoneDark`]) bone is darker than soft tissue, the tool black and a drilled path a lighter
+//! track; as on a radiograph ([`Display::BoneBright`]) the reverse.
+
+use scene::Display;
 
 use crate::error::{DrrError, check_range};
-
-/// Grey-scale convention of the image.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum DisplayMode {
-    /// As on a fluoroscope's intensifier: more attenuation is darker. Bone is darker than soft tissue, the tool is black, a drilled path
-    /// is a lighter track.
-    #[default]
-    BoneDark,
-    /// As on a radiograph: more attenuation is brighter. Bone and tool are bright, a drilled path is a darker track.
-    BoneBright,
-    /// The anatomy as in `BoneBright`, with the tool overlaid in black (its noise-free transmission times the anatomy's brightness). Not
-    /// physical, but common in simulators.
-    BoneBrightToolBlack,
-    /// No logarithm and no window: 65535 times the fraction of photons detected. For algorithms, not for viewing.
-    Linear,
-}
 
 /// Range of attenuation (-ln of the fraction of photons) that the image shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -47,7 +36,7 @@ pub enum Window {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DisplayParameters {
     /// Grey-scale convention.
-    pub mode: DisplayMode,
+    pub mode: Display,
     /// Attenuation window.
     pub window: Window,
 }
@@ -55,7 +44,7 @@ pub struct DisplayParameters {
 impl Default for DisplayParameters {
     fn default() -> Self {
         let window = Window::Automatic { low_share: 0.1, high_share: 0.005, metal_room: 0.2 };
-        Self { mode: DisplayMode::BoneDark, window }
+        Self { mode: Display::BoneDark, window }
     }
 }
 
@@ -133,29 +122,22 @@ fn quantile(histogram: &[u32; BINS], rank: f64) -> f64 {
 /// The linear map from a value (attenuation, or the readout in linear mode) to a grey level, 0 to 65535.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Scale {
-    mode: DisplayMode,
-    low: f64,
     factor: f64,
     constant: f64,
 }
 
 impl Scale {
     /// The scale for a mode and a window.
-    pub fn new(mode: DisplayMode, window: WindowLimits) -> Self {
+    pub fn new(mode: Display, window: WindowLimits) -> Self {
         let WindowLimits { low, high } = window;
         let slope = 65535.0 / (high - low);
         // The 0.5 rounds to nearest.
         let (factor, constant) = match mode {
-            DisplayMode::BoneDark => (-slope, high * slope + 0.5),
-            DisplayMode::BoneBright | DisplayMode::BoneBrightToolBlack => (slope, 0.5 - low * slope),
-            DisplayMode::Linear => (65535.0, 0.5),
+            Display::BoneDark => (-slope, high * slope + 0.5),
+            Display::BoneBright => (slope, 0.5 - low * slope),
+            Display::Linear => (65535.0, 0.5),
         };
-        Self { mode, low, factor, constant }
-    }
-
-    /// The mode.
-    pub fn mode(&self) -> DisplayMode {
-        self.mode
+        Self { factor, constant }
     }
 
     /// Grey level of a value.
@@ -172,17 +154,4 @@ impl Scale {
             *o = self.grey(*v);
         }
     }
-
-    /// For `BoneBrightToolBlack`: the anatomy's grey level times the transmission of the metal alone.
-    pub fn under_metal(&self, attenuation: f64, metal_transmission: f64) -> u16 {
-        let metal = metal_transmission.clamp(5e-7, 1.0);
-        let anatomy = attenuation + libm::log(metal);
-        let grey = ((anatomy - self.low) * self.factor).clamp(0.0, 65535.0) * metal;
-        (grey + 0.5) as u16
-    }
-}
-
-/// The high byte of every pixel, for 8-bit image files.
-pub fn to_8_bit(image: &[u16]) -> Vec<u8> {
-    image.iter().map(|&v| (v >> 8) as u8).collect()
 }

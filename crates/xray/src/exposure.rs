@@ -8,18 +8,16 @@ use std::sync::Arc;
 
 use pulp::Arch;
 use rayon::prelude::*;
+use scene::Display;
 
 use crate::attenuation::Material;
 use crate::carm::CArm;
-use crate::detector::{
-    DetectorParameters, EXACT_POISSON_BELOW, FrameSeed, blur_row, gaussian_weights, photon_number,
-};
-use crate::display::{DisplayMode, DisplayParameters, Scale, WindowLimits};
+use crate::detector::{DetectorParameters, EXACT_POISSON_BELOW, FrameSeed, gaussian_weights, photon_number};
+use crate::display::{DisplayParameters, Scale, WindowLimits};
 use crate::error::DrrError;
 use crate::exposure_loops::{
-    BlurColumns, BlurRow, Detect, ReadOut, ReadThrough, Tabulate, ToGreys, Transmit, column_blur,
+    BlurColumns, BlurRow, Detect, ReadOut, ReadThrough, Tabulate, ToGreys, Transmit,
 };
-use crate::lane_math;
 use crate::solids::SolidLayer;
 use crate::spectrum::SpectrumTable;
 use crate::tool_layer::{PlacedTool, ToolCell, ToolMaterials};
@@ -87,8 +85,6 @@ pub struct Exposure {
     arch: Arch,
     detected: Vec<f32>,
     blurred: Vec<f32>,
-    metal: Vec<f32>,
-    metal_blurred: Vec<f32>,
 }
 
 /// The passes' inputs other than the workspace.
@@ -130,8 +126,6 @@ impl Exposure {
             arch: Arch::new(),
             detected: Vec::new(),
             blurred: Vec::new(),
-            metal: Vec::new(),
-            metal_blurred: Vec::new(),
         }
     }
 
@@ -164,10 +158,6 @@ impl Exposure {
         if passes {
             self.first_pass(&frame);
         }
-        let overlay = self.display.mode == DisplayMode::BoneBrightToolBlack && metal.tool.covers_any();
-        if overlay {
-            self.metal_pass(&frame);
-        }
         let this: &Self = self;
         let second = |row: usize, attenuation: &mut [f64; CHUNK], from: usize, count: usize| {
             if passes {
@@ -181,11 +171,7 @@ impl Exposure {
                 for (i, out) in line.chunks_mut(CHUNK).enumerate() {
                     let mut values = [0.0; CHUNK];
                     second(row, &mut values, i * CHUNK, out.len());
-                    if overlay {
-                        this.overlay(&frame, row, i * CHUNK, &values, out);
-                    } else {
-                        this.arch.dispatch(ToGreys { scale: frame.scale, values: &values, out });
-                    }
+                    this.arch.dispatch(ToGreys { scale: frame.scale, values: &values, out });
                 }
             }),
             Output::Float32(pixels) => pixels.par_chunks_mut(width).enumerate().for_each(|(row, line)| {
@@ -200,7 +186,7 @@ impl Exposure {
 
     /// -ln of the transmission through anatomy, tool and arm, row-major.
     pub(crate) fn attenuations(&self, anatomy: Anatomy<'_>, metal: Metal<'_>, width: usize) -> Vec<f64> {
-        let scale = Scale::new(DisplayMode::Linear, WindowLimits { low: 0.0, high: 1.0 });
+        let scale = Scale::new(Display::Linear, WindowLimits { low: 0.0, high: 1.0 });
         let frame = Frame { anatomy, metal, width, scale, key: FrameSeed::default().key() };
         let mut image = vec![0.0; anatomy.total.len()];
         for (row, line) in image.chunks_mut(width).enumerate() {
@@ -314,7 +300,7 @@ impl Exposure {
             return;
         }
         self.attenuation(frame, row, from, count, values);
-        if mode == DisplayMode::Linear || !readout.is_plain() {
+        if mode == Display::Linear || !readout.is_plain() {
             self.arch.dispatch(ReadThrough { readout, mode, values });
         }
     }
@@ -327,28 +313,5 @@ impl Exposure {
         self.arch.dispatch(BlurColumns { source: &self.blurred, weights, width, row, from, out });
         let (readout, mode) = (self.detector.readout(), self.display.mode);
         self.arch.dispatch(ReadOut { readout, mode, detected: &detected, values });
-    }
-
-    /// Blurred transmission of the metal alone.
-    fn metal_pass(&mut self, frame: &Frame<'_>) {
-        let (width, pixels) = (frame.width, frame.anatomy.total.len());
-        self.metal.resize(pixels, 1.0);
-        self.metal_blurred.resize(pixels, 1.0);
-        let (weights, tool) = (&self.weights, frame.metal.tool);
-        let rows = self.metal.par_chunks_mut(width).zip(self.metal_blurred.par_chunks_mut(width));
-        rows.enumerate().for_each(|(row, (line, out))| {
-            line.fill(1.0);
-            tool.over_row(row, 0, width, |i, cell, _| line[i] = lane_math::exp(-cell.metal) as f32);
-            blur_row(line, weights, out);
-        });
-    }
-
-    /// Overlays the tool on the anatomy's image in black.
-    fn overlay(&self, frame: &Frame<'_>, row: usize, from: usize, values: &[f64; CHUNK], out: &mut [u16]) {
-        let mut metal = [0.0_f32; CHUNK];
-        column_blur(&self.metal_blurred, frame.width, row, from, &self.weights, &mut metal[..out.len()]);
-        for ((o, &v), &m) in out.iter_mut().zip(values).zip(&metal) {
-            *o = frame.scale.under_metal(v, f64::from(m));
-        }
     }
 }

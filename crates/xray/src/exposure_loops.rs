@@ -1,9 +1,10 @@
 //! The exposure's loops over pixels, each for one chunk or row.
 
 use counter_random::Key;
+use scene::Display;
 
 use crate::detector::{Readout, add_scaled_row, blur_row};
-use crate::display::{DisplayMode, Scale};
+use crate::display::Scale;
 use crate::exposure::CHUNK;
 use crate::lane_math;
 use crate::lanes::lanes;
@@ -67,11 +68,11 @@ lanes! {
 
 lanes! {
     /// The readout of attenuations without noise and blur.
-    ReadThrough { readout: Readout, mode: DisplayMode, values: &'a mut [f64; CHUNK] } -> () {
+    ReadThrough { readout: Readout, mode: Display, values: &'a mut [f64; CHUNK] } -> () {
         for v in values.iter_mut() {
             *v = readout.apply(lane_math::exp(-*v));
         }
-        if mode != DisplayMode::Linear {
+        if mode != Display::Linear {
             to_attenuation(values);
         }
     }
@@ -93,11 +94,11 @@ lanes! {
 
 lanes! {
     /// The readout of fractions of photons.
-    ReadOut { readout: Readout, mode: DisplayMode, detected: &'a [f32; CHUNK], values: &'a mut [f64; CHUNK] } -> () {
+    ReadOut { readout: Readout, mode: Display, detected: &'a [f32; CHUNK], values: &'a mut [f64; CHUNK] } -> () {
         for (v, s) in values.iter_mut().zip(detected) {
             *v = readout.apply(f64::from(*s));
         }
-        if mode != DisplayMode::Linear {
+        if mode != Display::Linear {
             to_attenuation(values);
         }
     }

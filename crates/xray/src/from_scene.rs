@@ -1,10 +1,10 @@
 //! C-arm and renderer parameters from a scene's `[drr]`.
 
-use scene::{Display, Drr, PixelCentre as ScenePixelCentre, Projector as SceneProjector, Scene, Tolerance};
+use scene::{Drr, PixelCentre, Projector as SceneProjector, Scene, Tolerance};
 
 use crate::{
-    CArm, Camera, DetectorFormat, DetectorParameters, DisplayMode, DisplayParameters, DrrError,
-    DrrParameters, PixelCentre, PositionerAngles, Projector, Spectrum, ladder,
+    CArm, Camera, DetectorFormat, DetectorParameters, DisplayParameters, DrrError, DrrParameters,
+    PositionerAngles, Projector, ladder,
 };
 
 /// The projector that `[drr]` selects.
@@ -41,12 +41,7 @@ pub fn renderer_parameters(drr: &Drr, tolerance: Option<&Tolerance>) -> DrrParam
     DrrParameters {
         projector: wanted.map_or_else(|| given_projector(drr), |wanted| ladder::choose(wanted).projector),
         energy_kev: drr.energy_kev,
-        spectrum: drr.spectrum.as_ref().map(|spectrum| Spectrum {
-            tube_kv: spectrum.tube_kv,
-            aluminium_mm: spectrum.aluminium_mm,
-            ct_energy_kev: spectrum.ct_energy_kev,
-            bone_above_hu: spectrum.bone_above_hu,
-        }),
+        spectrum: drr.spectrum,
         threads: drr.threads,
         detector: DetectorParameters {
             photons_per_pixel: if drr.photons_per_pixel > 0.0 { drr.photons_per_pixel } else { 1.0e5 },
@@ -56,14 +51,7 @@ pub fn renderer_parameters(drr: &Drr, tolerance: Option<&Tolerance>) -> DrrParam
             offset: drr.detector.offset,
             saturation: drr.detector.saturation,
         },
-        display: DisplayParameters {
-            mode: match drr.display {
-                Display::BoneDark => DisplayMode::BoneDark,
-                Display::BoneBright => DisplayMode::BoneBright,
-                Display::Linear => DisplayMode::Linear,
-            },
-            ..DisplayParameters::default()
-        },
+        display: DisplayParameters { mode: drr.display, ..DisplayParameters::default() },
         ..DrrParameters::default()
     }
 }
@@ -100,10 +88,7 @@ fn given_c_arm(drr: &Drr) -> Result<Option<CArm>, DrrError> {
         (given.intrinsics, given.rotation, given.translation_mm)
     {
         let camera = Camera { intrinsics, rotation, translation_m: translation_mm.map(|x| x * 1e-3) };
-        let centre = match given.pixel_centre {
-            Some(ScenePixelCentre::Half) => PixelCentre::Half,
-            Some(ScenePixelCentre::Whole) | None => PixelCentre::Whole,
-        };
+        let centre = given.pixel_centre.unwrap_or(PixelCentre::Whole);
         return CArm::from_camera(&camera, centre, pitch_m, columns, rows).map(Some);
     }
     let (Some(source), Some(detector), Some(row_axis), Some(column_axis)) =

@@ -1,6 +1,6 @@
 //! The CT's grid in the world, and the borrowed voxels.
 
-use voxel_grid::VoxelGrid;
+use voxel_grid::{Volume, VoxelGrid};
 
 use crate::error::DrrError;
 use crate::vector::{Vec3, add_scaled, cross, dot, scale, sub};
@@ -18,8 +18,8 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// A grid of `dims` voxels, x fastest in memory. `direction` is row-major, `direction[row][axis]`: its columns are the
-    /// unit world vectors of the index axes. `origin_m` is the centre of voxel (0, 0, 0).
+    /// A grid of `dims` voxels, x fastest in memory. `axes` are the unit world vectors of the index axes, `origin_m` is the centre
+    /// of voxel (0, 0, 0).
     ///
     /// # Errors
     /// [`VoxelGrid`] refuses the grid.
@@ -27,9 +27,8 @@ impl Grid {
         dims: [usize; 3],
         spacing_m: [f64; 3],
         origin_m: [f64; 3],
-        direction: [[f64; 3]; 3],
+        axes: [[f64; 3]; 3],
     ) -> Result<Self, DrrError> {
-        let axes = [0, 1, 2].map(|a| [direction[0][a], direction[1][a], direction[2][a]]);
         Ok(Self::from(VoxelGrid::new(dims, spacing_m, origin_m, axes)?))
     }
 
@@ -38,7 +37,7 @@ impl Grid {
     /// # Errors
     /// As [`Grid::new`].
     pub fn axis_aligned(dims: [usize; 3], spacing_m: [f64; 3], origin_m: [f64; 3]) -> Result<Self, DrrError> {
-        Self::new(dims, spacing_m, origin_m, [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+        Ok(Self::from(VoxelGrid::axis_aligned(dims, spacing_m, origin_m)?))
     }
 
     /// A grid along the world axes, centred on the world origin.
@@ -78,13 +77,6 @@ impl Grid {
     /// World vector from a voxel to its neighbour along each index axis.
     pub fn axis_steps_m(&self) -> [[f64; 3]; 3] {
         self.axis_steps_m
-    }
-
-    /// Direction matrix, row-major: its columns are the unit world vectors of the index axes.
-    pub fn direction(&self) -> [[f64; 3]; 3] {
-        let axis = |a: usize| scale(self.axis_steps_m[a], 1.0 / self.spacing_m[a]);
-        let [x, y, z] = [axis(0), axis(1), axis(2)];
-        [0, 1, 2].map(|row| [x[row], y[row], z[row]])
     }
 
     /// Voxel coordinates (i, j, k) of a linear index `i + nx (j + ny k)`.
@@ -141,6 +133,14 @@ fn inverse_rows(c: [Vec3; 3]) -> [Vec3; 3] {
         scale(cross(c[2], c[0]), 1.0 / det),
         scale(cross(c[0], c[1]), 1.0 / det),
     ]
+}
+
+impl<'a> TryFrom<&'a Volume> for VolumeView<'a> {
+    type Error = DrrError;
+
+    fn try_from(volume: &'a Volume) -> Result<Self, DrrError> {
+        Self::new(Grid::from(volume.grid), &volume.hu)
+    }
 }
 
 /// The CT in place: a grid and its borrowed Hounsfield units, x fastest.

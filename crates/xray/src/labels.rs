@@ -184,11 +184,9 @@ fn axis_ends_m(part: &ToolPart) -> Option<[Vec3; 2]> {
         ToolPart::SphereZone { centre_m, axis, along_m, .. } => {
             Some(along_m.map(|at_m| add_scaled(centre_m, at_m, axis)))
         }
-        ToolPart::Cylinder { start_m, end_m, .. }
-        | ToolPart::HollowCylinder { start_m, end_m, .. }
-        | ToolPart::NotchedTube { start_m, end_m, .. }
-        | ToolPart::MitredTube { start_m, end_m, .. }
-        | ToolPart::Cone { start_m, end_m, .. } => Some([start_m, end_m]),
+        ToolPart::Tube { start_m, end_m, .. } | ToolPart::Cone { start_m, end_m, .. } => {
+            Some([start_m, end_m])
+        }
     }
 }
 
@@ -196,10 +194,8 @@ fn axis_ends_m(part: &ToolPart) -> Option<[Vec3; 2]> {
 fn half_width_m(part: &ToolPart) -> f64 {
     match *part {
         ToolPart::Sphere { .. } => 0.0,
-        ToolPart::Cylinder { radius_m, .. } | ToolPart::SphereZone { radius_m, .. } => radius_m,
-        ToolPart::HollowCylinder { outer_radius_m, .. }
-        | ToolPart::NotchedTube { outer_radius_m, .. }
-        | ToolPart::MitredTube { outer_radius_m, .. } => outer_radius_m,
+        ToolPart::SphereZone { radius_m, .. } => radius_m,
+        ToolPart::Tube { outer_radius_m, .. } => outer_radius_m,
         ToolPart::Cone { start_radius_m, end_radius_m, .. } => start_radius_m.max(end_radius_m),
     }
 }

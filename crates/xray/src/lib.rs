@@ -4,15 +4,17 @@
 //!
 //! 1. Anatomy: the line integral of attenuation along the ray to each pixel centre, by [`slice_ordered`], [`joseph`] or [`siddon`].
 //!    It is cached while the C-arm stands still; after [`DrrRenderer::remove`] only the pixels that see a removed voxel are recomputed.
-//! 2. Tool: closed-form chords of its parts ([`tool`]); anatomy inside the union of their envelopes is subtracted.
-//! 3. Detector ([`detector`]): Beer-Lambert, seeded quantum noise, blur. Then [`display`]: the monitor image, as mono16.
+//! 2. Tool: closed-form chords of its parts ([`ToolPart`]); anatomy inside the union of their envelopes is subtracted.
+//! 3. Detector ([`DetectorParameters`]): Beer-Lambert, seeded quantum noise, blur. Then the monitor image
+//!    ([`DisplayParameters`]), as mono16.
 //!
 //! The CT is a borrowed `&[i16]` of Hounsfield units and may lie in shared memory. The renderer keeps one bit per voxel for what is
 //! drilled and one byte per block of 8x8x8 voxels for what is empty; [`slice_ordered`] also keeps reordered copies.
 //!
 //! **Boundary:** this crate only computes. It opens no file, reads no clock and starts no thread: the caller passes in a [`Machine`],
 //! which provides worker threads, memory and a clock. `drr_proc` implements it for the real machine and runs the X-ray process.
-//! [`labels`] is what a frame shows, for training and registration. [`from_scene`] and [`message`] translate scenes and messages; [`frame`] renders the content of a frame message.
+//! [`Labels`] are what a frame shows, for training and registration. [`from_scene`] and [`message`] translate scenes and
+//! messages; [`frame`] renders the content of a frame message.
 //!
 //! **Invariants:** a frame's bits do not depend on the number of threads, the vector instructions, the [`Machine`], or earlier frames: a
 //! cached frame equals a full render bit for bit. A refused call changes nothing.
@@ -50,54 +52,55 @@
 //! ```
 
 pub mod arm_model;
-pub mod attenuation;
+mod attenuation;
 mod buckets;
-pub mod camera;
-pub mod carm;
-pub mod detector;
+mod camera;
+mod carm;
+mod detector;
 mod displaced;
-pub mod display;
+mod display;
 mod error;
-pub mod exposure;
+mod exposure;
 mod exposure_loops;
 pub mod frame;
 pub mod from_scene;
-pub mod grid;
+mod grid;
 pub mod joseph;
 mod label_walk;
-pub mod labels;
+mod labels;
 pub mod ladder;
-pub mod lane_math;
+mod lane_math;
 mod lanes;
-pub mod machine;
+mod machine;
 pub mod message;
 mod pieces;
 mod placement;
 pub mod ray;
 pub mod reference;
 pub mod removal;
-pub mod renderer;
+mod renderer;
 pub mod siddon;
 pub mod slice_ordered;
 mod solids;
-pub mod spectrum;
-pub mod tool;
+mod spectrum;
+mod tool;
 mod tool_layer;
 pub mod tool_model;
 mod tool_row;
 mod vector;
 
-pub use attenuation::{HuLaw, Material};
-pub use camera::{Camera, PixelCentre, Positioner};
+pub use attenuation::{ALUMINIUM_G_PER_CM3, Material, MuTable, cortical_bone_hu};
+pub use camera::{Camera, Positioner};
 pub use carm::{CArm, DetectorFormat, PositionerAngles, Projection};
-pub use detector::{DetectorParameters, FrameSeed};
-pub use display::{DisplayMode, DisplayParameters, Window};
+pub use detector::{DetectorParameters, FrameSeed, blur_row, gaussian_weights, photon_number};
+pub use display::{DisplayParameters, Scale, Window, WindowLimits, window_limits};
 pub use error::DrrError;
 pub use exposure::Output;
 pub use grid::{Grid, VolumeView};
-pub use labels::{Class, Keypoint, LabelRequest, Labels, Visibility};
+pub use labels::{Class, Keypoint, LabelRequest, Labels, Visibility, keypoint_name};
 pub use machine::{Machine, Memory};
 pub use renderer::{DrrParameters, DrrRenderer, FrameReport, Projector, RenderKind, Shot};
+pub use scene::{Display, PixelCentre, Spectrum};
 pub use solids::PlacedSolids;
-pub use spectrum::Spectrum;
-pub use tool::{Notch, Tool, ToolPart};
+pub use spectrum::{SpectrumTable, weights};
+pub use tool::{Crossing, Notch, PreparedPart, Tool, ToolPart, join_intervals};

@@ -142,11 +142,6 @@ impl BlockMap {
     pub(crate) fn flags(&self) -> &[u8] {
         &self.flags
     }
-
-    /// Number of attenuating blocks, and of all blocks.
-    pub fn occupancy(&self) -> (usize, usize) {
-        (self.flags.iter().filter(|&&f| is_occupied(f)).count(), self.flags.len())
-    }
 }
 
 /// True if anything attenuates in a block (or in several blocks with OR-ed flags).
@@ -208,7 +203,6 @@ impl AttenuationField<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::attenuation::HuLaw;
 
     const DIMS: [usize; 3] = [139, 18, 9];
 
@@ -223,9 +217,8 @@ mod tests {
 
     #[test]
     fn a_voxel_occupies_the_blocks_that_read_it_wherever_it_lies() {
-        let grid = Grid::new(DIMS, [1e-3; 3], [0.0; 3], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
-        let grid = grid.unwrap();
-        let table = MuTable::new(HuLaw::WaterScaling, 60.0, -900).unwrap();
+        let grid = Grid::axis_aligned(DIMS, [1e-3; 3], [0.0; 3]).unwrap();
+        let table = MuTable::new(60.0, -900).unwrap();
         let mut hu = vec![-1000_i16; grid.voxels()];
         // Coprime to the dimensions: all kinds of places.
         for linear in (0..grid.voxels()).step_by(11) {

@@ -10,6 +10,8 @@
 //! neglects characteristic lines, and energies below 30 keV, which hardly penetrate a patient. Anatomy pixels look up a table of the
 //! attenuation over (T, B); the few pixels under metal, and those outside the table, sum over the energies.
 
+use scene::Spectrum;
+
 use crate::attenuation::{ALUMINIUM_G_PER_CM3, ENERGY_RANGE_KEV, Material, cortical_bone_hu};
 use crate::error::{DrrError, check_range};
 use crate::tool_layer::{ToolCell, ToolMaterials};
@@ -22,66 +24,39 @@ const BONE_MAX_M: f64 = 0.16;
 const TISSUE_NODES: usize = 257;
 const BONE_NODES: usize = 257;
 
-/// Spectrum of the X-ray tube, and the CT's energy.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Spectrum {
-    /// Tube voltage, 50 to 120 kV.
-    pub tube_kv: f64,
-    /// Total filtration, millimetres of aluminium, 0 to 20.
-    pub aluminium_mm: f64,
-    /// Effective photon energy of the CT, keV (about 70 for a 120 kV scan): determines the Hounsfield value of cortical bone.
-    pub ct_energy_kev: f64,
-    /// A voxel above this value contains bone, 0 to 1000 HU.
-    pub bone_above_hu: f64,
+/// Checks every field.
+fn validate(spectrum: &Spectrum) -> Result<(), DrrError> {
+    check_range("tube_kv", spectrum.tube_kv, 50.0, 120.0, "50 to 120 kV")?;
+    check_range("aluminium_mm", spectrum.aluminium_mm, 0.0, 20.0, "0 to 20 mm")?;
+    let (low, high) = ENERGY_RANGE_KEV;
+    check_range("ct_energy_kev", spectrum.ct_energy_kev, low, high, "30 to 120 keV")?;
+    check_range("bone_above_hu", spectrum.bone_above_hu, 0.0, 1000.0, "0 to 1000 HU")
 }
 
-impl Default for Spectrum {
-    fn default() -> Self {
-        Self { tube_kv: 90.0, aluminium_mm: 3.0, ct_energy_kev: 70.0, bone_above_hu: 200.0 }
-    }
-}
-
-impl Spectrum {
-    /// Checks every field.
-    ///
-    /// # Errors
-    /// A field is out of range; the error names the first one.
-    pub fn validate(&self) -> Result<(), DrrError> {
-        check_range("tube_kv", self.tube_kv, 50.0, 120.0, "50 to 120 kV")?;
-        check_range("aluminium_mm", self.aluminium_mm, 0.0, 20.0, "0 to 20 mm")?;
-        let (low, high) = ENERGY_RANGE_KEV;
-        check_range("ct_energy_kev", self.ct_energy_kev, low, high, "30 to 120 keV")?;
-        check_range("bone_above_hu", self.bone_above_hu, 0.0, 1000.0, "0 to 1000 HU")
-    }
-
-    /// Energies, keV, and the fraction of the open-field signal that each contributes.
-    pub fn weights(&self) -> Vec<(f64, f64)> {
-        let lowest = ENERGY_RANGE_KEV.0;
-        let count = ((self.tube_kv - lowest) / STEP_KEV).max(1.0) as usize;
-        let step = (self.tube_kv - lowest) / count as f64;
-        let mut weights: Vec<(f64, f64)> = (0..count)
-            .map(|i| {
-                let energy = lowest + (i as f64 + 0.5) * step;
-                let filter_cm = 0.1 * self.aluminium_mm;
-                let mu = ALUMINIUM_G_PER_CM3 * Material::Aluminium.mass_mu_cm2_per_g(energy);
-                (energy, energy * (self.tube_kv / energy - 1.0) * libm::exp(-mu * filter_cm))
-            })
-            .collect();
-        let total: f64 = weights.iter().map(|(_, w)| w).sum();
-        weights.iter_mut().for_each(|(_, w)| *w /= total);
-        weights
-    }
-
-    /// Fractions of tissue (relative to water) and of cortical bone in a voxel.
-    ///
-    /// # Errors
-    /// The CT energy is outside 30 to 120 keV.
-    pub fn mixture(&self) -> Result<Mixture, DrrError> {
-        Ok(Mixture {
-            bone_above_hu: self.bone_above_hu,
-            cortical_hu: cortical_bone_hu(self.ct_energy_kev)?.max(self.bone_above_hu + 1.0),
+/// Energies, keV, and the fraction of the open-field signal that each contributes.
+pub fn weights(spectrum: &Spectrum) -> Vec<(f64, f64)> {
+    let lowest = ENERGY_RANGE_KEV.0;
+    let count = ((spectrum.tube_kv - lowest) / STEP_KEV).max(1.0) as usize;
+    let step = (spectrum.tube_kv - lowest) / count as f64;
+    let mut weights: Vec<(f64, f64)> = (0..count)
+        .map(|i| {
+            let energy = lowest + (i as f64 + 0.5) * step;
+            let filter_cm = 0.1 * spectrum.aluminium_mm;
+            let mu = ALUMINIUM_G_PER_CM3 * Material::Aluminium.mass_mu_cm2_per_g(energy);
+            (energy, energy * (spectrum.tube_kv / energy - 1.0) * libm::exp(-mu * filter_cm))
         })
-    }
+        .collect();
+    let total: f64 = weights.iter().map(|(_, w)| w).sum();
+    weights.iter_mut().for_each(|(_, w)| *w /= total);
+    weights
+}
+
+/// Fractions of tissue (relative to water) and of cortical bone in a voxel.
+fn mixture(spectrum: &Spectrum) -> Result<Mixture, DrrError> {
+    Ok(Mixture {
+        bone_above_hu: spectrum.bone_above_hu,
+        cortical_hu: cortical_bone_hu(spectrum.ct_energy_kev)?.max(spectrum.bone_above_hu + 1.0),
+    })
 }
 
 /// Tissue and bone of a Hounsfield value: tissue of density 1 + HU/1000 up to `bone_above_hu`, then a mixture of that densest tissue and
@@ -128,11 +103,11 @@ impl SpectrumTable {
     /// Computes the table.
     ///
     /// # Errors
-    /// As [`Spectrum::validate`].
+    /// A field is out of range; the error names the first one.
     pub fn new(spectrum: &Spectrum) -> Result<Self, DrrError> {
-        spectrum.validate()?;
+        validate(spectrum)?;
         let mut lines = Vec::new();
-        for (energy, weight) in spectrum.weights() {
+        for (energy, weight) in weights(spectrum) {
             let mut materials = [0.0; Material::COUNT];
             for material in Material::ALL {
                 materials[material.index()] = material.mu_per_m(energy)?;
@@ -140,7 +115,7 @@ impl SpectrumTable {
             let (water, bone) = (Material::Water.mu_per_m(energy)?, Material::CorticalBone.mu_per_m(energy)?);
             lines.push(Line { weight, water, bone, materials });
         }
-        let mut table = Self { lines, nodes: Vec::new(), mixture: spectrum.mixture()? };
+        let mut table = Self { lines, nodes: Vec::new(), mixture: mixture(spectrum)? };
         let mut nodes = Vec::with_capacity(TISSUE_NODES * BONE_NODES);
         for t in 0..TISSUE_NODES {
             for b in 0..BONE_NODES {

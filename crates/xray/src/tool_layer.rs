@@ -87,7 +87,6 @@ pub(crate) struct PlacedTool {
     /// Like `cells`; empty without a spectrum.
     materials: Vec<ToolMaterials>,
     stride: usize,
-    covered: usize,
 }
 
 impl PlacedTool {
@@ -122,11 +121,6 @@ impl PlacedTool {
         }
     }
 
-    /// True if the tool, as drawn, covers any pixel.
-    pub(crate) fn covers_any(&self) -> bool {
-        self.covered > 0
-    }
-
     /// Computes the cells; returns the number of pixels that the tool covers. `anatomy` provides what is displaced.
     pub(crate) fn draw(&mut self, fan: &RayFan, anatomy: &DisplacedBy<'_>) -> usize {
         self.segments.clear();
@@ -156,7 +150,7 @@ impl PlacedTool {
                 })
                 .sum()
         };
-        (self.cells, self.materials, self.covered) = (cells, materials, covered);
+        (self.cells, self.materials) = (cells, materials);
         covered
     }
 

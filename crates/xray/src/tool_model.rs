@@ -100,27 +100,8 @@ impl Link {
     ) -> ToolPart {
         let Self { start_m, end_m, .. } = *self;
         let notch = notch.filter(|_| inner_radius_m > 0.0);
-        match notch {
-            _ if ends != [None; 2] => {
-                let normals = ends.map(|normal| normal.unwrap_or(self.axis));
-                ToolPart::MitredTube {
-                    start_m,
-                    end_m,
-                    normals,
-                    outer_radius_m,
-                    inner_radius_m,
-                    notch,
-                    material,
-                }
-            }
-            Some(notch) => {
-                ToolPart::NotchedTube { start_m, end_m, outer_radius_m, inner_radius_m, notch, material }
-            }
-            None if inner_radius_m > 0.0 => {
-                ToolPart::HollowCylinder { start_m, end_m, outer_radius_m, inner_radius_m, material }
-            }
-            None => ToolPart::Cylinder { start_m, end_m, radius_m: outer_radius_m, material },
-        }
+        let normals = (ends != [None; 2]).then(|| ends.map(|normal| normal.unwrap_or(self.axis)));
+        ToolPart::Tube { start_m, end_m, normals, outer_radius_m, inner_radius_m, notch, material }
     }
 }
 

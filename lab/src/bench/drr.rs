@@ -4,16 +4,16 @@ use std::time::Instant;
 
 use drr_proc::ThisMachine;
 use rayon::prelude::*;
-use xray::attenuation::MuTable;
 use xray::ray::{IndexRay, RayFan};
-use xray::reference::{self, Phantom, Solid, relative_rms};
+use xray::reference::{self, relative_rms};
 use xray::removal::{AttenuationField, BlockMap, RemovedVoxels};
 use xray::slice_ordered::{Instructions, SliceOrdered, SliceOrderedOptions, Update};
-use xray::{CArm, DetectorFormat, DrrError, Grid, HuLaw, Material, PositionerAngles, VolumeView, siddon};
+use xray::{CArm, DetectorFormat, DrrError, Grid, Material, MuTable, PositionerAngles, VolumeView, siddon};
 
 use serde_json::json;
 
 use super::failed;
+use crate::phantom::{Phantom, Solid};
 use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::machine::Machine;
@@ -126,7 +126,7 @@ fn xor(values: &[i16]) -> i16 {
 }
 
 fn projector(view: &VolumeView<'_>, options: SliceOrderedOptions) -> Result<SliceOrdered, Failure> {
-    let table = MuTable::new(HuLaw::WaterScaling, ENERGY_KEV, -900).map_err(failed)?;
+    let table = MuTable::new(ENERGY_KEV, -900).map_err(failed)?;
     let unit_per_m = Material::Water.mu_per_m(ENERGY_KEV).map_err(failed)? / 1000.0;
     SliceOrdered::new(view, &table, unit_per_m, 0.0, options, &ThisMachine).map_err(failed)
 }
@@ -208,7 +208,7 @@ fn frames(
 /// Errors against Siddon's method on the same voxels.
 fn errors(view: &VolumeView<'_>, sheet: &mut Sheet) -> Result<(), Failure> {
     let (removed, pool) = (RemovedVoxels::new(view.grid()), pool(2)?);
-    let table = MuTable::new(HuLaw::WaterScaling, ENERGY_KEV, -900).map_err(failed)?;
+    let table = MuTable::new(ENERGY_KEV, -900).map_err(failed)?;
     let blocks = BlockMap::new(view, &table);
     let field = AttenuationField {
         view: *view,

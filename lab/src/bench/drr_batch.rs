@@ -53,10 +53,9 @@ pub fn run(dimensions: [usize; 3], count: usize, rounds: usize, sheet: &mut Shee
     let path = Path::new(&folder).join(REAL_CT);
     if path.exists() {
         let (volume, _) = volume_io::read_as(&path, &volume_io::ReadOptions::default())?;
-        let grid = Grid::from(volume.grid(&path)?);
-        let view = VolumeView::new(grid, &volume.hu).map_err(failed)?;
-        let centre_m = volume.voxel_to_world_m(volume.dims.map(|n| 0.5 * (n as f64 - 1.0)));
-        sheet.line(&format!("\nabdomen of TotalSegmentator, {:?} voxels of 3 mm:", volume.dims));
+        let (view, dims) = (VolumeView::try_from(&volume).map_err(failed)?, volume.grid.dims());
+        let centre_m = volume.grid.world_m(dims.map(|n| 0.5 * (n as f64 - 1.0)));
+        sheet.line(&format!("\nabdomen of TotalSegmentator, {dims:?} voxels of 3 mm:"));
         sheet.within("abdomen", |sheet| in_turn(&view, centre_m, count, rounds, sheet))?;
     } else {
         let path = path.display();

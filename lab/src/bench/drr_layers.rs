@@ -36,26 +36,24 @@ fn tool(ends: Ends) -> Tool {
     // The chords on both sides of a joint are equal: the arc's tangent halves their angle.
     let tangent = |n: usize| [(n as f64 * step_rad).sin(), 0.0, (n as f64 * step_rad).cos()];
     let link = |n: usize| {
-        let (start_m, end_m, inner_radius_m) = (on_arc(n), on_arc(n + 1), 2.5e-3);
-        match ends {
-            Ends::Flat => {
-                ToolPart::HollowCylinder { start_m, end_m, outer_radius_m, inner_radius_m, material }
-            }
-            Ends::Mitred => ToolPart::MitredTube {
-                start_m,
-                end_m,
-                normals: [tangent(n), tangent(n + 1)],
-                outer_radius_m,
-                inner_radius_m,
-                notch: None,
-                material,
-            },
+        let normals = match ends {
+            Ends::Flat => None,
+            Ends::Mitred => Some([tangent(n), tangent(n + 1)]),
+        };
+        ToolPart::Tube {
+            start_m: on_arc(n),
+            end_m: on_arc(n + 1),
+            normals,
+            outer_radius_m,
+            inner_radius_m: 2.5e-3,
+            notch: None,
+            material,
         }
     };
     let mut parts: Vec<ToolPart> = (0..LINKS).map(link).collect();
     let end_m = on_arc(0);
     let start_m = [end_m[0], end_m[1], end_m[2] - 0.12];
-    parts.push(ToolPart::HollowCylinder { start_m, end_m, outer_radius_m, inner_radius_m: 2e-3, material });
+    parts.push(ToolPart::tube(start_m, end_m, [outer_radius_m, 2e-3], material));
     parts.push(ToolPart::Sphere { centre_m: on_arc(LINKS), radius_m: 3e-3, material: Material::Steel316L });
     Tool { parts, arm: None }
 }

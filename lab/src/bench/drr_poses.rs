@@ -3,17 +3,17 @@
 
 use drr_proc::ThisMachine;
 use rayon::prelude::*;
-use xray::attenuation::MuTable;
 use xray::ray::{IndexRay, RayFan};
-use xray::reference::{self, Phantom, Solid};
+use xray::reference;
 use xray::removal::{AttenuationField, BlockMap, RemovedVoxels};
 use xray::slice_ordered::{SliceOrdered, SliceOrderedOptions, Update};
-use xray::{CArm, DetectorFormat, DrrError, Grid, HuLaw, Material, PositionerAngles, VolumeView, joseph};
+use xray::{CArm, DetectorFormat, DrrError, Grid, Material, MuTable, PositionerAngles, VolumeView, joseph};
 
 use serde_json::json;
 
 use super::drr::Times;
 use super::failed;
+use crate::phantom::{Phantom, Solid};
 use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::machine::Machine;
@@ -98,7 +98,7 @@ fn from_all_sides(
     sheet: &mut Sheet,
 ) -> Result<(), Failure> {
     let removed = RemovedVoxels::new(view.grid());
-    let table = MuTable::new(HuLaw::WaterScaling, ENERGY_KEV, -900).map_err(failed)?;
+    let table = MuTable::new(ENERGY_KEV, -900).map_err(failed)?;
     let unit_per_m = Material::Water.mu_per_m(ENERGY_KEV).map_err(failed)? / 1000.0;
     let options = SliceOrderedOptions::default();
     let mut slices =

@@ -9,7 +9,7 @@ use ipc_types::process::EndRequest;
 use ipc_types::scene::Volume as SceneVolume;
 use ipc_types::session::SessionId;
 use serde_json::json;
-use volume_io::Volume;
+use voxel_grid::Volume;
 use zerocopy::IntoBytes;
 
 use super::{complete_run, cut, failed};
@@ -51,10 +51,10 @@ pub fn run(
     cut(&mut scene, Some(ticks));
     let folder = tempfile::tempdir().map_err(failed)?;
     let file = folder.path().join("large.nrrd");
-    let volume = volume_source::load(&scene, VolumeFiles::default()).map_err(Failure::bad_input)?;
-    let (volume, _) = volume.ok_or_else(|| Failure::bad_input("the scene has no `[volume]`"))?;
-    write_resampled(&volume, dimensions, &file).map_err(failed)?;
-    drop(volume);
+    let ct = volume_source::load(&scene, VolumeFiles::default()).map_err(Failure::bad_input)?;
+    let ct = ct.ok_or_else(|| Failure::bad_input("the scene has no `[volume]`"))?;
+    write_resampled(&ct.volume, dimensions, &file).map_err(failed)?;
+    drop(ct);
     if let Some(source) = &mut scene.volume {
         *source = SceneVolume { phantom: None, path: Some(file), mask: false, ..source.clone() };
     }
@@ -119,13 +119,14 @@ fn shared_segments(session: &Path, ct_bytes: u64) -> Vec<u64> {
 /// Writes the volume, resampled to other dimensions over the same space with the nearest voxel, as an uncompressed
 /// NRRD file.
 fn write_resampled(volume: &Volume, dims: [usize; 3], path: &Path) -> std::io::Result<()> {
-    let ratio = [0, 1, 2].map(|axis| volume.dims[axis] as f64 / dims[axis] as f64);
+    let (grid, had) = (&volume.grid, volume.grid.dims());
+    let ratio = [0, 1, 2].map(|axis| had[axis] as f64 / dims[axis] as f64);
     // The first voxel's centre lies half a new voxel inside the corner, not half an old one.
-    let origin_mm = volume.voxel_to_world_m(ratio.map(|ratio| 0.5 * ratio - 0.5)).map(|metres| metres * 1e3);
+    let origin_mm = grid.world_m(ratio.map(|ratio| 0.5 * ratio - 0.5)).map(|metres| metres * 1e3);
     let vector = |v: [f64; 3]| format!("({:?},{:?},{:?})", v[0], v[1], v[2]);
     let axes = [0, 1, 2].map(|axis| {
-        let length_mm = volume.spacing_m[axis] * ratio[axis] * 1e3;
-        vector([0, 1, 2].map(|row| volume.direction[row][axis] * length_mm))
+        let length_mm = grid.spacing_m()[axis] * ratio[axis] * 1e3;
+        vector(grid.axes()[axis].map(|x| x * length_mm))
     });
     let mut file = BufWriter::new(File::create(path)?);
     write!(
@@ -140,11 +141,11 @@ fn write_resampled(volume: &Volume, dims: [usize; 3], path: &Path) -> std::io::R
         axes[2],
         vector(origin_mm)
     )?;
-    let nearest = |axis: usize| (0..dims[axis]).map(move |at| at * volume.dims[axis] / dims[axis]);
+    let nearest = |axis: usize| (0..dims[axis]).map(move |at| at * had[axis] / dims[axis]);
     let mut line = Vec::with_capacity(dims[0]);
     for k in nearest(2) {
         for j in nearest(1) {
-            let start = (k * volume.dims[1] + j) * volume.dims[0];
+            let start = (k * had[1] + j) * had[0];
             line.clear();
             line.extend(nearest(0).map(|i| volume.hu[start + i]));
             file.write_all(line.as_bytes())?;
@@ -155,6 +156,8 @@ fn write_resampled(volume: &Volume, dims: [usize; 3], path: &Path) -> std::io::R
 
 #[cfg(test)]
 mod tests {
+    use voxel_grid::VoxelGrid;
+
     use super::*;
 
     #[test]
@@ -168,23 +171,18 @@ mod tests {
     #[test]
     fn a_resampled_file_covers_the_same_space_with_the_same_values() {
         let hu = (0..24).collect();
-        let volume = Volume {
-            dims: [4, 3, 2],
-            spacing_m: [1e-3, 2e-3, 3e-3],
-            origin_m: [0.01, 0.02, 0.03],
-            direction: volume_io::IDENTITY_DIRECTION,
-            hu,
-        };
+        let grid = VoxelGrid::axis_aligned([4, 3, 2], [1e-3, 2e-3, 3e-3], [0.01, 0.02, 0.03]).unwrap();
+        let volume = Volume { grid, hu };
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("finer.nrrd");
         write_resampled(&volume, [8, 9, 2], &file).unwrap();
         let finer = volume_io::read(&file).unwrap();
-        assert_eq!(finer.dims, [8, 9, 2]);
+        assert_eq!(finer.grid.dims(), [8, 9, 2]);
         for (i, j, k) in [(0, 0, 0), (7, 8, 1), (3, 4, 0)] {
             assert_eq!(finer.at([i, j, k]), volume.at([i / 2, j / 3, k]));
         }
         // The outer corner of the first voxel stays; printing millimetres as text rounds at 1e-16 relative.
-        let corner = |volume: &Volume| volume.voxel_to_world_m([-0.5; 3]);
+        let corner = |volume: &Volume| volume.grid.world_m([-0.5; 3]);
         for (a, b) in corner(&volume).iter().zip(corner(&finer)) {
             assert!((a - b).abs() < 1e-12, "{a} {b}");
         }

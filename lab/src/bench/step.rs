@@ -6,15 +6,14 @@ use std::time::Instant;
 use controllers::{Controller, built_in};
 use drr_proc::ThisMachine;
 use hub::in_process::{Answer, InProcess};
-use ipc_types::messages::{Latched, Restores, State, Volume as VolumeMessage};
+use ipc_types::messages::{Latched, Restores, State};
 use ipc_types::scene::{Drr, Holder, Mode, Notch, Scene, ToolRadii};
 use ipc_types::services::MAX_KEYFRAME_BYTES;
 use simulation::{CtView, Simulation};
+use voxel_grid::Volume;
 use xray::frame::{Cache, Job, Rendered, render_job};
 use xray::from_scene::{renderer_parameters, scene_c_arm};
-use xray::message::volume_view;
 use xray::{CArm, DrrRenderer, VolumeView};
-use zerocopy::IntoBytes;
 
 use serde_json::json;
 
@@ -39,16 +38,13 @@ pub fn run(scene: &SceneSource, ticks: Option<u64>, rounds: usize, sheet: &mut S
     let mut scene = scene.load()?;
     scene.run.mode = Mode::Lockstep;
     cut(&mut scene, ticks);
-    let volume =
+    let ct =
         volume_source::load(&scene, volume_source::VolumeFiles::default()).map_err(Failure::bad_input)?;
-    let volume = volume.map(|(volume, hash)| (volume_source::message(&volume, hash), volume.hu));
-    let ct = volume.as_ref().map(|(message, hu)| CtView::new(message, hu));
+    let volume = ct.as_ref().map(|ct| &ct.volume);
     let prepare = || -> Result<Bench, Failure> {
-        let simulation = Simulation::new(&scene, ct).map_err(failed)?;
-        let x_ray = match (&scene.drr, &volume) {
-            (Some(drr), Some((message, hu))) => {
-                Some(XRay::new(&scene, drr, message, hu, simulation.predrilled())?)
-            }
+        let simulation = Simulation::new(&scene, volume.map(CtView::from)).map_err(failed)?;
+        let x_ray = match (&scene.drr, volume) {
+            (Some(drr), Some(volume)) => Some(XRay::new(&scene, drr, volume, simulation.predrilled())?),
             _ => None,
         };
         Ok(Bench {
@@ -160,14 +156,8 @@ struct XRay<'v> {
 }
 
 impl<'v> XRay<'v> {
-    fn new(
-        scene: &Scene,
-        drr: &Drr,
-        message: &VolumeMessage,
-        hu: &'v [i16],
-        predrilled: &[u32],
-    ) -> Result<XRay<'v>, Failure> {
-        let view = volume_view(message, hu.as_bytes()).map_err(failed)?;
+    fn new(scene: &Scene, drr: &Drr, volume: &'v Volume, predrilled: &[u32]) -> Result<XRay<'v>, Failure> {
+        let view = VolumeView::try_from(volume).map_err(failed)?;
         Ok(XRay {
             renderer: DrrRenderer::new(
                 &view,

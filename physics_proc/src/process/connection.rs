@@ -6,6 +6,7 @@ use ipc_types::process::{EndRequest, VOLUME_LIMIT, await_volume};
 use ipc_types::scene::Scene;
 use ipc_types::services;
 use ipc_types::session::Session;
+use simulation::CtView;
 use zerocopy::FromBytes;
 
 use super::PhysicsError;
@@ -24,15 +25,14 @@ pub(super) fn receive_volume(
     volume.map(Some).ok_or(PhysicsError::NoVolume { limit_s: VOLUME_LIMIT.as_secs() })
 }
 
-/// The volume's voxels, in place.
-pub(super) fn hounsfield_units(volume: &Received<Volume>) -> Result<&[i16], PhysicsError> {
-    let message = volume.message();
-    let expected = message.dimensions.iter().map(|n| *n as u64).product::<u64>();
-    if expected != u64::from(message.hu_length) {
-        let problem =
-            format!("{} voxels, but the dimensions are {:?}", message.hu_length, message.dimensions);
-        return Err(PhysicsError::BadVolume { problem });
+/// The CT, in place.
+pub(super) fn ct(volume: &Received<Volume>) -> Result<CtView<'_>, PhysicsError> {
+    let bad = |problem: String| PhysicsError::BadVolume { problem };
+    let grid = volume.message().grid().map_err(|cause| bad(cause.to_string()))?;
+    let hu = <[i16]>::ref_from_bytes(volume.tail())
+        .map_err(|cause| bad(format!("the voxels are misaligned: {cause}")))?;
+    if hu.len() != grid.voxel_count() {
+        return Err(bad(format!("{} voxels, but the dimensions are {:?}", hu.len(), grid.dims())));
     }
-    <[i16]>::ref_from_bytes(volume.tail())
-        .map_err(|cause| PhysicsError::BadVolume { problem: format!("the voxels are misaligned: {cause}") })
+    Ok(CtView::new(&grid, hu))
 }

@@ -21,7 +21,7 @@ use ipc_types::process::{EndRequest, Role, prioritise, session_scene};
 use ipc_types::scene::{Mode, Scene, SceneError};
 use ipc_types::session::{Session, SessionError};
 use rustix::mm::MlockAllFlags;
-use simulation::{CtView, Simulation, SimulationError};
+use simulation::{Simulation, SimulationError};
 use thiserror::Error;
 
 use clock::wake_exactly;
@@ -75,10 +75,7 @@ pub fn run(session_folder: &Path) -> Result<(), PhysicsError> {
     session.claim(Part::Physics)?;
     let mut memory = SharedMemory::open(&session, &scene, end)?;
     let volume = connection::receive_volume(&session, &scene, memory.end())?;
-    let ct = match &volume {
-        Some(volume) => Some(CtView::new(volume.message(), connection::hounsfield_units(volume)?)),
-        None => None,
-    };
+    let ct = volume.as_ref().map(connection::ct).transpose()?;
     let simulation = Simulation::new(&scene, ct)?;
     let settings = Settings::new(&scene, &memory.consumers());
     let mut hub = Hub::new(&scene, simulation, settings, now_ns());

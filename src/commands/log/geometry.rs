@@ -121,11 +121,11 @@ fn of_tunnel(format: &str, arguments: &ExportArguments) -> Result<Exported, Fail
     };
     let log = OpenedLog::open(arguments.log(), &overrides)?;
     let gone = Gone::of(&log, arguments.ticks().last.map(|tick| tick.0))?;
-    let Some((volume, _)) = &log.volume else {
+    let Some(ct) = &log.ct else {
         return Err(Failure::bad_input(format!("{}: this run has no volume", log.path.display())));
     };
-    let grid = volume.grid(&log.path)?;
-    let mesh = tunnel::surface(&grid, &gone.voxels);
+    let grid = &ct.volume.grid;
+    let mesh = tunnel::surface(grid, &gone.voxels);
     if mesh.triangles.is_empty() {
         return Err(Failure::bad_input(format!(
             "{}: no voxel is gone after tick {}, so there is no tunnel",
@@ -134,7 +134,7 @@ fn of_tunnel(format: &str, arguments: &ExportArguments) -> Result<Exported, Fail
         )));
     }
     write_mesh(format, &arguments.output, &mesh)?;
-    let voxel_mm3: f64 = volume.spacing_m.iter().map(|spacing_m| 1e3 * spacing_m).product();
+    let voxel_mm3: f64 = grid.spacing_m().iter().map(|spacing_m| 1e3 * spacing_m).product();
     let (count, voxels_mm3, surface_mm3) =
         (gone.voxels.len(), gone.voxels.len() as f64 * voxel_mm3, mesh.volume_mm3());
     let said = format!(

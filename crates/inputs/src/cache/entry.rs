@@ -20,14 +20,14 @@ use std::os::unix::fs::FileExt;
 
 use ipc_types::layout::Message;
 use ipc_types::messages::Volume as VolumeMessage;
-use volume_io::{Volume, volume_hash};
+use volume_io::volume_hash;
+use voxel_grid::{Ct, Volume};
 use xxhash_rust::xxh3::xxh3_128;
 use zerocopy::{FromBytes, IntoBytes};
 
-use super::Made;
 use super::key::Key;
 use super::shared_work::on_all_cores;
-use crate::volume_source;
+use crate::volume_source::Loaded;
 
 const MAGIC: &[u8; 16] = b"trabecula cache2";
 /// Most bytes of notes: a reader makes a few lines.
@@ -65,12 +65,12 @@ pub enum Damage {
 ///
 /// # Errors
 /// The notes are too long.
-pub(super) fn head(key: &Key, made: &Made, voxels_sum: u128) -> io::Result<Vec<u8>> {
-    let notes = serde_json::to_vec(&made.notes)?;
+pub(super) fn head(key: &Key, loaded: &Loaded, voxels_sum: u128) -> io::Result<Vec<u8>> {
+    let notes = serde_json::to_vec(&loaded.notes)?;
     if notes.len() as u64 > MAX_NOTES_BYTES {
         return Err(io::ErrorKind::FileTooLarge.into());
     }
-    let message = volume_source::message(&made.volume, made.sha256);
+    let message = VolumeMessage::of(&loaded.ct);
     let length = (notes.len() as u64).to_le_bytes();
     let below = [length.as_slice(), &voxels_sum.to_le_bytes(), message.as_bytes(), &notes].concat();
     let sum = xxh3_128(&[key.hash().as_slice(), &below].concat()).to_le_bytes();
@@ -88,7 +88,7 @@ pub(super) fn sum_of(pieces: impl IntoIterator<Item = io::Result<u128>>) -> io::
 ///
 /// # Errors
 /// What is wrong with it.
-pub fn read(mut file: &File, bytes: u64, key: &Key) -> Result<Made, Damage> {
+pub fn read(mut file: &File, bytes: u64, key: &Key) -> Result<Loaded, Damage> {
     let mut head = [0; HEAD_BYTES];
     let message_bytes = VolumeMessage::DESCRIPTION.size;
     let least = (HEAD_BYTES + message_bytes) as u64;
@@ -113,25 +113,20 @@ pub fn read(mut file: &File, bytes: u64, key: &Key) -> Result<Made, Damage> {
     let (message, notes) = rest.split_at(message_bytes);
     let message = VolumeMessage::read_from_bytes(message).map_err(|_| Damage::Head("it holds no volume"))?;
     let notes = serde_json::from_slice(notes).map_err(|_| Damage::Head("its notes are no list of texts"))?;
-    let dims = message.dimensions.map(|n| n as usize);
-    let count = dims.iter().try_fold(1_usize, |count, n| count.checked_mul(*n));
-    if count != Some(message.hu_length as usize) {
+    let grid = message.grid().map_err(|_| Damage::Head("its grid is invalid"))?;
+    if grid.voxel_count() != message.hu_length as usize {
         return Err(Damage::Head("its dimensions do not give its voxels"));
     }
     let expected = least + notes_bytes + 2 * u64::from(message.hu_length);
     if bytes != expected {
         return Err(Damage::Length { bytes, expected });
     }
-    // Row by row; the message holds axis by axis.
-    let direction = [0, 1, 2].map(|row| [0, 1, 2].map(|axis| message.direction[3 * axis + row]));
-    let (spacing_m, origin_m) = (message.spacing_m, message.origin_m);
     let mut hu = vec![0_i16; message.hu_length as usize];
     let sum = read_pieces(file, least + notes_bytes, &mut hu).map_err(Damage::Read)?;
     if sum.to_le_bytes() != *voxels_sum {
         return Err(Damage::Voxels);
     }
-    let volume = Volume { dims, spacing_m, origin_m, direction, hu };
-    Ok(Made { volume, sha256: message.sha256, notes })
+    Ok(Loaded { ct: Ct { volume: Volume { grid, hu }, sha256: message.sha256 }, notes })
 }
 
 /// Reads the voxels that begin at `start`, and returns their checksum.
@@ -159,23 +154,23 @@ pub fn write_and_hash(
     volume: Volume,
     notes: Vec<String>,
     write: impl FnOnce(u64, &mut dyn FnMut(&File) -> io::Result<()>) -> io::Result<()>,
-) -> Made {
-    let mut made = Made { volume, sha256: [0; 32], notes };
+) -> Loaded {
+    let mut loaded = Loaded { ct: Ct { volume, sha256: [0; 32] }, notes };
     let mut hash = None;
-    if let Ok(head_bytes) = head(key, &made, 0).map(|head| head.len() as u64) {
+    if let Ok(head_bytes) = head(key, &loaded, 0).map(|head| head.len() as u64) {
         // A file that cannot be written costs time only.
-        let _ = write(head_bytes + 2 * made.volume.hu.len() as u64, &mut |file| {
-            let voxels = &made.volume;
+        let _ = write(head_bytes + 2 * loaded.ct.volume.hu.len() as u64, &mut |file| {
+            let voxels = &loaded.ct.volume;
             let voxels_sum = std::thread::scope(|scope| {
                 let hashing = scope.spawn(|| volume_hash(voxels));
                 let voxels_sum = write_pieces(file, head_bytes, &voxels.hu);
                 hash = hashing.join().ok();
                 voxels_sum
             })?;
-            made.sha256 = hash.ok_or(io::ErrorKind::Other)?;
-            file.write_all_at(&head(key, &made, voxels_sum)?, 0)
+            loaded.ct.sha256 = hash.ok_or(io::ErrorKind::Other)?;
+            file.write_all_at(&head(key, &loaded, voxels_sum)?, 0)
         });
     }
-    made.sha256 = hash.unwrap_or_else(|| volume_hash(&made.volume));
-    made
+    loaded.ct.sha256 = hash.unwrap_or_else(|| volume_hash(&loaded.ct.volume));
+    loaded
 }

@@ -25,10 +25,13 @@ use std::time::{Duration, Instant, SystemTime};
 use ipc_types::session::{Unfit, open_private};
 use rustix::fs::{AtFlags, CWD, Dir, FileType, Mode, OFlags, Stat, Timespec, Timestamps, UTIME_NOW};
 use rustix::io::Errno;
-use volume_io::{Volume, VolumeError, volume_hash};
+use volume_io::VolumeError;
+use voxel_grid::Volume;
 
 use entry::Damage;
 use key::Key;
+
+use crate::volume_source::Loaded;
 
 /// Most bytes that the folder holds; beyond, the files that were unused for the longest time are removed.
 pub const LIMIT_BYTES: u64 = 2 << 30;
@@ -36,17 +39,6 @@ pub const LIMIT_BYTES: u64 = 2 << 30;
 const WORTH_KEEPING: Duration = Duration::from_millis(100);
 /// End of the name of every file in the folder.
 const ENDING: &str = ".volume";
-
-/// A volume, made or kept.
-#[derive(Debug)]
-pub struct Made {
-    /// Voxels and geometry.
-    pub volume: Volume,
-    /// Its hash.
-    pub sha256: [u8; 32],
-    /// What its reader assumed or changed.
-    pub notes: Vec<String>,
-}
 
 /// Where remarks go: they are about this machine, not about a volume, so no result carries them.
 static REMARKS: OnceLock<fn(&str)> = OnceLock::new();
@@ -77,7 +69,7 @@ pub fn place() -> Option<PathBuf> {
 pub fn through(
     key: &Key,
     make: impl FnOnce() -> Result<(Volume, Vec<String>), VolumeError>,
-) -> Result<Made, VolumeError> {
+) -> Result<Loaded, VolumeError> {
     let opened = place().map(|path| Cache::open(&path).map_err(|cause| (path, cause)));
     match opened {
         Some(Ok(cache)) => through_folder(&cache, key, make),
@@ -96,16 +88,18 @@ pub fn through(
 ///
 /// # Errors
 /// What `make` fails with.
-pub fn fresh(make: impl FnOnce() -> Result<(Volume, Vec<String>), VolumeError>) -> Result<Made, VolumeError> {
+pub fn fresh(
+    make: impl FnOnce() -> Result<(Volume, Vec<String>), VolumeError>,
+) -> Result<Loaded, VolumeError> {
     let (volume, notes) = make()?;
-    Ok(Made { sha256: volume_hash(&volume), volume, notes })
+    Ok(Loaded::of(volume, notes))
 }
 
 fn through_folder(
     cache: &Cache,
     key: &Key,
     make: impl FnOnce() -> Result<(Volume, Vec<String>), VolumeError>,
-) -> Result<Made, VolumeError> {
+) -> Result<Loaded, VolumeError> {
     match cache.find(key) {
         Ok(Some(made)) => return Ok(made),
         Ok(None) => {}
@@ -117,7 +111,7 @@ fn through_folder(
     let began = Instant::now();
     let (volume, notes) = make()?;
     if began.elapsed() < WORTH_KEEPING || !key.is_current() {
-        return Ok(Made { sha256: volume_hash(&volume), volume, notes });
+        return Ok(Loaded::of(volume, notes));
     }
     Ok(cache.keep(key, volume, notes))
 }
@@ -181,7 +175,7 @@ impl Cache {
     ///
     /// # Errors
     /// What is wrong with the file.
-    pub fn find(&self, key: &Key) -> Result<Option<Made>, Damage> {
+    pub fn find(&self, key: &Key) -> Result<Option<Loaded>, Damage> {
         let Some((file, bytes)) = self.open_file(&key.name())? else { return Ok(None) };
         let made = entry::read(&file, bytes, key)?;
         self.mark_used(&file);
@@ -213,7 +207,7 @@ impl Cache {
 
     /// Keeps a volume, and removes others if the folder would become too large. Returns it with its hash, also where it cannot be kept; then the
     /// folder holds what it held before, less what was removed.
-    fn keep(&self, key: &Key, volume: Volume, notes: Vec<String>) -> Made {
+    fn keep(&self, key: &Key, volume: Volume, notes: Vec<String>) -> Loaded {
         entry::write_and_hash(key, volume, notes, |bytes, write| {
             self.write(&key.name(), bytes, |file| write(&file.handle().map_err(io::Error::other)?))
         })

@@ -5,21 +5,20 @@ use std::os::unix::fs::{PermissionsExt, symlink};
 use std::time::Duration;
 
 use super::*;
-use volume_io::{IDENTITY_DIRECTION, ReadOptions};
+use volume_io::ReadOptions;
+use voxel_grid::VoxelGrid;
 
 fn volume(value: i16) -> Volume {
-    Volume {
-        dims: [3, 4, 5],
-        spacing_m: [0.5e-3, 1e-3, 2e-3],
-        origin_m: [0.1, -0.2, 0.3],
-        direction: [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
-        hu: (0..60).map(|index| value + index).collect(),
-    }
+    Volume { grid: grid([3, 4, 5]), hu: (0..60).map(|index| value + index).collect() }
 }
 
-fn made(value: i16) -> Made {
-    let volume = volume(value);
-    Made { sha256: volume_hash(&volume), volume, notes: vec!["1 value clamped".to_owned()] }
+fn grid(dims: [usize; 3]) -> VoxelGrid {
+    let axes = [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]];
+    VoxelGrid::new(dims, [0.5e-3, 1e-3, 2e-3], [0.1, -0.2, 0.3], axes).unwrap()
+}
+
+fn made(value: i16) -> Loaded {
+    Loaded::of(volume(value), vec!["1 value clamped".to_owned()])
 }
 
 fn key(number: i16) -> Key {
@@ -40,7 +39,7 @@ impl Place {
 
     fn keep(&self, number: i16) -> PathBuf {
         let kept = self.cache.keep(&key(number), volume(number), made(number).notes);
-        assert_eq!(kept.sha256, made(number).sha256);
+        assert_eq!(kept.ct.sha256, made(number).ct.sha256);
         self.cache.file(&key(number))
     }
 
@@ -59,7 +58,7 @@ fn what_was_kept_is_found_to_the_bit_by_its_key_alone() {
     let place = Place::new();
     place.keep(1);
     let found = place.cache.find(&key(1)).unwrap().unwrap();
-    assert_eq!((found.volume, found.sha256, found.notes), (volume(1), made(1).sha256, made(1).notes));
+    assert_eq!((found.ct, found.notes), (made(1).ct, made(1).notes));
     assert!(!place.finds(2));
     let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode() & 0o7777;
     assert_eq!(mode(&place.folder.path().join("a/b/trabecula")), 0o700);
@@ -69,10 +68,9 @@ fn what_was_kept_is_found_to_the_bit_by_its_key_alone() {
 #[test]
 fn a_volume_of_many_pieces_is_found_to_the_bit_and_two_changed_places_are_seen() {
     let place = Place::new();
-    let large =
-        Volume { dims: [1000, 1000, 1], hu: (0..1_000_000).map(|n| (n / 31) as i16).collect(), ..volume(1) };
+    let large = Volume { grid: grid([1000, 1000, 1]), hu: (0..1_000_000).map(|n| (n / 31) as i16).collect() };
     place.cache.keep(&key(1), large.clone(), Vec::new());
-    assert_eq!(place.cache.find(&key(1)).unwrap().unwrap().volume, large);
+    assert_eq!(place.cache.find(&key(1)).unwrap().unwrap().ct.volume, large);
     // Two pieces change places: each is whole.
     let path = place.cache.file(&key(1));
     let mut bytes = fs::read(&path).unwrap();
@@ -105,7 +103,7 @@ fn a_file_with_any_byte_changed_or_missing_is_refused_and_made_anew() {
         std::thread::sleep(WORTH_KEEPING);
         Ok((volume(1), vec!["1 value clamped".to_owned()]))
     });
-    assert_eq!(again.unwrap().volume, volume(1));
+    assert_eq!(again.unwrap().ct.volume, volume(1));
     assert_eq!(fs::read(&path).unwrap(), whole, "written anew");
 }
 
@@ -117,8 +115,8 @@ fn another_volume_under_this_name_and_one_of_enormous_size_are_refused() {
     fs::copy(place.keep(2), &path).unwrap();
     assert!(place.cache.find(&key(1)).is_err());
     let mut large = made(1);
-    large.volume.dims = [1 << 16, 1 << 15, 1];
-    let voxels: Vec<u8> = large.volume.hu.iter().flat_map(|hu| hu.to_le_bytes()).collect();
+    large.ct.volume.grid = grid([1 << 16, 1 << 13, 1]);
+    let voxels: Vec<u8> = large.ct.volume.hu.iter().flat_map(|hu| hu.to_le_bytes()).collect();
     let sum = entry::sum_of([Ok(xxhash_rust::xxh3::xxh3_128(&voxels))]).unwrap();
     fs::write(&path, [entry::head(&key(1), &large, sum).unwrap(), voxels].concat()).unwrap();
     assert!(matches!(place.cache.find(&key(1)), Err(Damage::Head(_) | Damage::Length { .. })));
@@ -144,7 +142,7 @@ fn links_pipes_and_folders_in_the_place_of_a_file_are_refused_and_their_targets_
     assert!(place.cache.find(&key(1)).is_err());
     // It cannot be removed, and the volume is made all the same.
     let made = through_folder(&place.cache, &key(1), || Ok((volume(1), Vec::new()))).unwrap();
-    assert_eq!(made.volume, volume(1));
+    assert_eq!(made.ct.volume, volume(1));
     assert!(elsewhere.exists() && path.is_dir());
 }
 
@@ -212,7 +210,7 @@ fn two_that_make_the_same_at_once_both_have_it_and_leave_one_file() {
                     std::thread::sleep(WORTH_KEEPING);
                     Ok((volume(1), Vec::new()))
                 });
-                assert_eq!(made.unwrap().volume, volume(1));
+                assert_eq!(made.unwrap().ct.volume, volume(1));
             });
         }
     });
@@ -224,8 +222,7 @@ fn the_key_of_a_file_is_its_content_and_how_it_is_read_and_not_where_or_when() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("ct.nii.gz");
     let write = |path: &Path, value: i16| {
-        let (hu, direction) = (vec![value; 64], IDENTITY_DIRECTION);
-        let volume = Volume { dims: [4; 3], spacing_m: [1e-3; 3], origin_m: [0.0; 3], direction, hu };
+        let volume = Volume { grid: grid([4; 3]), hu: vec![value; 64] };
         volume_io::write_nifti(path, &volume).unwrap();
     };
     write(&path, 1);

@@ -5,11 +5,11 @@ use std::path::Path;
 use std::time::Instant;
 
 use ipc_types::scene::Scene;
+use simulation::CtView;
 
 use super::reference::Reference;
 use crate::failure::Failure;
 use crate::log::{OpenedLog, Overrides};
-use crate::volume_source;
 
 /// Result of the check.
 #[derive(Debug, Clone, PartialEq)]
@@ -34,7 +34,7 @@ pub struct Found {
 /// Bad input (2): a log that this build cannot replay, or one without ticks. The reference refuses the scene (1).
 pub fn check(log: &Path, overrides: &Overrides, samples: u64, to: u64) -> Result<(Scene, Found), Failure> {
     let log = OpenedLog::open(log, overrides)?;
-    let ct = log.volume.as_ref().map(volume_source::ct_view);
+    let ct = log.ct.as_ref().map(|ct| CtView::from(&ct.volume));
     let failed = |cause: simulation::SimulationError| Failure::failed(cause.to_string());
     let mut reference = Reference::new(&log.scene, ct).map_err(failed)?;
     let every = log.scene.tick_count().min(to).div_ceil(samples.max(1)).max(1);

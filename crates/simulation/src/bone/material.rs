@@ -1,5 +1,7 @@
 //! From Hounsfield units to the energy needed to cut a volume of bone.
 
+use voxel_grid::density;
+
 use super::BoneError;
 
 /// Density law, specific cutting energy, compressive strength and edge pressure.
@@ -7,8 +9,7 @@ use super::BoneError;
 /// `rho(HU) = clamp(offset + slope HU, minimum, maximum)`, `u(rho) = u_ref (rho / rho_ref)^p`, `s(rho) = s_ref (rho / rho_ref)^q` and
 /// `p_e(rho) = p_ref (rho / rho_ref)^a`.
 ///
-/// Sources. The default density line, 131 + 1.067 HU kg/m3, is the apparent density of Rho, Hobatho and Ashman 1995 (Med. Eng. Phys.
-/// 17:347) as used in finite-element work. The exponent 2 is that of compressive strength in Carter and Hayes 1977 (J. Bone Joint Surg.
+/// Sources. The default density line is the apparent density of [`density`], as used in finite-element work. The exponent 2 is that of compressive strength in Carter and Hayes 1977 (J. Bone Joint Surg.
 /// 59A:954), applied here to cutting energy. `u_ref` for cortical bone is the order of magnitude of orthogonal cutting, about 1e7 to 1e8
 /// J/m3. Strength is Carter and Hayes' own law, 68 MPa (strain rate in 1/s)^0.06 (density in g/cm3)^2, at 0.01/s: 186 MPa at 1.9 g/cm3,
 /// 1.3 MPa at 0.16 g/cm3. Closed-cell polyurethane foam of that density crushes at 0.9 to 2.2 MPa. These are defaults, not a calibration:
@@ -46,8 +47,8 @@ pub struct MaterialLaw {
 impl Default for MaterialLaw {
     fn default() -> Self {
         Self {
-            density_offset_kg_m3: 131.0,
-            density_slope_kg_m3_hu: 1.067,
+            density_offset_kg_m3: density::AT_ZERO_KG_M3,
+            density_slope_kg_m3_hu: density::PER_HU_KG_M3,
             density_min_kg_m3: 50.0,
             density_max_kg_m3: 2100.0,
             specific_energy_ref_j_m3: 5.0e7,

@@ -31,10 +31,11 @@ mod validity;
 
 use std::sync::Arc;
 
-use messages::{ArmEntry, ControllerIndex, Latched, Refusal, SensorReading, State, Volume};
-use nalgebra::{Matrix3, Vector3};
+use messages::{ArmEntry, ControllerIndex, Latched, Refusal, SensorReading, State};
+use nalgebra::Vector3;
 use scene::{Holder, Scene};
 use sensors::{SensorArray, SensorArrayState};
+use voxel_grid::{Ct, Volume, VoxelGrid};
 use xxhash_rust::xxh3::Xxh3;
 use zerocopy::IntoBytes;
 
@@ -71,31 +72,22 @@ pub struct CtView<'v> {
 }
 
 impl<'v> CtView<'v> {
-    /// The voxels of a volume whose grid this message describes.
-    pub fn new(volume: &Volume, hu: &'v [i16]) -> CtView<'v> {
-        let geometry = GridGeometry {
-            dims: volume.dimensions.map(|n| n as usize),
-            spacing_m: volume.spacing_m,
-            direction_world_grid: Matrix3::from_column_slice(&volume.direction),
-            origin_world_m: Vector3::from(volume.origin_m),
-        };
-        CtView { geometry, hu }
+    /// The voxels of a grid.
+    pub fn new(grid: &VoxelGrid, hu: &'v [i16]) -> CtView<'v> {
+        CtView { geometry: GridGeometry::from(grid), hu }
     }
 }
 
-/// A CT that several simulations share; a copy of this value shares the voxels too.
-#[derive(Debug, Clone)]
-pub struct SharedCt {
-    /// Grid.
-    pub geometry: GridGeometry,
-    /// Hounsfield units, x fastest.
-    pub hu: Arc<[i16]>,
+impl<'v> From<&'v Volume> for CtView<'v> {
+    fn from(volume: &'v Volume) -> CtView<'v> {
+        CtView::new(&volume.grid, &volume.hu)
+    }
 }
 
 /// The voxels of a CT: of a volume that outlives the simulation, or shared with others.
 enum Hounsfield<'v> {
     Borrowed(&'v [i16]),
-    Shared(Arc<[i16]>),
+    Shared(Arc<Ct>),
 }
 
 impl core::ops::Deref for Hounsfield<'_> {
@@ -105,7 +97,7 @@ impl core::ops::Deref for Hounsfield<'_> {
     fn deref(&self) -> &[i16] {
         match self {
             Hounsfield::Borrowed(hu) => hu,
-            Hounsfield::Shared(hu) => hu,
+            Hounsfield::Shared(ct) => &ct.volume.hu,
         }
     }
 }
@@ -206,9 +198,9 @@ impl Simulation<'static> {
     /// As [`Simulation::new`].
     pub fn with_shared_ct(
         scene: &Scene,
-        ct: Option<&SharedCt>,
+        ct: Option<&Arc<Ct>>,
     ) -> Result<Simulation<'static>, SimulationError> {
-        let ct = ct.map(|ct| (ct.geometry, Hounsfield::Shared(Arc::clone(&ct.hu))));
+        let ct = ct.map(|ct| (GridGeometry::from(&ct.volume.grid), Hounsfield::Shared(Arc::clone(ct))));
         Simulation::start(setup::build(scene, ct)?)
     }
 }

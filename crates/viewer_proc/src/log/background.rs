@@ -9,9 +9,9 @@ use std::time::Duration;
 use ipc_types::messages::State;
 use recorder_proc::log_file::LogFile as LogSource;
 use run_log::{LogError, LogHeader, MessageStream, ReadOptions, Topic};
+use voxel_grid::Volume;
 use zerocopy::FromBytes;
 
-use super::LogVolume;
 use super::marks::{Events, Mark, Outline, part};
 use super::series::{Lane, LogSeries};
 
@@ -29,7 +29,7 @@ pub(super) enum Found {
     /// Where the two logs part.
     Divergence(Mark),
     /// The volume that the run drilled.
-    Volume(Box<LogVolume>),
+    Volume(Box<Volume>),
     /// There is none: why it is not shown; nothing if the scene has none.
     NoVolume(Option<String>),
     /// Something for the user to know.

@@ -2,23 +2,12 @@
 
 use ipc_types::clock::now_ns;
 use ipc_types::messages::Removed;
-use voxel_grid::VoxelGrid;
+use voxel_grid::Volume;
 
 use crate::board::Board;
 use crate::slice::Slicer;
 use crate::surface::Voxel;
 use crate::surface::bone::Bone;
-
-/// The voxels of the log's volume.
-#[derive(Debug, Clone, PartialEq)]
-pub struct LogVolume {
-    /// Grid.
-    pub grid: VoxelGrid,
-    /// Hounsfield units, x fastest.
-    pub hu: Vec<i16>,
-    /// SHA-256 of grid and voxels.
-    pub sha256: [u8; 32],
-}
 
 /// The bone, with removals applied up to some time.
 pub(super) struct LogBone {
@@ -30,11 +19,7 @@ pub(super) struct LogBone {
 }
 
 impl LogBone {
-    pub(super) fn new(
-        volume: LogVolume,
-        threshold_hu: i16,
-        removals: Vec<(u64, Removed, Vec<u32>)>,
-    ) -> LogBone {
+    pub(super) fn new(volume: Volume, threshold_hu: i16, removals: Vec<(u64, Removed, Vec<u32>)>) -> LogBone {
         LogBone { bone: Bone::new(volume.grid, threshold_hu), hu: volume.hu, removals, taken: 0 }
     }
 
@@ -76,6 +61,8 @@ impl LogBone {
 
 #[cfg(test)]
 mod tests {
+    use voxel_grid::VoxelGrid;
+
     use super::*;
 
     fn removal(time_ns: u64, restore_first: u32, voxels: &[u32]) -> (u64, Removed, Vec<u32>) {
@@ -86,9 +73,8 @@ mod tests {
     /// Every path to a time must give the same bone as applying the removals in order.
     #[test]
     fn the_bone_of_a_time_does_not_depend_on_the_way_there() {
-        let axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-        let grid = VoxelGrid::new([8; 3], [1e-3; 3], [0.0; 3], axes).unwrap();
-        let volume = LogVolume { grid, hu: vec![1000; 512], sha256: [0; 32] };
+        let grid = VoxelGrid::axis_aligned([8; 3], [1e-3; 3], [0.0; 3]).unwrap();
+        let volume = Volume { grid, hu: vec![1000; 512] };
         let removals = vec![
             removal(0, 0, &[1, 2]),
             removal(10, 0, &[3, 4]),

@@ -21,6 +21,7 @@ use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
 use recorder_proc::log_file::{LogFile as LogSource, log_path};
 use run_log::{LogHeader, MessageStream, ReadOptions};
+use voxel_grid::Ct;
 
 use crate::board::Board;
 use crate::channels::{Channels, INFO};
@@ -35,8 +36,6 @@ use file::LogFile;
 use playback::{LogPlayback, Logs, Scenery, Shown};
 use series::LogSeries;
 
-pub use bone::LogVolume;
-
 /// The logs to view.
 #[derive(Debug, Clone)]
 pub struct LogOptions {
@@ -49,7 +48,7 @@ pub struct LogOptions {
 }
 
 /// Makes the volume of a scene, or says why there is none to show; on a thread of its own.
-pub type VolumeSource<'a> = dyn Fn(&Scene) -> Result<Option<LogVolume>, String> + Sync + 'a;
+pub type VolumeSource<'a> = dyn Fn(&Scene) -> Result<Option<Ct>, String> + Sync + 'a;
 
 /// What only the command line program knows about a scene.
 pub struct SceneHelp<'a> {
@@ -154,9 +153,9 @@ pub fn view(
 /// The volume of the log's scene, if it is the run's.
 fn find_volume(scene: &Scene, header: &LogHeader, volume: &VolumeSource<'_>, found: &Sender<Found>) {
     let refused = match volume(scene) {
-        Ok(Some(volume)) if header.volume_sha256.is_none_or(|sha256| sha256 == volume.sha256) => {
+        Ok(Some(ct)) if header.volume_sha256.is_none_or(|sha256| sha256 == ct.sha256) => {
             // The viewer may be ending.
-            let _ = found.send(Found::Volume(Box::new(volume)));
+            let _ = found.send(Found::Volume(Box::new(ct.volume)));
             return;
         }
         Ok(Some(_)) => Some("the scene's volume is not the one of the run; its SHA-256 differs".to_owned()),

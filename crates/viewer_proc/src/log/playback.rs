@@ -10,9 +10,9 @@ use ipc_types::messages::{Frame, State};
 use ipc_types::process::EndRequest;
 use run_log::Topic;
 use serde_json::{Value, json};
+use voxel_grid::Volume;
 use zerocopy::FromBytes;
 
-use super::LogVolume;
 use super::background::Found;
 use super::bone::LogBone;
 use super::compare::{comparison, first_difference};
@@ -69,7 +69,7 @@ pub(super) struct LogPlayback {
     /// What the background finds, and what it has found that waits for more.
     found: Receiver<Found>,
     outline: Option<Outline>,
-    volume: Option<LogVolume>,
+    volume: Option<Volume>,
     threshold_hu: i16,
     bone: Option<LogBone>,
     slicer: Slicer,

@@ -1,6 +1,6 @@
 //! Elements of a DICOM data set as text and numbers.
 
-use crate::error::VolumeError;
+use crate::error::{Field, VolumeError};
 use dicom_object::{InMemDicomObject, Tag};
 use std::path::Path;
 
@@ -25,12 +25,12 @@ pub(super) struct Fields<'a> {
 
 impl<'a> Fields<'a> {
     pub fn wrong(&self, tag: Tag, name: &str, given: String, expected: &str) -> VolumeError {
-        VolumeError::Header {
-            path: self.path.into(),
-            field: format!("({:04x},{:04x}) {name}", tag.group(), tag.element()),
+        VolumeError::header(
+            self.path,
+            format!("({:04x},{:04x}) {name}", tag.group(), tag.element()),
             given,
-            expected: expected.into(),
-        }
+            expected,
+        )
     }
 
     /// The value as text; `None` if the element is absent or empty.
@@ -69,19 +69,19 @@ impl<'a> Fields<'a> {
         let samples = self.optional(Tag(0x0028, 0x0002), "SamplesPerPixel")?.unwrap_or(1.0);
         let photometric = self.text(Tag(0x0028, 0x0004))?.unwrap_or_else(|| "MONOCHROME2".into());
         if samples != 1.0 || !photometric.starts_with("MONOCHROME") {
-            return Err(VolumeError::NotScalar {
-                path: self.path.into(),
-                field: "(0028,0002) SamplesPerPixel, (0028,0004) PhotometricInterpretation".into(),
-                given: format!("{samples}, {photometric}"),
-            });
+            return Err(VolumeError::NotScalar(Field::new(
+                self.path,
+                "(0028,0002) SamplesPerPixel, (0028,0004) PhotometricInterpretation",
+                format!("{samples}, {photometric}"),
+            )));
         }
         if self.object.element(Tag(0x0028, 0x3000)).is_ok() {
-            return Err(VolumeError::Unsupported {
-                path: self.path.into(),
-                field: "(0028,3000) ModalityLUTSequence".into(),
-                given: "a look-up table".into(),
-                expected: "RescaleSlope and RescaleIntercept".into(),
-            });
+            return Err(VolumeError::unsupported(
+                self.path,
+                "(0028,3000) ModalityLUTSequence",
+                "a look-up table",
+                "RescaleSlope and RescaleIntercept",
+            ));
         }
         Ok(())
     }

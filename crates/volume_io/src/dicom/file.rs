@@ -82,11 +82,10 @@ impl DicomFile {
             Some(Start::Meta(at)) => scan::meta_group(path, &bytes, at)?,
             Some(Start::DataSet(transfer)) => (transfer, 0),
             None => {
-                return Err(VolumeError::NotAVolume {
-                    path: path.into(),
-                    given: "no `DICM` after 128 bytes, and no data set at the start (not a DICOM file)"
-                        .into(),
-                });
+                return Err(VolumeError::not_a_volume(
+                    path,
+                    "no `DICM` after 128 bytes, and no data set at the start (not a DICOM file)",
+                ));
             }
         };
         let (bytes, begin) =
@@ -103,11 +102,13 @@ impl DicomFile {
             (true, true) => entries::EXPLICIT_VR_BIG_ENDIAN.erased(),
         };
         let bytes = &self.bytes[self.data_set.clone()];
-        InMemDicomObject::read_dataset_with_ts(bytes, &syntax).map_err(|error| VolumeError::Header {
-            path: path.into(),
-            field: "data set".into(),
-            given: super::fields::chain(&error),
-            expected: "a well-formed DICOM data set".into(),
+        InMemDicomObject::read_dataset_with_ts(bytes, &syntax).map_err(|error| {
+            VolumeError::header(
+                path,
+                "data set",
+                super::fields::chain(&error),
+                "a well-formed DICOM data set",
+            )
         })
     }
 }
@@ -123,12 +124,7 @@ fn read_bytes(path: &Path) -> Result<Vec<u8>, VolumeError> {
 }
 
 fn too_long(path: &Path, given: String) -> VolumeError {
-    VolumeError::Unsupported {
-        path: path.into(),
-        field: "file size".into(),
-        given,
-        expected: format!("at most {MAX_FILE_BYTES} bytes a file"),
-    }
+    VolumeError::unsupported(path, "file size", given, format!("at most {MAX_FILE_BYTES} bytes a file"))
 }
 
 /// Unpacks a data set; memory grows with what arrives, up to the largest file.

@@ -2,15 +2,16 @@
 
 use super::file::{HEAD_BYTES, is_dicom};
 use super::series::assemble;
-use super::slice::{Identity, Images, Slice, identify, read_headers, series_of};
-use crate::error::VolumeError;
+use super::slice::{Identity, Images, Slice, identify, read_headers};
+use crate::error::{Field, VolumeError};
 use crate::input::{self, Codec, DataFiles, folder_of};
 use crate::options::ReadOptions;
 use crate::sources::Sources;
-use crate::volume::{Volume, VolumeInfo};
+use crate::volume::VolumeInfo;
 use foreign_text::foreign;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use voxel_grid::Volume;
 
 /// Deepest folder below the one named that is looked into, and most entries in all: a CD of one patient stays far below both.
 const MAX_DEPTH: usize = 8;
@@ -20,9 +21,7 @@ const LISTED: usize = 12;
 
 /// Reads a series in a folder or below it: the one there is, or the one asked for.
 pub(crate) fn read_folder(folder: &Path, options: &ReadOptions) -> Result<(Volume, VolumeInfo), VolumeError> {
-    let mut found = Found { where_to: options.data_files, files: Vec::new(), others: 0, entries: 0 };
-    found.look_into(folder, folder, 0)?;
-    found.files.sort();
+    let found = Found::of(folder, options, 0)?;
     let mut series: BTreeMap<String, Series> = BTreeMap::new();
     let (mut others, mut localizers) = (found.others, 0);
     for file in found.files {
@@ -37,7 +36,7 @@ pub(crate) fn read_folder(folder: &Path, options: &ReadOptions) -> Result<(Volum
     }
     if series.is_empty() {
         let given = format!("a folder without DICOM slices ({others} other files, {localizers} localizers)");
-        return Err(VolumeError::NotAVolume { path: folder.into(), given });
+        return Err(VolumeError::not_a_volume(folder, given));
     }
     let count = series.len();
     let chosen = chosen(folder, series, options.series.as_deref())?;
@@ -60,9 +59,7 @@ pub(crate) fn read_folder(folder: &Path, options: &ReadOptions) -> Result<(Volum
 
 /// The files that [`read_folder`] looks at, and what else its notes depend on.
 pub(crate) fn sources(folder: &Path, options: &ReadOptions) -> Result<Sources, VolumeError> {
-    let mut found = Found { where_to: options.data_files, files: Vec::new(), others: 0, entries: 0 };
-    found.look_into(folder, folder, 0)?;
-    found.files.sort();
+    let found = Found::of(folder, options, 0)?;
     // Relative, so that a folder that was moved stays the same.
     let name = |file: &PathBuf| file.strip_prefix(folder).unwrap_or(file).to_string_lossy().into_owned();
     let mut names: Vec<String> = found.files.iter().map(name).collect();
@@ -111,24 +108,21 @@ pub(crate) fn read_file(path: &Path, options: &ReadOptions) -> Result<(Volume, V
     let identity = identify(path)?;
     if identity.images == Images::None {
         let given = "a DICOM file without an image".to_owned();
-        return Err(VolumeError::NotAVolume { path: path.into(), given });
+        return Err(VolumeError::not_a_volume(path, given));
     }
     let mut slices: Vec<Slice> = read_headers(path)?;
     let uid = identity.series_uid.as_str();
     let mut notes = Vec::new();
     if !uid.is_empty() && identity.images != Images::Localizer {
         let folder = folder_of(path);
-        let mut found = Found { where_to: options.data_files, files: Vec::new(), others: 0, entries: 0 };
         // Only the files beside it.
-        found.look_into(folder, folder, MAX_DEPTH + 1)?;
-        found.files.sort();
+        let found = Found::of(folder, options, MAX_DEPTH + 1)?;
         let own_name = path.file_name();
         let mut localizers = 0;
         for file in found.files.into_iter().filter(|file| file.file_name() != own_name) {
-            if series_of(&file).as_deref() != Some(uid) {
-                continue;
-            }
-            match identify(&file)?.images {
+            // What cannot be identified is none of the series.
+            let Some(other) = identify(&file).ok().filter(|other| other.series_uid == uid) else { continue };
+            match other.images {
                 Images::None => {}
                 Images::Localizer => localizers += 1,
                 Images::Frames(_) => slices.extend(read_headers(&file)?),
@@ -167,6 +161,14 @@ struct Found {
 }
 
 impl Found {
+    /// The DICOM files of a folder, which is at this depth, in order.
+    fn of(folder: &Path, options: &ReadOptions, depth: usize) -> Result<Found, VolumeError> {
+        let mut found = Found { where_to: options.data_files, files: Vec::new(), others: 0, entries: 0 };
+        found.look_into(folder, folder, depth)?;
+        found.files.sort();
+        Ok(found)
+    }
+
     /// Collects the DICOM files of a folder and of those below, without their index. Refuses a link to such a file elsewhere unless
     /// `where_to` allows it: an untrusted folder may hold links to the user's own images.
     fn look_into(&mut self, root: &Path, folder: &Path, depth: usize) -> Result<(), VolumeError> {
@@ -174,22 +176,22 @@ impl Found {
             let path = entry.map_err(input::io_error(folder, "list"))?.path();
             self.entries += 1;
             if self.entries > MAX_ENTRIES {
-                return Err(VolumeError::Unsupported {
-                    path: root.into(),
-                    field: "folder".into(),
-                    given: format!("more than {MAX_ENTRIES} files"),
-                    expected: "the folder of one study".into(),
-                });
+                return Err(VolumeError::unsupported(
+                    root,
+                    "folder",
+                    format!("more than {MAX_ENTRIES} files"),
+                    "the folder of one study",
+                ));
             }
             if path.is_dir() {
                 // A link to a folder may lead in a circle.
                 if depth == MAX_DEPTH && !path.is_symlink() {
-                    return Err(VolumeError::Unsupported {
-                        path: root.into(),
-                        field: "folder".into(),
-                        given: format!("folders in folders, more than {MAX_DEPTH} deep"),
-                        expected: "the folder of one study".into(),
-                    });
+                    return Err(VolumeError::unsupported(
+                        root,
+                        "folder",
+                        format!("folders in folders, more than {MAX_DEPTH} deep"),
+                        "the folder of one study",
+                    ));
                 }
                 if depth < MAX_DEPTH && !path.is_symlink() {
                     self.look_into(root, &path, depth + 1)?;
@@ -202,11 +204,11 @@ impl Found {
                 continue;
             }
             if input::inside(root, &path, self.where_to)?.is_none() {
-                return Err(VolumeError::Elsewhere {
-                    path: root.into(),
-                    field: "link".into(),
-                    given: format!("`{}`", path.file_name().unwrap_or_default().to_string_lossy()),
-                });
+                return Err(VolumeError::Elsewhere(Field::new(
+                    root,
+                    "link",
+                    format!("`{}`", path.file_name().unwrap_or_default().to_string_lossy()),
+                )));
             }
             self.files.push(path);
         }

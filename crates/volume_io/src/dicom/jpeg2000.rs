@@ -213,15 +213,15 @@ impl Grid {
 }
 
 fn unsupported(path: &Path, given: &str) -> VolumeError {
-    VolumeError::Unsupported {
-        path: path.into(),
-        field: "(7fe0,0010) PixelData".into(),
-        given: format!("JPEG 2000 with {given}"),
-        expected: format!(
+    VolumeError::unsupported(
+        path,
+        "(7fe0,0010) PixelData",
+        format!("JPEG 2000 with {given}"),
+        format!(
             "at most {MOST_PIXELS} pixels from the origin on, tile-parts of stated length, no region of interest, packed packet headers or \
              changes of progression; convert it, for example with `gdcmconv --raw`"
         ),
-    }
+    )
 }
 
 /// Checks the segments of a header, of which those in `others` are passed over; returns its coding style.

@@ -43,12 +43,12 @@ impl Bits {
     pub fn of(fields: Fields<'_>) -> Result<Bits, VolumeError> {
         let allocated = fields.number(Tag(0x0028, 0x0100), "BitsAllocated")?;
         if ![8.0, 16.0, 32.0, 64.0].contains(&allocated) {
-            return Err(VolumeError::Unsupported {
-                path: fields.path.into(),
-                field: "(0028,0100) BitsAllocated".into(),
-                given: allocated.to_string(),
-                expected: "8, 16 or 32".into(),
-            });
+            return Err(VolumeError::unsupported(
+                fields.path,
+                "(0028,0100) BitsAllocated",
+                allocated.to_string(),
+                "8, 16 or 32",
+            ));
         }
         let stored = fields.optional(Tag(0x0028, 0x0101), "BitsStored")?.unwrap_or(allocated);
         let high = fields.optional(Tag(0x0028, 0x0102), "HighBit")?.unwrap_or(stored - 1.0);
@@ -142,7 +142,7 @@ pub(super) fn append(slice: &Slice, file: &DicomFile, sink: &mut HuSink) -> Resu
 }
 
 fn wrong(path: &Path, given: String, expected: &str) -> VolumeError {
-    VolumeError::Header { path: path.into(), field: FIELD.into(), given, expected: expected.into() }
+    VolumeError::header(path, FIELD, given, expected)
 }
 
 /// The bytes of native pixels, least significant first. Words of a big-endian file are turned (`order` says how the pixels
@@ -168,12 +168,7 @@ fn frame_of<'a>(path: &Path, all: &'a [u8], slice: &Slice, width: usize) -> Resu
     let start = slice.frame as u64 * length;
     let end = start + length;
     if end > all.len() as u64 {
-        return Err(VolumeError::Truncated {
-            path: path.into(),
-            field: FIELD.into(),
-            given_bytes: all.len() as u64,
-            expected_bytes: end,
-        });
+        return Err(VolumeError::truncated(path, FIELD, [all.len() as u64, end]));
     }
     Ok(&all[start as usize..end as usize])
 }
@@ -229,12 +224,11 @@ fn unpacked(slice: &Slice, file: &DicomFile, data: &[u8], shape: Shape) -> Resul
         PixelCodec::Jpeg2000 => jpeg2000::jpeg_2000(path, data, shape, slice.bits),
     }?;
     if samples.len() < shape.count() {
-        return Err(VolumeError::Truncated {
-            path: path.into(),
-            field: FIELD.into(),
-            given_bytes: samples.len() as u64 * u64::from(shape.bytes),
-            expected_bytes: shape.count() as u64 * u64::from(shape.bytes),
-        });
+        return Err(VolumeError::truncated(
+            path,
+            FIELD,
+            [samples.len() as u64 * u64::from(shape.bytes), shape.count() as u64 * u64::from(shape.bytes)],
+        ));
     }
     Ok(samples)
 }

@@ -84,13 +84,12 @@ fn transfer(path: &Path, uid: &str) -> Result<Transfer, VolumeError> {
         "1.2.840.10008.1.2.4.110" | "1.2.840.10008.1.2.4.111" | "1.2.840.10008.1.2.4.112" => "JPEG XL",
         _ => "unknown",
     };
-    Err(VolumeError::Unsupported {
-        path: path.into(),
-        field: "(0002,0010) TransferSyntaxUID".into(),
-        given: format!("{uid} ({refused})"),
-        expected: "an uncompressed, deflated, RLE, JPEG, JPEG-LS or JPEG 2000 file; convert it, for example with `gdcmconv --raw`"
-            .into(),
-    })
+    Err(VolumeError::unsupported(
+        path,
+        "(0002,0010) TransferSyntaxUID",
+        format!("{uid} ({refused})"),
+        "an uncompressed, deflated, RLE, JPEG, JPEG-LS or JPEG 2000 file; convert it, for example with `gdcmconv --raw`",
+    ))
 }
 
 /// Reads the file meta group from byte `at` on; returns the transfer syntax and where the data set begins.
@@ -202,16 +201,11 @@ impl Scanner<'_> {
     }
 
     fn malformed(&self, field: &str, given: String, expected: &str) -> VolumeError {
-        VolumeError::Header { path: self.path.into(), field: field.into(), given, expected: expected.into() }
+        VolumeError::header(self.path, field, given, expected)
     }
 
     fn truncated(&self, field: String, given_bytes: usize, expected_bytes: u64) -> VolumeError {
-        VolumeError::Truncated {
-            path: self.path.into(),
-            field,
-            given_bytes: given_bytes as u64,
-            expected_bytes,
-        }
+        VolumeError::truncated(self.path, field, [given_bytes as u64, expected_bytes])
     }
 
     /// The element header at `at`; item tags have no VR in any encoding.

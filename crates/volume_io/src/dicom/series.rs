@@ -3,15 +3,16 @@
 use super::file::DicomFile;
 use super::pixels;
 use super::slice::Slice;
-use crate::error::VolumeError;
+use crate::error::{Field, VolumeError};
 use crate::options::Slices;
 use crate::rectify::{self, rectify};
 use crate::scalar::HuSink;
 use crate::volume::{
-    GeometryFields, StatedGeometry, Volume, VolumeInfo, cross, dot, norm, placement, voxel_count,
+    GeometryFields, StatedGeometry, VolumeInfo, cross, dot, norm, placed, placement, voxel_count,
 };
 use foreign_text::foreign;
 use std::path::Path;
+use voxel_grid::Volume;
 
 const POSITION: &str = "(0020,0032) ImagePositionPatient";
 const ORIENTATION: &str = "(0020,0037) ImageOrientationPatient";
@@ -40,18 +41,18 @@ pub(super) fn assemble(
 ) -> Result<(Volume, VolumeInfo), VolumeError> {
     check_same(path, &slices)?;
     let Some(first) = slices.first().cloned() else {
-        return Err(VolumeError::NotAVolume { path: path.into(), given: "no slice".into() });
+        return Err(VolumeError::not_a_volume(path, "no slice"));
     };
     let (row, column) = directions(path, &first, &mut notes)?;
     let axes = [row, column, cross(row, column)];
     let along_m = |slice: &Slice| dot(slice.position_mm, axes[2]) * 1e-3;
     if slices.iter().any(|s| !s.position_mm.iter().all(|p| p.abs() <= 1e7)) {
-        return Err(VolumeError::Header {
-            path: path.into(),
-            field: POSITION.into(),
-            given: "a position that is not finite or beyond 10 km".into(),
-            expected: "a position in millimetres".into(),
-        });
+        return Err(VolumeError::header(
+            path,
+            POSITION,
+            "a position that is not finite or beyond 10 km",
+            "a position in millimetres",
+        ));
     }
     slices.sort_by(|a, b| {
         along_m(a).total_cmp(&along_m(b)).then_with(|| (&a.path, a.frame).cmp(&(&b.path, b.frame)))
@@ -77,7 +78,7 @@ pub(super) fn assemble(
     let origin_m = slices[0].position_mm.map(|p| p * 1e-3);
     let geometry = placement(path, NAMES, StatedGeometry { spacing_m, origin_m, axes }, &mut notes)?;
     let hu = read_pixels(&slices, &mut notes)?;
-    Ok(described(Volume::placed(dims, &geometry, hu), &slices, notes))
+    Ok(described(placed(path, dims, geometry, hu)?, &slices, notes))
 }
 
 /// The pixels of all slices in order. Frames of one file mostly follow each other: it is opened once for them.
@@ -124,7 +125,7 @@ fn rectified(
     let geometry =
         placement(path, NAMES, StatedGeometry { spacing_m: out.spacing_m, origin_m, axes }, notes)?;
     notes.push(out.note);
-    Ok(Volume::placed(out.dims, &geometry, out.hu))
+    placed(path, out.dims, geometry, out.hu)
 }
 
 fn described(volume: Volume, slices: &[Slice], mut notes: Vec<String>) -> (Volume, VolumeInfo) {
@@ -184,41 +185,31 @@ fn note_tilt(slices: &[Slice], notes: &mut Vec<String>) {
 /// Checks everything that must not change within a series.
 fn check_same(path: &Path, slices: &[Slice]) -> Result<(), VolumeError> {
     let Some(first) = slices.first() else { return Ok(()) };
-    let mixed = |field: &str, other: &Slice, a: String, b: String| {
-        Err(VolumeError::MixedSeries {
-            path: path.into(),
-            field: field.into(),
-            given: format!("{a} in {} and {b} in {}", name(first), name(other)),
-        })
-    };
     let close =
         |a: &[f64], b: &[f64], tolerance: f64| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= tolerance);
-    for other in &slices[1..] {
+    let spacing_tolerance = 1e-4 * first.pixel_spacing_mm[0].abs();
+    type Same<'s> = (&'s str, &'s dyn Fn(&Slice) -> bool, &'s dyn Fn(&Slice) -> String);
+    let all: [Same; 4] = [
         // Values of another modality are no Hounsfield units, or others are none.
-        if other.modality != first.modality {
-            let modality = |s: &Slice| format!("{:?}", s.modality);
-            return mixed("(0008,0060) Modality", other, modality(first), modality(other));
-        }
-        if !close(&first.orientation, &other.orientation, SAME_DIRECTION) {
-            return mixed(
-                ORIENTATION,
-                other,
-                format!("{:?}", first.orientation),
-                format!("{:?}", other.orientation),
-            );
-        }
-        let spacing = first.pixel_spacing_mm;
-        if !close(&spacing, &other.pixel_spacing_mm, 1e-4 * spacing[0].abs()) {
-            return mixed(
-                "(0028,0030) PixelSpacing",
-                other,
-                format!("{spacing:?}"),
-                format!("{:?}", other.pixel_spacing_mm),
-            );
-        }
-        if (other.rows, other.columns) != (first.rows, first.columns) {
-            let size = |s: &Slice| format!("{} x {}", s.rows, s.columns);
-            return mixed("(0028,0010) Rows, (0028,0011) Columns", other, size(first), size(other));
+        ("(0008,0060) Modality", &|s| s.modality == first.modality, &|s| format!("{:?}", s.modality)),
+        (ORIENTATION, &|s| close(&first.orientation, &s.orientation, SAME_DIRECTION), &|s| {
+            format!("{:?}", s.orientation)
+        }),
+        (
+            "(0028,0030) PixelSpacing",
+            &|s| close(&first.pixel_spacing_mm, &s.pixel_spacing_mm, spacing_tolerance),
+            &|s| format!("{:?}", s.pixel_spacing_mm),
+        ),
+        (
+            "(0028,0010) Rows, (0028,0011) Columns",
+            &|s| (s.rows, s.columns) == (first.rows, first.columns),
+            &|s| format!("{} x {}", s.rows, s.columns),
+        ),
+    ];
+    for other in &slices[1..] {
+        if let Some((field, _, say)) = all.iter().find(|(_, is_same, _)| !is_same(other)) {
+            let given = format!("{} in {} and {} in {}", say(first), name(first), say(other), name(other));
+            return Err(VolumeError::MixedSeries(Field::new(path, *field, given)));
         }
     }
     Ok(())
@@ -235,22 +226,20 @@ fn directions(
     let (row_length, column_length) = (norm(row), norm(column));
     let unit_length = |length: f64| (0.9..=1.1).contains(&length);
     if !(unit_length(row_length) && unit_length(column_length)) {
-        return Err(VolumeError::SingularDirection {
-            path: path.into(),
-            field: ORIENTATION.into(),
-            given: format!("{:?}", slice.orientation),
-        });
+        return Err(VolumeError::SingularDirection(Field::new(
+            path,
+            ORIENTATION,
+            format!("{:?}", slice.orientation),
+        )));
     }
     let row = row.map(|v| v / row_length);
     let column = column.map(|v| v / column_length);
     let cosine = dot(row, column);
     if cosine.abs() > SAME_DIRECTION {
-        return Err(VolumeError::Sheared {
-            path: path.into(),
-            field: ORIENTATION.into(),
-            given: format!("{:?}", slice.orientation),
-            tolerance: SAME_DIRECTION,
-        });
+        return Err(VolumeError::Sheared(
+            Field::new(path, ORIENTATION, format!("{:?}", slice.orientation)),
+            SAME_DIRECTION,
+        ));
     }
     if cosine.abs() > 1e-6 {
         notes.push(format!(
@@ -272,18 +261,20 @@ fn check_straight(path: &Path, slices: &[Slice], normal: [f64; 3]) -> Result<(),
         if aside > STRAIGHT_M.max(voxel_grid::PERPENDICULAR_TOLERANCE * along.abs()) {
             let tilt =
                 slice.gantry_tilt_deg.map_or(String::new(), |t| format!("; GantryDetectorTilt {t} degrees"));
-            return Err(VolumeError::Sheared {
-                path: path.into(),
-                field: POSITION.into(),
-                given: format!(
-                    "{} lies {:.3} mm beside the line along the slice normal through {}, over {:.3} mm{tilt}",
-                    name(slice),
-                    aside * 1e3,
-                    name(&slices[0]),
-                    along.abs() * 1e3
+            return Err(VolumeError::Sheared(
+                Field::new(
+                    path,
+                    POSITION,
+                    format!(
+                        "{} lies {:.3} mm beside the line along the slice normal through {}, over {:.3} mm{tilt}",
+                        name(slice),
+                        aside * 1e3,
+                        name(&slices[0]),
+                        along.abs() * 1e3
+                    ),
                 ),
-                tolerance: voxel_grid::PERPENDICULAR_TOLERANCE,
-            });
+                voxel_grid::PERPENDICULAR_TOLERANCE,
+            ));
         }
     }
     Ok(())
@@ -293,11 +284,11 @@ fn check_straight(path: &Path, slices: &[Slice], normal: [f64; 3]) -> Result<(),
 fn check_apart(path: &Path, slices: &[Slice], along_m: &[f64]) -> Result<(), VolumeError> {
     let Some(i) = along_m.windows(2).position(|pair| pair[1] - pair[0] < 1e-6) else { return Ok(()) };
     let both = format!("{} and {}", name(&slices[i]), name(&slices[i + 1]));
-    Err(VolumeError::DuplicateSlices {
-        path: path.into(),
-        field: POSITION.into(),
-        given: format!("{both} both at {:.3} mm along the normal", along_m[i] * 1e3),
-    })
+    Err(VolumeError::DuplicateSlices(Field::new(
+        path,
+        POSITION,
+        format!("{both} both at {:.3} mm along the normal", along_m[i] * 1e3),
+    )))
 }
 
 /// The distance between neighbouring slices, metres; `along_m` are their ascending positions along the normal.
@@ -309,11 +300,13 @@ fn slice_distance(
 ) -> Result<f64, VolumeError> {
     let steps: Vec<f64> = along_m.windows(2).map(|w| w[1] - w[0]).collect();
     if steps.is_empty() {
-        let thickness = slices[0].slice_thickness_mm.ok_or_else(|| VolumeError::Header {
-            path: path.into(),
-            field: "(0018,0050) SliceThickness".into(),
-            given: "nothing, and a single slice".into(),
-            expected: "a slice thickness, or at least two slices".into(),
+        let thickness = slices[0].slice_thickness_mm.ok_or_else(|| {
+            VolumeError::header(
+                path,
+                "(0018,0050) SliceThickness",
+                "nothing, and a single slice",
+                "a slice thickness, or at least two slices",
+            )
         })?;
         notes.push(format!("a single slice: its thickness of {thickness} mm is taken as the slice distance"));
         return Ok(thickness * 1e-3);
@@ -333,14 +326,9 @@ fn slice_distance(
         smallest * 1e3
     );
     if steps.iter().all(|step| even(*step, libm::round(step / smallest))) {
-        return Err(VolumeError::MissingSlices { path: path.into(), field: POSITION.into(), given });
+        return Err(VolumeError::MissingSlices(Field::new(path, POSITION, given)));
     }
-    Err(VolumeError::VariableSpacing {
-        path: path.into(),
-        field: POSITION.into(),
-        given,
-        tolerance_m: 2.0 * EVEN * smallest,
-    })
+    Err(VolumeError::VariableSpacing(Field::new(path, POSITION, given), 2.0 * EVEN * smallest))
 }
 
 fn name(slice: &Slice) -> String {

@@ -113,12 +113,12 @@ pub(super) fn read_headers(path: &Path) -> Result<Vec<Slice>, VolumeError> {
         return Ok(vec![slice(&file, fields, &Groups::plain(fields), FrameNumber { index: 0, count: 1 })?]);
     }
     if groups.len() != frames {
-        return Err(VolumeError::Unsupported {
-            path: path.into(),
-            field: "(0028,0008) NumberOfFrames".into(),
-            given: format!("{frames}, with the places of {} frames", groups.len()),
-            expected: "one slice a file, or an enhanced CT with the place of every frame".into(),
-        });
+        return Err(VolumeError::unsupported(
+            path,
+            "(0028,0008) NumberOfFrames",
+            format!("{frames}, with the places of {} frames", groups.len()),
+            "one slice a file, or an enhanced CT with the place of every frame",
+        ));
     }
     let shared = fields.item(SHARED_GROUPS);
     let each = groups.iter().enumerate();
@@ -190,9 +190,4 @@ fn slice(
         rescale_type: values.text(Tag(0x0028, 0x1054))?,
         bits: Bits::of(fields)?,
     })
-}
-
-/// The series of a DICOM file; `None` if it cannot be determined.
-pub(super) fn series_of(path: &Path) -> Option<String> {
-    identify(path).ok().map(|identity| identity.series_uid)
 }

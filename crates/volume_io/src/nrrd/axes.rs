@@ -1,7 +1,7 @@
 //! Which axes of an NRRD file are those of space.
 
 use super::header::Header;
-use crate::error::VolumeError;
+use crate::error::{Field, VolumeError};
 use crate::text_header::{all_sizes, wrong};
 use crate::volume::voxel_count;
 use std::path::Path;
@@ -40,10 +40,12 @@ impl Axes {
         let rank = header.require("dimension", "3")?;
         let given_sizes = header.require("sizes", "three positive whole numbers")?;
         let Ok(axis_count) = rank.parse::<u8>() else { return Err(wrong(path, "dimension", rank, "3")) };
-        let not_three = || VolumeError::NotThreeDimensional {
-            path: path.into(),
-            field: "dimension".into(),
-            given: format!("{rank} with sizes {given_sizes}"),
+        let not_three = || {
+            VolumeError::NotThreeDimensional(Field::new(
+                path,
+                "dimension",
+                format!("{rank} with sizes {given_sizes}"),
+            ))
         };
         let kinds: Vec<String> =
             header.get("kinds").unwrap_or("").split_whitespace().map(str::to_lowercase).collect();
@@ -53,11 +55,11 @@ impl Axes {
                 || (list_allowed && kind == "list")
         };
         if let Some(kind) = kinds.iter().find(|kind| !scalar(kind)) {
-            return Err(VolumeError::NotScalar {
-                path: path.into(),
-                field: "kinds".into(),
-                given: format!("`{kind}` in `{}`", header.get("kinds").unwrap_or("")),
-            });
+            return Err(VolumeError::NotScalar(Field::new(
+                path,
+                "kinds",
+                format!("`{kind}` in `{}`", header.get("kinds").unwrap_or("")),
+            )));
         }
         if axis_count != 3 && axis_count != 4 {
             return Err(not_three());
@@ -102,11 +104,8 @@ impl Axes {
         let voxels = voxel_count(path, "sizes", self.dims)?;
         let layers = self.other.map_or(1, |other| other.size);
         let all = voxels.checked_mul(layers).filter(|all| *all <= voxel_grid::MAX_VOXELS);
-        all.ok_or_else(|| VolumeError::TooLarge {
-            path: path.into(),
-            field: "sizes".into(),
-            given: format!("{layers} layers of {voxels} voxels"),
-            limit: voxel_grid::MAX_VOXELS,
+        all.ok_or_else(|| {
+            VolumeError::TooLarge(Field::new(path, "sizes", format!("{layers} layers of {voxels} voxels")))
         })
     }
 

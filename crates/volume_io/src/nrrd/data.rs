@@ -1,9 +1,9 @@
 //! The numbers of an NRRD file: attached, in one data file or in several.
 
 use super::header::Header;
-use crate::data_files::{DataFile, pattern, read_each, within_list};
-use crate::error::VolumeError;
-use crate::input::{self, Codec, StatedLength};
+use crate::data_files::{DataFile, named, read_each};
+use crate::error::{Field, VolumeError};
+use crate::input::{self, Codec};
 use crate::scalar::{HuSink, Layout, Scale};
 use crate::text_header::{read_ascii, wrong};
 use std::path::Path;
@@ -52,17 +52,7 @@ impl Header<'_> {
         let Some(value) = self.get(field) else {
             return Ok(vec![DataFile { path: self.path.to_path_buf(), start: self.length }]);
         };
-        let names = if self.is_list() {
-            within_list(self.path, field, &self.list)?
-        } else if let Some(names) = pattern(self.path, field, value)? {
-            names
-        } else {
-            vec![value.to_owned()]
-        };
-        let find = |name: &String| {
-            Ok(DataFile { path: input::data_file(self.path, field, name, self.files)?, start: 0 })
-        };
-        names.iter().map(find).collect()
+        named(self.path, (field, value), &self.list, self.files)
     }
 
     /// The byte behind the lines that `line skip` passes over.
@@ -102,32 +92,17 @@ impl Header<'_> {
         notes: &mut Vec<String>,
     ) -> Result<(), VolumeError> {
         let (path, start) = (file.path.as_path(), self.behind_lines(file)?);
-        let needed = layout.byte_count(count);
         // −1: the voxels are the last bytes of the (decoded) data.
         let byte_skip = self.whole("byte skip", -1)?;
         let skip = match u64::try_from(byte_skip) {
             Ok(skip) => skip,
             Err(_) => {
-                let length = decoded_length(path, start, codec)?;
+                let (length, needed) = (decoded_length(path, start, codec)?, layout.byte_count(count));
                 input::check_length(path, length, needed)?;
                 length - needed
             }
         };
-        let (mut reader, most_bytes) = input::open_stream(path, start, codec)?;
-        if codec == Codec::Bzip2 && most_bytes < skip.saturating_add(needed) {
-            return Err(VolumeError::Unsupported {
-                path: path.into(),
-                field: "encoding".into(),
-                given: format!("bzip2 data that would grow to {needed} bytes of voxels"),
-                expected: "data that grow by a factor of at most 10000; store it as raw or gzip".into(),
-            });
-        }
-        input::check_length(path, most_bytes, skip.saturating_add(needed))?;
-        input::skip(path, codec.name(), reader.as_mut(), skip)?;
-        layout.read(path, codec.name(), reader.as_mut(), count, sink)?;
-        let needed = skip.saturating_add(needed);
-        let length = StatedLength { field: "sizes, byte skip", needed, most: most_bytes };
-        input::check_end(path, codec, reader.as_mut(), &length, notes)
+        layout.read_file((path, start, codec), skip, ("sizes, byte skip", count), sink, notes)
     }
 }
 
@@ -147,12 +122,11 @@ fn decoded_length(path: &Path, start: u64, codec: Codec) -> Result<u64, VolumeEr
             got => length += got as u64,
         }
         if length > most_bytes {
-            return Err(VolumeError::TooLarge {
-                path: path.into(),
-                field: "voxel data".into(),
-                given: format!("more than {length} decoded bytes"),
-                limit: voxel_grid::MAX_VOXELS,
-            });
+            return Err(VolumeError::TooLarge(Field::new(
+                path,
+                "voxel data",
+                format!("more than {length} decoded bytes"),
+            )));
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::axes::Axes;
 use super::header::Header;
-use crate::error::VolumeError;
+use crate::error::{Field, VolumeError};
 use crate::text_header::{numbers, unit_of_length, wrong};
 use crate::volume::{GeometryFields, StatedGeometry, columns, norm, placement};
 use voxel_grid::Placement;
@@ -132,11 +132,7 @@ impl Header<'_> {
             *vector = self.vector("space directions", text)?;
         }
         if vectors.iter().any(|a| !norm(*a).is_finite() || norm(*a) == 0.0) {
-            return Err(VolumeError::SingularDirection {
-                path: self.path.into(),
-                field: "space directions".into(),
-                given: text.into(),
-            });
+            return Err(VolumeError::SingularDirection(Field::new(self.path, "space directions", text)));
         }
         Ok(vectors)
     }

@@ -1,5 +1,6 @@
 //! The fields of an NRRD header.
 
+use crate::data_files::is_list;
 use crate::error::VolumeError;
 use crate::input::{self, Codec, DataFiles};
 use crate::scalar::{Endian, Scalar};
@@ -85,7 +86,7 @@ impl<'a> Header<'a> {
 
     /// Whether `data file: LIST` stood in an earlier line: every line behind it is a file's name.
     pub fn is_list(&self) -> bool {
-        self.get("data file").is_some_and(|name| name.split_whitespace().next() == Some("LIST"))
+        self.get("data file").is_some_and(is_list)
     }
 
     pub fn get(&self, field: &str) -> Option<&str> {
@@ -97,12 +98,7 @@ impl<'a> Header<'a> {
     }
 
     pub fn unsupported(&self, field: &str, given: &str, expected: &str) -> VolumeError {
-        VolumeError::Unsupported {
-            path: self.path.into(),
-            field: field.into(),
-            given: format!("`{given}`"),
-            expected: expected.into(),
-        }
+        VolumeError::unsupported(self.path, field, format!("`{given}`"), expected)
     }
 
     pub fn scalar(&self) -> Result<Scalar, VolumeError> {

@@ -11,10 +11,11 @@ mod segments;
 use crate::error::VolumeError;
 use crate::options::ReadOptions;
 use crate::scalar::HuSink;
-use crate::volume::{Volume, VolumeInfo};
+use crate::volume::{VolumeInfo, placed};
 use axes::Axes;
 use header::Header;
 use std::path::Path;
+use voxel_grid::Volume;
 
 /// The encoding of voxels in the header's own file; none if they are in others.
 pub(crate) fn attached_encoding(path: &Path, options: &ReadOptions) -> Result<Option<String>, VolumeError> {
@@ -41,7 +42,7 @@ pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<(Volume, Volume
     if let Some(wanted) = wanted {
         crate::mask::keep_label(path, &mut hu, wanted.value)?;
     }
-    let volume = Volume::placed(axes.dims, &geometry, hu);
+    let volume = placed(path, axes.dims, geometry, hu)?;
     let kind = if header.get("data file").is_some() { ", detached" } else { "" };
     let format = format!("NRRD ({}{kind})", stored.encoding);
     let info = VolumeInfo::new(&volume, format, stored.voxels, unit_name, notes);

@@ -7,6 +7,7 @@
 use super::noise::value_noise;
 use super::shapes::{add_scaled, ellipsoid, smooth_union, smoothstep, sphere, sub, table, tapered_capsule};
 use crate::volume::{cross, dot, norm};
+use voxel_grid::density;
 
 /// What a block of voxels around bones can contain.
 #[derive(Clone, Copy, PartialEq)]
@@ -197,7 +198,7 @@ impl Anatomy {
 
     /// Hounsfield units of bone at `p`, whose [`Anatomy::bone_distance`] is `distance`, blended over `blur` mm.
     pub fn bone_hu(&self, p: [f64; 3], distance: f64, blur: f64) -> f64 {
-        hu_of_density(self.bone_density(p, -distance, blur))
+        density::hu_of(1000.0 * self.bone_density(p, -distance, blur))
     }
 
     /// Distance to the skin, mm: an elliptic thigh, slim so that air is within the volume.
@@ -229,14 +230,8 @@ impl Anatomy {
 pub const AIR_HU: f64 = -1000.0;
 const MUSCLE_HU: f64 = 55.0;
 const FAT_HU: f64 = -105.0;
-/// Apparent bone density that gives yellow marrow's value under [`hu_of_density`]: −57 HU, between fat and water.
+/// Apparent bone density that gives yellow marrow's value ([`density`]): −57 HU, between fat and water.
 const MARROW_DENSITY: f64 = 0.07;
-
-/// Hounsfield units of an apparent bone density in g/cm³: rho [kg/m³] = 131 + 1.067 HU (Rho, Hobatho, Ashman 1995, Med Eng Phys
-/// 17:347), solved for HU.
-pub fn hu_of_density(rho_g_cm3: f64) -> f64 {
-    (1000.0 * rho_g_cm3 - 131.0) / 1.067
-}
 
 /// Fraction of a voxel inside a surface `depth` voxel widths below its centre: a linear ramp, as from a box average.
 pub fn coverage(depth: f64) -> f64 {

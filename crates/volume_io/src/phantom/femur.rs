@@ -1,10 +1,10 @@
 //! The femur phantom: specification, landmarks, and the volume.
 
 use super::anatomy::{Anatomy, HEAD_RADIUS, NECK_LENGTH, Tissue, coverage};
-use super::fill::{Field, Grid, check_placement, fill};
+use super::fill::{Field, check_placement, fill, grid_along_axes};
 use super::shapes::add_scaled;
 use crate::error::VolumeError;
-use crate::volume::Volume;
+use voxel_grid::Volume;
 
 /// Lower corner of the volume relative to the head centre, mm LPS.
 const BOX_LOW_MM: [f64; 3] = [-85.0, -44.0, -125.0];
@@ -78,10 +78,10 @@ pub fn femur(spec: &FemurSpec) -> Result<Volume, VolumeError> {
     let dims = BOX_SIZE_MM.map(|size| libm::round(size / spacing_mm) as usize);
     let origin_m =
         [0, 1, 2].map(|axis| spec.head_center_m[axis] + (BOX_LOW_MM[axis] + 0.5 * spacing_mm) * 1e-3);
-    let grid = Grid { dims, spacing_m: [spec.spacing_m; 3], origin_m };
+    let grid = grid_along_axes("femur phantom", dims, [spec.spacing_m; 3], origin_m)?;
     let field =
         FemurField { anatomy: anatomy(spec), head_center_m: spec.head_center_m, blur: spacing_mm.max(0.5) };
-    fill("femur phantom", grid, &field, spec.threads)
+    Ok(fill(grid, &field, spec.threads))
 }
 
 /// The landmarks of the femur that [`femur`] builds from the same specification.
@@ -133,7 +133,7 @@ fn lateral_cortex_mm(anatomy: &Anatomy) -> f64 {
 
 fn check(spec: &FemurSpec) -> Result<(), VolumeError> {
     let refuse = |field: &'static str, given: String, expected: &str| {
-        Err(VolumeError::Argument { field, given, expected: expected.into() })
+        Err(VolumeError::argument(field, given, expected))
     };
     check_placement(spec.spacing_m, "head_center_m", spec.head_center_m)?;
     let angle_deg = spec.neck_shaft_angle_rad.to_degrees();

@@ -2,8 +2,9 @@
 //! of threads.
 
 use crate::error::VolumeError;
-use crate::volume::{IDENTITY_DIRECTION, Volume, voxel_count};
+use crate::volume::grid_of;
 use std::path::Path;
+use voxel_grid::{Volume, VoxelGrid};
 
 /// Edge of the cubes in which a field may skip work, voxels.
 pub const BLOCK: usize = 8;
@@ -18,25 +19,24 @@ pub trait Field: Sync {
     fn hu(&self, region: Self::Region, point_m: [f64; 3]) -> f64;
 }
 
-/// A grid along the world axes.
-#[derive(Clone, Copy)]
-pub struct Grid {
-    pub dims: [usize; 3],
-    pub spacing_m: [f64; 3],
-    pub origin_m: [f64; 3],
+/// A grid along the world axes; `name` is that of the phantom.
+///
+/// # Errors
+/// A dimension, the spacing or the origin is out of range.
+pub fn grid_along_axes(
+    name: &str,
+    dims: [usize; 3],
+    spacing_m: [f64; 3],
+    origin_m: [f64; 3],
+) -> Result<VoxelGrid, VolumeError> {
+    let axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    grid_of(Path::new(name), dims, spacing_m, origin_m, axes)
 }
 
-/// Samples `field` at the voxel centres of `grid` with `threads` threads (0: as many as the machine offers).
-pub fn fill<F: Field>(
-    name: &'static str,
-    grid: Grid,
-    field: &F,
-    threads: usize,
-) -> Result<Volume, VolumeError> {
-    let path = Path::new(name);
-    let count = voxel_count(path, "dims", grid.dims)?;
-    let mut hu = vec![0_i16; count];
-    let slab_voxels = grid.dims[0] * grid.dims[1] * BLOCK;
+/// Samples `field` at the voxel centres of a grid along the world axes with `threads` threads (0: as many as the machine offers).
+pub fn fill<F: Field>(grid: VoxelGrid, field: &F, threads: usize) -> Volume {
+    let mut hu = vec![0_i16; grid.voxel_count()];
+    let slab_voxels = grid.dims()[0] * grid.dims()[1] * BLOCK;
     let threads = match threads {
         0 => std::thread::available_parallelism().map_or(1, usize::from),
         n => n,
@@ -54,26 +54,19 @@ pub fn fill<F: Field>(
             });
         }
     });
-    let volume = Volume {
-        dims: grid.dims,
-        spacing_m: grid.spacing_m,
-        origin_m: grid.origin_m,
-        direction: IDENTITY_DIRECTION,
-        hu,
-    };
-    volume.check(path)?;
-    Ok(volume)
+    Volume { grid, hu }
 }
 
 /// Fills the slices from `slab * BLOCK` on that `voxels` holds.
-fn fill_slab<F: Field>(grid: Grid, field: &F, slab: usize, voxels: &mut [i16]) {
-    let [ni, nj, _] = grid.dims;
+fn fill_slab<F: Field>(grid: VoxelGrid, field: &F, slab: usize, voxels: &mut [i16]) {
+    let [ni, nj, _] = grid.dims();
+    let (origin_m, spacing_m) = (grid.origin_m(), grid.spacing_m());
     let first_k = slab * BLOCK;
     let slices = voxels.len() / (ni * nj);
-    let at = |axis: usize, index: f64| grid.origin_m[axis] + index * grid.spacing_m[axis];
+    let at = |axis: usize, index: f64| origin_m[axis] + index * spacing_m[axis];
     let middle = (BLOCK as f64 - 1.0) / 2.0;
     // Half the diagonal between the outermost voxel centres of a block.
-    let radius_m = crate::volume::norm(grid.spacing_m) * middle;
+    let radius_m = crate::volume::norm(spacing_m) * middle;
     for j0 in (0..nj).step_by(BLOCK) {
         for i0 in (0..ni).step_by(BLOCK) {
             let center =
@@ -99,7 +92,7 @@ fn fill_slab<F: Field>(grid: Grid, field: &F, slab: usize, voxels: &mut [i16]) {
 /// [`VolumeError::Argument`]: one is out of range.
 pub fn check_placement(spacing_m: f64, point: &'static str, point_m: [f64; 3]) -> Result<(), VolumeError> {
     let refuse = |field: &'static str, given: String, expected: &str| {
-        Err(VolumeError::Argument { field, given, expected: expected.into() })
+        Err(VolumeError::argument(field, given, expected))
     };
     if !(0.249e-3..=2.001e-3).contains(&spacing_m) {
         return refuse("spacing_m", format!("{spacing_m} m"), "0.25e-3 to 2e-3 m");
@@ -120,10 +113,8 @@ pub fn to_hu(value: f64) -> i16 {
 #[cfg(test)]
 pub fn assert_filled_by<F: Field>(volume: &Volume, field: &F, everywhere: F::Region, stride: usize) {
     for (index, &hu) in volume.hu.iter().enumerate().step_by(stride) {
-        let i = index % volume.dims[0];
-        let j = index / volume.dims[0] % volume.dims[1];
-        let k = index / (volume.dims[0] * volume.dims[1]);
-        let p = volume.voxel_to_world_m([i as f64, j as f64, k as f64]);
-        assert_eq!(to_hu(field.hu(everywhere, p)), hu, "voxel {i} {j} {k}");
+        let voxel = volume.grid.voxel(index).unwrap();
+        let p = volume.grid.world_m(voxel.map(|n| n as f64));
+        assert_eq!(to_hu(field.hu(everywhere, p)), hu, "voxel {voxel:?}");
     }
 }

@@ -4,11 +4,12 @@
 //! Frame of the shape: millimetres, origin midway between the femoral heads, axes LPS. The left side mirrors the right one.
 
 use super::anatomy::{AIR_HU, Anatomy, HEAD_RADIUS, Tissue, coverage};
-use super::fill::{Field, Grid, check_placement, fill};
+use super::fill::{Field, check_placement, fill, grid_along_axes};
 use super::noise::value_noise;
 use super::shapes::{add_scaled, ellipsoid, smooth_union, sphere, sub, tapered_capsule, triangle};
 use crate::error::VolumeError;
-use crate::volume::{Volume, dot};
+use crate::volume::dot;
+use voxel_grid::Volume;
 
 /// Lower corner of the volume relative to the middle between the heads, mm LPS.
 const BOX_LOW_MM: [f64; 3] = [-185.0, -115.0, -100.0];
@@ -56,10 +57,10 @@ pub fn pelvis(spec: &PelvisSpec) -> Result<Volume, VolumeError> {
     let spacing_mm = spec.spacing_m * 1e3;
     let dims = BOX_SIZE_MM.map(|size| libm::round(size / spacing_mm) as usize);
     let origin_m = [0, 1, 2].map(|axis| spec.center_m[axis] + (BOX_LOW_MM[axis] + 0.5 * spacing_mm) * 1e-3);
-    let grid = Grid { dims, spacing_m: [spec.spacing_m; 3], origin_m };
+    let grid = grid_along_axes("pelvis phantom", dims, [spec.spacing_m; 3], origin_m)?;
     let femur = Anatomy::new(125.0_f64.to_radians(), 15.0_f64.to_radians(), 1);
     let field = PelvisField { femur, center_m: spec.center_m, blur: spacing_mm.max(0.5) };
-    fill("pelvis phantom", grid, &field, spec.threads)
+    Ok(fill(grid, &field, spec.threads))
 }
 
 /// Distance to the hip bones and the sacrum, mm, for a point of the right side.
@@ -174,12 +175,8 @@ mod tests {
         let spec = PelvisSpec::default();
         let volume = pelvis(&spec).unwrap();
         let hu = |p_mm: [f64; 3]| {
-            let index: Vec<usize> = (0..3)
-                .map(|axis| {
-                    ((p_mm[axis] * 1e-3 - volume.origin_m[axis]) / volume.spacing_m[axis] + 0.5) as usize
-                })
-                .collect();
-            volume.hu[index[0] + volume.dims[0] * (index[1] + volume.dims[1] * index[2])]
+            let voxel = volume.grid.voxel_at(p_mm.map(|x| x * 1e-3));
+            volume.at(voxel.map(|x| (x + 0.5) as usize)).unwrap()
         };
         let (start, direction) = ([-99.1, -143.6, 116.6], [0.947, -0.157, 0.280]);
         let along = |s: f64| add_scaled(start, s, direction);

@@ -1,8 +1,9 @@
 //! Blocks and spheres of constant Hounsfield units, for tests with closed-form answers.
 
-use super::fill::{Field, Grid, fill};
+use super::fill::{Field, fill, grid_along_axes};
 use crate::error::VolumeError;
-use crate::volume::{Volume, dot, norm};
+use crate::volume::{dot, norm};
+use voxel_grid::Volume;
 
 /// A rectangular block of two materials that meet in a plane, surrounded by air: for skiving tests and density steps.
 #[derive(Clone, Debug, PartialEq)]
@@ -81,41 +82,37 @@ impl Default for SphereSpec {
 /// Builds the block: a voxel has the material at its centre (a centre on the plane counts as ahead).
 ///
 /// # Errors
-/// [`VolumeError::Argument`] for a zero or non-finite normal or a negative margin; otherwise as [`Volume::check`].
+/// [`VolumeError::Argument`] for a zero or non-finite normal or a negative margin; otherwise as the grid.
 pub fn block(spec: &BlockSpec) -> Result<Volume, VolumeError> {
     let length = norm(spec.plane_normal);
     if !(length.is_finite() && length > 0.0) {
-        return Err(VolumeError::Argument {
-            field: "plane_normal",
-            given: format!("{:?}", spec.plane_normal),
-            expected: "a finite vector that is not zero".into(),
-        });
+        return Err(VolumeError::argument(
+            "plane_normal",
+            format!("{:?}", spec.plane_normal),
+            "a finite vector that is not zero",
+        ));
     }
     if !(spec.margin_m.is_finite() && spec.margin_m >= 0.0) {
-        return Err(VolumeError::Argument {
-            field: "margin_m",
-            given: format!("{}", spec.margin_m),
-            expected: "zero or more metres".into(),
-        });
+        return Err(VolumeError::argument("margin_m", format!("{}", spec.margin_m), "zero or more metres"));
     }
-    let grid = Grid { dims: spec.dims, spacing_m: spec.spacing_m, origin_m: spec.origin_m };
-    fill("block phantom", grid, spec, 1)
+    let grid = grid_along_axes("block phantom", spec.dims, spec.spacing_m, spec.origin_m)?;
+    Ok(fill(grid, spec, 1))
 }
 
 /// Builds the ball: a voxel is inside when its centre is (a centre on the surface counts as inside).
 ///
 /// # Errors
-/// [`VolumeError::Argument`] for a radius that is not positive; otherwise as [`Volume::check`].
+/// [`VolumeError::Argument`] for a radius that is not positive; otherwise as the grid.
 pub fn sphere(spec: &SphereSpec) -> Result<Volume, VolumeError> {
     if !(spec.radius_m.is_finite() && spec.radius_m > 0.0) {
-        return Err(VolumeError::Argument {
-            field: "radius_m",
-            given: format!("{}", spec.radius_m),
-            expected: "a positive radius in metres".into(),
-        });
+        return Err(VolumeError::argument(
+            "radius_m",
+            format!("{}", spec.radius_m),
+            "a positive radius in metres",
+        ));
     }
-    let grid = Grid { dims: spec.dims, spacing_m: spec.spacing_m, origin_m: spec.origin_m };
-    fill("sphere phantom", grid, spec, 1)
+    let grid = grid_along_axes("sphere phantom", spec.dims, spec.spacing_m, spec.origin_m)?;
+    Ok(fill(grid, spec, 1))
 }
 
 impl Field for BlockSpec {

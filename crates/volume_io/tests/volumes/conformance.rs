@@ -8,8 +8,11 @@
 
 use crate::common::shared_data::shared;
 use nifti::{NiftiObject, NiftiVolume, RandomAccessNiftiVolume, ReaderOptions};
-use std::path::Path;
-use volume_io::{Volume, VolumeError, read, read_with_info};
+use volume_io::{VolumeError, read, read_with_info};
+use voxel_grid::Volume;
+
+/// Along the world axes.
+const WORLD: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
 fn sum(volume: &Volume) -> i64 {
     volume.hu.iter().map(|v| i64::from(*v)).sum()
@@ -37,11 +40,11 @@ fn nrrd_ball_in_every_encoding() {
     ] {
         let (volume, info) = read_with_info(folder.join(name)).unwrap();
         println!("{name}: sum {} as {}", sum(&volume), info.format);
-        assert_eq!(volume.dims, [30; 3], "{name}");
+        assert_eq!(volume.grid.dims(), [30; 3], "{name}");
         assert_eq!(sum(&volume), 3_682_296, "{name}");
-        close(&volume.spacing_m, &[1e-3; 3], 1e-18);
-        assert_eq!(volume.direction, volume_io::IDENTITY_DIRECTION);
-        assert!(volume.check(Path::new(name)).is_ok());
+        close(&volume.grid.spacing_m(), &[1e-3; 3], 1e-18);
+        assert_eq!(volume.grid.direction(), WORLD);
+        assert_eq!(volume.hu.len(), 27_000);
     }
 }
 
@@ -51,7 +54,7 @@ fn nrrd_refusals() {
     let error = |name: &str| read(folder.join(name)).unwrap_err();
     // −5 is no byte skip of the format; −1 is the only negative one.
     let skip = error("BallBinary30x30x30_byteskip_minus_five.nhdr");
-    assert!(matches!(&skip, VolumeError::Header { field, .. } if field == "byte skip"), "{skip}");
+    assert!(matches!(&skip, VolumeError::Header { field, .. } if field.name == "byte skip"), "{skip}");
     // The data file is a NIfTI file and nothing says to skip its header: every voxel would be shifted.
     let shifted = error("BallBinary30x30x30_nifti.nhdr");
     assert!(matches!(&shifted, VolumeError::Header { .. }), "{shifted}");
@@ -68,9 +71,9 @@ fn nifti_voxel_types() {
     let mut expected: Option<Vec<i16>> = None;
     for kind in ["int8", "int16", "int32", "uint8", "uint16", "uint32", "uint64", "float32", "float64"] {
         let volume = read(folder.join(format!("27_{kind}.nii"))).unwrap();
-        assert_eq!(volume.dims, [3; 3]);
+        assert_eq!(volume.grid.dims(), [3; 3]);
         // sform 1 mm RAS: LPS directions (−1, −1, 1).
-        close(&volume.direction.concat(), &[-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0], 0.0);
+        close(&volume.grid.direction().concat(), &[-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0], 0.0);
         match &expected {
             None => expected = Some(volume.hu),
             Some(first) => assert_eq!(first, &volume.hu, "{kind}"),
@@ -83,8 +86,8 @@ fn nifti_voxel_types() {
 fn nifti_pairs_headers_and_byte_orders() {
     let Some(folder) = shared("conformance/nifti") else { return };
     let plain = read(folder.join("minimal.nii")).unwrap();
-    assert_eq!(plain.dims, [64, 64, 10]);
-    close(&plain.spacing_m, &[3e-3; 3], 1e-9);
+    assert_eq!(plain.grid.dims(), [64, 64, 10]);
+    close(&plain.grid.spacing_m(), &[3e-3; 3], 1e-9);
     for name in
         ["minimal.nii.gz", "minimal.hdr", "minimal.hdr.gz", "minimal.img", "minimal2.hdr", "minimal2.img.gz"]
     {
@@ -92,14 +95,14 @@ fn nifti_pairs_headers_and_byte_orders() {
     }
     // Big-endian, both codes set; nibabel: affine diag(−2, 2, 2), offset (32, −40, −16) mm RAS.
     let anatomical = read(folder.join("anatomical.nii")).unwrap();
-    assert_eq!(anatomical.dims, [33, 41, 25]);
-    close(&anatomical.spacing_m, &[2e-3; 3], 1e-9);
-    close(&anatomical.direction.concat(), &[1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0], 1e-6);
-    close(&anatomical.origin_m, &[-0.032, 0.040, -0.016], 1e-9);
+    assert_eq!(anatomical.grid.dims(), [33, 41, 25]);
+    close(&anatomical.grid.spacing_m(), &[2e-3; 3], 1e-9);
+    close(&anatomical.grid.direction().concat(), &[1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0], 1e-6);
+    close(&anatomical.grid.origin_m(), &[-0.032, 0.040, -0.016], 1e-9);
     let standard = read(folder.join("standard.nii.gz")).unwrap();
-    assert_eq!(standard.dims, [4, 5, 7]);
-    close(&standard.spacing_m, &[1e-3, 3e-3, 2e-3], 1e-9);
-    assert_eq!(read(folder.join("f32.nii.gz")).unwrap().dims, [11; 3]);
+    assert_eq!(standard.grid.dims(), [4, 5, 7]);
+    close(&standard.grid.spacing_m(), &[1e-3, 3e-3, 2e-3], 1e-9);
+    assert_eq!(read(folder.join("f32.nii.gz")).unwrap().grid.dims(), [11; 3]);
 }
 
 #[test]
@@ -111,7 +114,7 @@ fn nifti_refusals_and_crashers() {
     assert!(matches!(error("minimal_extended_hdr.nii"), VolumeError::NotThreeDimensional { .. }));
     // Headers of both versions whose image file is absent.
     for name in ["nifti1.hdr", "nifti2.hdr"] {
-        assert!(matches!(error(name), VolumeError::Header { field, .. } if field == "magic"), "{name}");
+        assert!(matches!(error(name), VolumeError::Header { field, .. } if field.name == "magic"), "{name}");
     }
     let mut crashers = 0;
     for entry in std::fs::read_dir(&folder).unwrap() {
@@ -144,10 +147,10 @@ fn nifti_against_the_nifti_crate() {
         let object = ReaderOptions::new().read_file(&path).unwrap();
         let header = object.header().clone();
         let theirs = object.into_volume();
-        assert_eq!(theirs.dim().iter().map(|n| usize::from(*n)).collect::<Vec<_>>(), ours.dims);
-        let step = (ours.voxel_count() / 20_000).max(1);
-        for index in (0..ours.voxel_count()).step_by(step) {
-            let [ni, nj, _] = ours.dims;
+        assert_eq!(theirs.dim().iter().map(|n| usize::from(*n)).collect::<Vec<_>>(), ours.grid.dims());
+        let step = (ours.hu.len() / 20_000).max(1);
+        for index in (0..ours.hu.len()).step_by(step) {
+            let [ni, nj, _] = ours.grid.dims();
             let voxel = [index % ni, index / ni % nj, index / (ni * nj)].map(|n| n as u16);
             let value = theirs.get_f64(&voxel).unwrap();
             assert_eq!(value.round().clamp(-32768.0, 32767.0) as i16, ours.hu[index], "{name} {voxel:?}");
@@ -157,10 +160,11 @@ fn nifti_against_the_nifti_crate() {
             let sign = [-1.0, -1.0, 1.0];
             for (row, values) in rows.iter().enumerate() {
                 let lps = values.map(|v| sign[row] * f64::from(v));
-                let mine = [0, 1, 2].map(|axis| ours.direction[row][axis] * ours.spacing_m[axis] * 1e3);
+                let mine = [0, 1, 2]
+                    .map(|axis| ours.grid.direction()[row][axis] * ours.grid.spacing_m()[axis] * 1e3);
                 // f32 affine: 1e-6 relative.
                 close(&mine, &lps[..3], 1e-5);
-                close(&[ours.origin_m[row] * 1e3], &lps[3..], 1e-4);
+                close(&[ours.grid.origin_m()[row] * 1e3], &lps[3..], 1e-4);
             }
         }
     }
@@ -171,14 +175,14 @@ fn totalsegmentator_ct() {
     let Some(path) = shared("totalsegmentator_example/example_ct.nii.gz") else { return };
     let (volume, info) = read_with_info(&path).unwrap();
     println!("{info}");
-    assert_eq!(volume.dims, [122, 101, 112]);
-    close(&volume.spacing_m, &[3e-3; 3], 1e-8);
-    close(&volume.direction.concat(), &[-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0], 1e-6);
+    assert_eq!(volume.grid.dims(), [122, 101, 112]);
+    close(&volume.grid.spacing_m(), &[3e-3; 3], 1e-8);
+    close(&volume.grid.direction().concat(), &[-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0], 1e-6);
     assert_eq!((info.hu.min_hu, info.hu.max_hu), (-1207, 3382));
     // The masks lie on the same grid and are binary.
     let mask = read(path.with_file_name("seg_femur_right.nii.gz")).unwrap();
-    assert_eq!(mask.dims, volume.dims);
-    close(&mask.origin_m, &volume.origin_m, 1e-6);
+    assert_eq!(mask.grid.dims(), volume.grid.dims());
+    close(&mask.grid.origin_m(), &volume.grid.origin_m(), 1e-6);
     let bone: Vec<f64> =
         mask.hu.iter().zip(&volume.hu).filter(|(m, _)| **m == 1).map(|(_, hu)| f64::from(*hu)).collect();
     let volume_cm3 = bone.len() as f64 * 0.027;
@@ -193,10 +197,10 @@ fn dicom_series_of_five_slices() {
     let Some(folder) = shared("vhf_pelvis_dicom_5slices") else { return };
     let (volume, info) = read_with_info(&folder).unwrap();
     println!("{info}");
-    assert_eq!(volume.dims, [512, 512, 5]);
-    close(&volume.spacing_m, &[1e-3; 3], 1e-12);
-    assert_eq!(volume.direction, volume_io::IDENTITY_DIRECTION);
-    close(&[volume.origin_m[2]], &[0.999], 1e-12);
+    assert_eq!(volume.grid.dims(), [512, 512, 5]);
+    close(&volume.grid.spacing_m(), &[1e-3; 3], 1e-12);
+    assert_eq!(volume.grid.direction(), WORLD);
+    close(&[volume.grid.origin_m()[2]], &[0.999], 1e-12);
     // Largest stored value over the five files is 2499, smallest 0 (read from the bytes), intercept −1024.
     assert_eq!((info.hu.min_hu, info.hu.max_hu), (-1024, 1475));
     // Any one file stands for the series.
@@ -233,8 +237,8 @@ fn dicom_encodings() {
     let Some(folder) = shared("conformance/dicom_pydicom") else { return };
     let (small, info) = read_with_info(folder.join("CT_small.dcm")).unwrap();
     println!("{info}");
-    assert_eq!(small.dims, [128, 128, 1]);
-    close(&small.spacing_m, &[0.661468e-3, 0.661468e-3, 5e-3], 1e-12);
+    assert_eq!(small.grid.dims(), [128, 128, 1]);
+    close(&small.grid.spacing_m(), &[0.661468e-3, 0.661468e-3, 5e-3], 1e-12);
     // pydicom: pixel_array[0, 0] = 175, [64, 64] = 1108, intercept −1024.
     assert_eq!(small.at([0, 0, 0]), Some(175 - 1024));
     // The MR slice in three encodings: pydicom gives the same pixels for all.
@@ -244,7 +248,7 @@ fn dicom_encodings() {
         copy
     };
     let explicit = read(folder_copy("MR_small.dcm").path()).unwrap();
-    assert_eq!(explicit.dims, [64, 64, 1]);
+    assert_eq!(explicit.grid.dims(), [64, 64, 1]);
     for name in ["MR_small_bigendian.dcm", "MR_small_implicit.dcm"] {
         assert_eq!(read(folder_copy(name).path()).unwrap().hu, explicit.hu, "{name}");
     }

@@ -9,10 +9,8 @@ use proptest::prelude::*;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
-use volume_io::{
-    IDENTITY_DIRECTION, Volume, VolumeError, read, read_with_info, volume_hash, volume_hash_of_parts,
-    write_nrrd,
-};
+use volume_io::{VolumeError, read, read_with_info, volume_hash, write_nrrd};
+use voxel_grid::{Volume, VoxelGrid};
 
 fn store(name: &str, bytes: &[u8]) -> (TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
@@ -78,31 +76,32 @@ proptest! {
         seed in any::<u32>(),
     ) {
         prop_assume!(q.iter().map(|c| c * c).sum::<f64>() > 1e-2);
-        let mut direction = rotation(q);
+        let mut axes = rotation(q);
         if flip {
-            direction.iter_mut().for_each(|row| row[2] = -row[2]);
+            axes[2] = axes[2].map(|x| -x);
         }
         let count = dims.iter().product::<usize>() as u32;
         let hu = (0..count).map(|i| (i.wrapping_mul(2_654_435_761).wrapping_add(seed) >> 16) as u16 as i16).collect();
-        let volume = Volume { dims, spacing_m: spacing_mm.map(|s| s * 1e-3), origin_m, direction, hu };
+        let grid = VoxelGrid::new(dims, spacing_mm.map(|s| s * 1e-3), origin_m, axes).unwrap();
+        let volume = Volume { grid, hu };
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("v.nrrd");
         write_nrrd(&path, &volume).unwrap();
         let (back, info) = read_with_info(&path).unwrap();
         prop_assert_eq!(&back.hu, &volume.hu);
-        prop_assert_eq!(back.dims, volume.dims);
+        prop_assert_eq!(back.grid.dims(), volume.grid.dims());
         // A few roundings of numbers of order 1.
-        near(&back.spacing_m, &volume.spacing_m, 1e-16);
-        near(&back.origin_m, &volume.origin_m, 1e-15);
-        near(&back.direction.concat(), &volume.direction.concat(), 1e-14);
+        near(&back.grid.spacing_m(), &volume.grid.spacing_m(), 1e-16);
+        near(&back.grid.origin_m(), &volume.grid.origin_m(), 1e-15);
+        near(&back.grid.direction().concat(), &volume.grid.direction().concat(), 1e-14);
         prop_assert!(info.notes.is_empty(), "{:?}", info.notes);
         // Writing what was read gives the same volume again.
         prop_assert!(write_nrrd(&path, &back).is_err(), "no file is written over");
         std::fs::remove_file(&path).unwrap();
         write_nrrd(&path, &back).unwrap();
         prop_assert_eq!(read(&path).unwrap().hu, volume.hu);
-        let p = back.voxel_to_world_m([0.25, 1.5, -2.0]);
-        near(&back.world_to_voxel(p), &[0.25, 1.5, -2.0], 1e-9);
+        let p = back.grid.world_m([0.25, 1.5, -2.0]);
+        near(&back.grid.voxel_at(p), &[0.25, 1.5, -2.0], 1e-9);
     }
 }
 
@@ -111,10 +110,10 @@ fn nifti_axes_become_lps() {
     let affine = [[-0.5, 0.0, 0.0, 10.0], [0.0, 0.0, 2.0, -20.0], [0.0, 1.5, 0.0, 30.0]];
     let file = NiftiBytes::new([2, 3, 4], affine, &counting());
     let volume = read_bytes("v.nii", &file.0).unwrap();
-    near(&volume.spacing_m, &[0.5e-3, 1.5e-3, 2e-3], 1e-12);
+    near(&volume.grid.spacing_m(), &[0.5e-3, 1.5e-3, 2e-3], 1e-12);
     // i went to the left already; j goes up; k went to anterior, which is −y in LPS.
-    assert_eq!(volume.direction, [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]);
-    near(&volume.origin_m, &[-0.010, 0.020, 0.030], 1e-12);
+    assert_eq!(volume.grid.direction(), [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]);
+    near(&volume.grid.origin_m(), &[-0.010, 0.020, 0.030], 1e-12);
     assert_eq!(volume.hu, counting());
     assert_eq!(volume.at([1, 2, 3]), Some(23));
     assert_eq!(read_bytes("v.nii.gz", &gzip(&file.0)).unwrap(), volume);
@@ -136,16 +135,16 @@ fn nifti_quaternion_and_units() {
     file.put(123, &[1]);
     let (_folder, path) = store("v.nii", &file.0);
     let (volume, info) = read_with_info(&path).unwrap();
-    near(&volume.spacing_m, &[1e-3, 2e-3, 3e-3], 1e-9);
+    near(&volume.grid.spacing_m(), &[1e-3, 2e-3, 3e-3], 1e-9);
     // RAS columns (0,1,0), (−1,0,0), (0,0,−1); x and y flip.
-    near(&volume.direction.concat(), &[0.0, 1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0], 1e-6);
-    near(&volume.origin_m, &[-0.5, 0.0, 0.0], 1e-9);
+    near(&volume.grid.direction().concat(), &[0.0, 1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0], 1e-6);
+    near(&volume.grid.origin_m(), &[-0.5, 0.0, 0.0], 1e-9);
     assert_eq!(info.units, "m");
     file.put(76 + 4, &500.0_f32.to_le_bytes());
     file.put(76 + 8, &600.0_f32.to_le_bytes());
     file.put(76 + 12, &700.0_f32.to_le_bytes());
     file.put(123, &[3]);
-    near(&read_bytes("v.nii", &file.0).unwrap().spacing_m, &[5e-4, 6e-4, 7e-4], 1e-10);
+    near(&read_bytes("v.nii", &file.0).unwrap().grid.spacing_m(), &[5e-4, 6e-4, 7e-4], 1e-10);
 }
 
 #[test]
@@ -212,17 +211,17 @@ fn nrrd_spaces_units_and_encodings() {
         ("right-posterior-inferior", [-1.0, 1.0, -1.0]),
     ] {
         let volume = read_bytes("v.nrrd", &nrrd(&format!("space: {space}\n{directions}"), &data)).unwrap();
-        near(&volume.spacing_m, &[1e-3, 2e-3, 3e-3], 1e-15);
+        near(&volume.grid.spacing_m(), &[1e-3, 2e-3, 3e-3], 1e-15);
         for (axis, sign) in sign.into_iter().enumerate() {
-            assert_eq!(volume.direction[axis][axis], sign, "{space}");
-            near(&[volume.origin_m[axis]], &[sign * 0.01 * (axis + 1) as f64], 1e-15);
+            assert_eq!(volume.grid.direction()[axis][axis], sign, "{space}");
+            near(&[volume.grid.origin_m()[axis]], &[sign * 0.01 * (axis + 1) as f64], 1e-15);
         }
         assert_eq!(volume.hu, counting());
     }
     let lps = "space: left-posterior-superior\nspace directions: (1,0,0) (0,2,0) (0,0,3)\n";
     let microns =
         read_bytes("v.nrrd", &nrrd(&format!("{lps}space units: \"um\" \"um\" \"um\"\nencoding: raw"), &data));
-    near(&microns.unwrap().spacing_m, &[1e-6, 2e-6, 3e-6], 1e-18);
+    near(&microns.unwrap().grid.spacing_m(), &[1e-6, 2e-6, 3e-6], 1e-18);
     let text = counting().iter().map(i16::to_string).collect::<Vec<_>>().join(" ");
     assert_eq!(
         read_bytes("v.nrrd", &nrrd(&format!("{lps}encoding: ascii"), text.as_bytes())).unwrap().hu,
@@ -249,10 +248,10 @@ fn metaimage_local_and_detached() {
     let file = |fields: &str, data: &[u8]| [header.as_bytes(), fields.as_bytes(), data].concat();
     let plain = read_bytes("v.mha", &file("ElementDataFile = LOCAL\n", &data)).unwrap();
     assert_eq!(plain.hu, counting());
-    near(&plain.spacing_m, &[1e-3, 2e-3, 3e-3], 1e-15);
-    near(&plain.origin_m, &[0.01, 0.02, 0.03], 1e-15);
+    near(&plain.grid.spacing_m(), &[1e-3, 2e-3, 3e-3], 1e-15);
+    near(&plain.grid.origin_m(), &[0.01, 0.02, 0.03], 1e-15);
     // Row 0 of the matrix is the direction of i: posterior.
-    assert_eq!(plain.direction, [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]);
+    assert_eq!(plain.grid.direction(), [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]);
     let compressed = zlib(&data);
     let fields = format!(
         "CompressedData = True\nCompressedDataSize = {}\nElementDataFile = LOCAL\n",
@@ -281,11 +280,11 @@ fn dicom_series_geometry() {
         .to_vec();
     write_series(folder.path(), &slices);
     let volume = read(folder.path()).unwrap();
-    assert_eq!(volume.dims, [5, 4, 3]);
+    assert_eq!(volume.grid.dims(), [5, 4, 3]);
     // PixelSpacing 2\3: rows 2 mm apart, columns 3 mm apart.
-    near(&volume.spacing_m, &[3e-3, 2e-3, 2e-3], 1e-15);
-    assert_eq!(volume.direction, [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]);
-    near(&volume.origin_m, &[0.0, 0.007, 0.009], 1e-15);
+    near(&volume.grid.spacing_m(), &[3e-3, 2e-3, 2e-3], 1e-15);
+    assert_eq!(volume.grid.direction(), [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]);
+    near(&volume.grid.origin_m(), &[0.0, 0.007, 0.009], 1e-15);
     assert_eq!([0, 1, 2].map(|k| volume.at([0, 0, k]).unwrap()), [0, 2, 4]);
     assert_eq!(read(folder.path().join("001.dcm")).unwrap(), volume);
 }
@@ -324,37 +323,25 @@ fn dicom_lossless_jpeg() {
 
 #[test]
 fn hash_is_of_geometry_and_voxels() {
-    let volume = Volume {
-        dims: [2, 1, 1],
-        spacing_m: [1e-3; 3],
-        origin_m: [0.0; 3],
-        direction: IDENTITY_DIRECTION,
-        hu: vec![1, -2],
+    let volume = |z_m, hu| {
+        let grid = VoxelGrid::axis_aligned([2, 1, 1], [1e-3; 3], [0.0, 0.0, z_m]).unwrap();
+        Volume { grid, hu: vec![hu, -2] }
     };
-    let hash = volume_hash(&volume);
-    assert_eq!(hash, volume_hash_of_parts([2, 1, 1], [1e-3; 3], [-0.0; 3], IDENTITY_DIRECTION, &[1, -2]));
+    let hash = volume_hash(&volume(0.0, 1));
+    assert_eq!(volume_hash(&volume(-0.0, 1)), hash);
     let text: String = hash.iter().map(|b| format!("{b:02x}")).collect();
     // Python: hashlib.sha256(b'trabecula volume v1\0' + struct.pack('<3Q15d2h', 2,1,1, *[1e-3]*3, 0,0,0, 1,0,0,0,1,0,0,0,1, 1,-2))
     assert_eq!(text, EXPECTED_HASH);
-    let mut other = volume.clone();
-    other.origin_m[2] = 1e-9;
-    assert_ne!(volume_hash(&other), hash);
-    other = volume;
-    other.hu[0] = 2;
-    assert_ne!(volume_hash(&other), hash);
+    assert_ne!(volume_hash(&volume(1e-9, 1)), hash);
+    assert_ne!(volume_hash(&volume(0.0, 2)), hash);
 }
 
 const EXPECTED_HASH: &str = "26333c5f86dfb565fc7cbe668629284b98b8bed9fcb21596476fee0cb4ebdf03";
 
 #[test]
 fn writing_refuses_an_inconsistent_volume() {
-    let volume = Volume {
-        dims: [2, 2, 2],
-        spacing_m: [1e-3; 3],
-        origin_m: [0.0; 3],
-        direction: IDENTITY_DIRECTION,
-        hu: vec![0; 7],
-    };
+    let grid = VoxelGrid::axis_aligned([2; 3], [1e-3; 3], [0.0; 3]).unwrap();
+    let volume = Volume { grid, hu: vec![0; 7] };
     assert!(matches!(write_nrrd(Path::new("/nonexistent/v.nrrd"), &volume), Err(VolumeError::Header { .. })));
     let whole = Volume { hu: vec![0; 8], ..volume };
     assert!(matches!(write_nrrd(Path::new("/nonexistent/v.nrrd"), &whole), Err(VolumeError::Output(_))));
@@ -391,7 +378,8 @@ fn axes_of_four_decimals_are_made_perpendicular_with_a_note() {
     let notes = info.notes.join("; ");
     assert!(notes.contains("the axes were made perpendicular (largest cosine "), "{notes}");
     for (a, b) in [(0, 1), (0, 2), (1, 2)] {
-        let cosine: f64 = (0..3).map(|row| volume.direction[row][a] * volume.direction[row][b]).sum();
+        let axes = volume.grid.axes();
+        let cosine: f64 = (0..3).map(|row| axes[a][row] * axes[b][row]).sum();
         assert!(cosine.abs() < 1e-15, "{a} {b}: {cosine:e}");
     }
     let straight = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];

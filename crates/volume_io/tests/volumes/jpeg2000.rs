@@ -6,7 +6,8 @@
 #![allow(clippy::unwrap_used)]
 
 use crate::common::dicom_bytes::{DicomSlice, JPEG_2000_SYNTAXES, jpeg_2000, jpeg_2000_of};
-use volume_io::{Volume, VolumeError, read};
+use volume_io::{VolumeError, read};
+use voxel_grid::Volume;
 
 /// First bytes of segments and fields in [`jpeg_2000`].
 const SIZ: usize = 2;

@@ -6,7 +6,8 @@
 use crate::common::shared_data::shared;
 use proptest::prelude::*;
 use volume_io::phantom::{SphereSpec, sphere};
-use volume_io::{MaskModel, Volume, VolumeError, mask_to_hu, read, squared_distance_m2};
+use volume_io::{HuStatistics, MaskModel, VolumeError, mask_to_hu, read, squared_distance_m2};
+use voxel_grid::Volume;
 
 /// Squared distance to the nearest site, by trying all.
 fn brute_force(dims: [usize; 3], spacing_m: [f64; 3], sites: &[bool]) -> Vec<f64> {
@@ -59,11 +60,11 @@ fn ball_gets_a_shell_of_the_stated_thickness() {
         ..MaskModel::default()
     };
     mask_to_hu(&mut volume, &model).unwrap();
-    let spacing_m = volume.spacing_m[0];
+    let spacing_m = volume.grid.spacing_m()[0];
     let mut outer = [0.0_f64; 3];
     for (index, hu) in volume.hu.iter().enumerate() {
-        let [ni, nj, _] = volume.dims;
-        let p = volume.voxel_to_world_m([index % ni, index / ni % nj, index / (ni * nj)].map(|n| n as f64));
+        let [ni, nj, _] = volume.grid.dims();
+        let p = volume.grid.world_m([index % ni, index / ni % nj, index / (ni * nj)].map(|n| n as f64));
         let depth_m = ball.radius_m - (p[0] * p[0] + p[1] * p[1] + p[2] * p[2]).sqrt();
         // The ideal layers, with the surface of the voxel ball uncertain by one voxel.
         let expected = |depth: f64| match depth {
@@ -97,12 +98,12 @@ fn real_femur_mask() {
     let Some(path) = shared("seed_rfemur_mask/rfemur_mask_1mm_cropped.nii.gz") else { return };
     let mut volume = read(path).unwrap();
     let bone = volume.hu.iter().filter(|v| **v != 0).count();
-    assert_eq!((volume.dims, bone), ([85, 116, 190], 233_553));
+    assert_eq!((volume.grid.dims(), bone), ([85, 116, 190], 233_553));
     let model = MaskModel::default();
     mask_to_hu(&mut volume, &model).unwrap();
     let count = |value: i16| volume.hu.iter().filter(|v| **v == value).count();
     let (cortex, marrow) = (count(model.cortical_hu), count(model.marrow_hu));
-    println!("cortex {cortex}, marrow {marrow} of {bone} voxels; {:?}", volume.statistics());
+    println!("cortex {cortex}, marrow {marrow} of {bone} voxels; {:?}", HuStatistics::of(&volume.hu));
     // A shell of 2 mm around 234 cm3 with about 300 cm2 of surface is a fifth to a third of it.
     assert!((0.15..0.4).contains(&(cortex as f64 / bone as f64)));
     assert!(marrow > 0 && marrow < bone / 4);
@@ -120,9 +121,9 @@ fn what_is_not_a_mask_is_refused() {
         assert!(matches!(error, VolumeError::Argument { .. }));
         assert_eq!(volume, before);
     };
-    refused(vec![0; whole.voxel_count()]);
-    refused(vec![1; whole.voxel_count()]);
-    refused((0..whole.voxel_count()).map(|i| (i % 3) as i16).collect());
+    refused(vec![0; whole.hu.len()]);
+    refused(vec![1; whole.hu.len()]);
+    refused((0..whole.hu.len()).map(|i| (i % 3) as i16).collect());
     let mut volume = whole.clone();
     let thin = MaskModel { cortical_thickness_m: -1.0, ..MaskModel::default() };
     assert!(mask_to_hu(&mut volume, &thin).is_err());

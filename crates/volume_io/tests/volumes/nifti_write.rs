@@ -1,18 +1,15 @@
 //! NIfTI files that are written here. Other readers of them: `tests/processes/plans.rs` (nibabel).
 #![allow(clippy::unwrap_used, reason = "a test fails by it")]
 
-use volume_io::{Volume, VolumeError, read, write_nifti};
+use volume_io::{VolumeError, read, write_nifti};
+use voxel_grid::{Volume, VoxelGrid};
 
 /// Axes turned by 30 degrees about z, i and j exchanged: left-handed, as some scanners' are.
 fn tilted(dims: [usize; 3]) -> Volume {
     let (sin, cos) = (0.5, 0.75_f64.sqrt());
-    Volume {
-        dims,
-        spacing_m: [0.7e-3, 0.8e-3, 1.25e-3],
-        origin_m: [-0.1234, 0.2345, 1.5],
-        direction: [[-sin, cos, 0.0], [cos, sin, 0.0], [0.0, 0.0, 1.0]],
-        hu: (0..dims.iter().product::<usize>()).map(|n| (n * 37 % 65_536) as u16 as i16).collect(),
-    }
+    let axes = [[-sin, cos, 0.0], [cos, sin, 0.0], [0.0, 0.0, 1.0]];
+    let grid = VoxelGrid::new(dims, [0.7e-3, 0.8e-3, 1.25e-3], [-0.1234, 0.2345, 1.5], axes).unwrap();
+    Volume { grid, hu: (0..grid.voxel_count()).map(|n| (n * 37 % 65_536) as u16 as i16).collect() }
 }
 
 /// nifti1.h holds places in single precision: 24 bits, 6e-8 of the farthest number, which is 1500 mm here.
@@ -26,9 +23,9 @@ fn a_volume_reads_as_it_was_written_packed_or_not() {
         let path = folder.path().join(name);
         write_nifti(&path, &volume).unwrap();
         let again = read(&path).unwrap();
-        assert_eq!((again.dims, &again.hu), (volume.dims, &volume.hu));
+        assert_eq!((again.grid.dims(), &again.hu), (volume.grid.dims(), &volume.hu));
         for corner in [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 6.0, 0.0], [4.0, 6.0, 2.0]] {
-            let (there, here) = (again.voxel_to_world_m(corner), volume.voxel_to_world_m(corner));
+            let (there, here) = (again.grid.world_m(corner), volume.grid.world_m(corner));
             let apart = (0..3).map(|axis| (there[axis] - here[axis]).abs()).fold(0.0, f64::max);
             assert!(apart < WITHIN_M, "{name}: {there:?} {here:?}");
         }

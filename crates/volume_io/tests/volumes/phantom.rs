@@ -6,20 +6,21 @@
 use volume_io::phantom::{
     BlockSpec, FemurLandmarks, FemurSpec, SphereSpec, block, femur, femur_landmarks, sphere,
 };
-use volume_io::{Volume, VolumeError, volume_hash};
+use volume_io::{HuStatistics, VolumeError, volume_hash};
+use voxel_grid::Volume;
 
 fn spec(spacing_m: f64) -> FemurSpec {
     FemurSpec { spacing_m, ..FemurSpec::default() }
 }
 
 fn hu_at(volume: &Volume, world_m: [f64; 3]) -> f64 {
-    let voxel = volume.world_to_voxel(world_m).map(|v| v.round().max(0.0) as usize);
+    let voxel = volume.grid.voxel_at(world_m).map(|v| v.round().max(0.0) as usize);
     f64::from(volume.at(voxel).unwrap_or(i16::MIN))
 }
 
 /// Trilinear interpolation.
 fn hu_between(volume: &Volume, world_m: [f64; 3]) -> f64 {
-    let v = volume.world_to_voxel(world_m);
+    let v = volume.grid.voxel_at(world_m);
     let base = v.map(f64::floor);
     let mut sum = 0.0;
     for corner in 0..8_usize {
@@ -38,13 +39,13 @@ fn along(origin: [f64; 3], direction: [f64; 3], s: f64) -> [f64; 3] {
 
 /// Mean of the voxels within `radius_m` of a point.
 fn mean_around(volume: &Volume, center_m: [f64; 3], radius_m: f64) -> f64 {
-    let steps = (radius_m / volume.spacing_m[0]).floor() as i64;
+    let steps = (radius_m / volume.grid.spacing_m()[0]).floor() as i64;
     let (mut sum, mut count) = (0.0, 0);
     for x in -steps..=steps {
         for y in -steps..=steps {
             for z in -steps..=steps {
                 if x * x + y * y + z * z <= steps * steps {
-                    let offset = [x, y, z].map(|n| n as f64 * volume.spacing_m[0]);
+                    let offset = [x, y, z].map(|n| n as f64 * volume.grid.spacing_m()[0]);
                     sum += hu_at(volume, [0, 1, 2].map(|i| center_m[i] + offset[i]));
                     count += 1;
                 }
@@ -87,8 +88,8 @@ fn landmarks_are_the_stated_anatomy() {
 fn default_femur() {
     let volume = femur(&FemurSpec::default()).unwrap();
     let marks = femur_landmarks(&FemurSpec::default()).unwrap();
-    assert_eq!(volume.dims, [240, 200, 320]);
-    let hu = volume.statistics();
+    assert_eq!(volume.grid.dims(), [240, 200, 320]);
+    let hu = HuStatistics::of(&volume.hu);
     println!("{hu:?}");
     assert!(hu.min_hu >= -1000 && hu.max_hu <= 1700 && hu.max_hu > 1400);
 
@@ -174,7 +175,7 @@ fn head_position_moves_everything() {
     let moved = FemurSpec { head_center_m: [0.25, -0.5, 1.0], ..spec(2.0e-3) };
     let (a, b) = (femur(&moved).unwrap(), femur(&spec(2.0e-3)).unwrap());
     for axis in 0..3 {
-        let shift = a.origin_m[axis] - b.origin_m[axis];
+        let shift = a.grid.origin_m()[axis] - b.grid.origin_m()[axis];
         assert!((shift - (moved.head_center_m[axis] - [-0.09, 0.0, 0.0][axis])).abs() < 1e-15);
     }
     // Rounding of the positions may move a value across a half: no more than 1 HU.

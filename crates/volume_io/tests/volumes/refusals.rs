@@ -68,7 +68,7 @@ fn nifti_geometry() {
     let nan = nifti_affine([[f32::NAN, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
     assert!(matches!(nan, VolumeError::SingularDirection { .. }));
     let far = nifti_affine([[1.0, 0.0, 0.0, f32::INFINITY], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
-    assert!(matches!(far, VolumeError::Header { field, .. } if field.contains("qoffset")));
+    assert!(matches!(far, VolumeError::Header { field, .. } if field.name.contains("qoffset")));
     let huge = nifti_affine([[1e9, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
     assert!(matches!(huge, VolumeError::Spacing { .. }));
 }
@@ -76,7 +76,7 @@ fn nifti_geometry() {
 #[test]
 fn nifti_header() {
     let field = |error: VolumeError| match error {
-        VolumeError::Header { field, .. } => field,
+        VolumeError::Header { field, .. } => field.name,
         other => panic!("{other}"),
     };
     assert_eq!(field(nifti(|f| f.put(344, b"n+9\0"))), "magic");
@@ -115,7 +115,9 @@ fn more_promised_than_there_is() {
             f.put(at, &i16::MAX.to_le_bytes());
         }
     });
-    assert!(matches!(large, VolumeError::TooLarge { limit: MAX_VOXELS, .. }));
+    assert!(
+        matches!(large, VolumeError::TooLarge { .. }) && large.to_string().contains(&MAX_VOXELS.to_string())
+    );
     let lps = "type: short\ndimension: 3\nspace: LPS\nspace directions: (1,0,0) (0,1,0) (0,0,1)";
     assert!(matches!(nrrd(&format!("{lps}\nsizes: 800 800 800")), VolumeError::Truncated { .. }));
     let overflow = format!("{lps}\nsizes: 9999999999 9999999999 9999999999");
@@ -182,7 +184,7 @@ fn more_data_than_the_header_says_is_refused_or_noted() {
 fn nrrd_header() {
     let lps = "type: short\ndimension: 3\nsizes: 2 3 4\nspace: LPS\n";
     let header = |error: VolumeError, name: &str| {
-        assert!(matches!(&error, VolumeError::Header { field, .. } if field == name), "{name}: {error}");
+        assert!(matches!(&error, VolumeError::Header { field, .. } if field.name == name), "{name}: {error}");
     };
     header(nrrd(lps), "space directions");
     header(nrrd(&format!("{lps}space directions: (1,0,0) (0,1,0)")), "space directions");
@@ -227,7 +229,7 @@ fn metaimage_header() {
     let scaled = metaimage(&format!("{base}ElementToIntensityFunctionSlope = 2"));
     assert!(matches!(scaled, VolumeError::Unsupported { .. }));
     let none = metaimage("NDims = 3\nDimSize = 2 3 4");
-    assert!(matches!(none, VolumeError::Header { field, .. } if field == "ElementSpacing"));
+    assert!(matches!(none, VolumeError::Header { field, .. } if field.name == "ElementSpacing"));
 }
 
 #[test]
@@ -302,7 +304,9 @@ fn dicom_files() {
     for _ in 0..5000 {
         nested.extend(b"\x40\0\x75\x02SQ\0\0\xff\xff\xff\xff\xfe\xff\0\xe0\xff\xff\xff\xff");
     }
-    assert!(matches!(refuse("v.dcm", &nested), VolumeError::Header { field, .. } if field == "sequence"));
+    assert!(
+        matches!(refuse("v.dcm", &nested), VolumeError::Header { field, .. } if field.name == "sequence")
+    );
 }
 
 /// An `SL` of two bytes: the parser read no number of it, took its bytes for the next element and 1.3 GB for that one's
@@ -313,7 +317,7 @@ fn a_dicom_value_with_a_part_of_a_number_is_refused() {
     let samples = explicit.windows(6).position(|w| w == b"\x28\0\x02\0US").unwrap();
     explicit[samples + 4..samples + 6].copy_from_slice(b"SL");
     let field = |error| match error {
-        VolumeError::Header { field, expected, .. } => (field, expected),
+        VolumeError::Header { field, expected, .. } => (field.name, expected),
         other => panic!("{other}"),
     };
     let refused = field(refuse("v.dcm", &explicit));
@@ -337,7 +341,7 @@ fn a_dicom_group_length_that_is_not_the_groups_is_refused() {
         file[140..144].copy_from_slice(&wrong.to_le_bytes());
         let refused = refuse("v.dcm", &file);
         assert!(
-            matches!(&refused, VolumeError::Header { field, .. } if field.contains("FileMetaInformationGroupLength")),
+            matches!(&refused, VolumeError::Header { field, .. } if field.name.contains("FileMetaInformationGroupLength")),
             "{wrong}: {refused}"
         );
     }

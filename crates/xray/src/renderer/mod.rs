@@ -21,7 +21,7 @@ use crate::exposure::{Exposure, Metal, Output};
 use crate::grid::{Grid, VolumeView};
 use crate::machine::Machine;
 use crate::removal::RemovedVoxels;
-use crate::slice_ordered::{SliceOrdered, SliceOrderedMemory};
+use crate::slice_ordered::SliceOrdered;
 use crate::solids::SolidLayer;
 use crate::spectrum::SpectrumTable;
 use crate::tool::Tool;
@@ -68,9 +68,9 @@ impl DrrRenderer {
         parameters.display.validate()?;
         let threads = parameters.threads;
         let pool = machine.workers(threads).map_err(|reason| DrrError::Threads { threads, reason })?;
-        let (law, air) = (parameters.hu_law, parameters.air_below_hu);
+        let air = parameters.air_below_hu;
         let (tissue, bone, spectrum) = match &parameters.spectrum {
-            None => (MuTable::new(law, parameters.energy_kev, air)?, None, None),
+            None => (MuTable::new(parameters.energy_kev, air)?, None, None),
             Some(spectrum) => {
                 let table = SpectrumTable::new(spectrum)?;
                 let mixture = table.mixture();
@@ -119,12 +119,6 @@ impl DrrRenderer {
         }
         self.exposure.prepare(c_arm.pixels());
         Ok(())
-    }
-
-    /// Bytes of the reordered copies and the intermediate image; all 0 if rays are traced individually. With a spectrum, bone needs the
-    /// same amount again.
-    pub fn slice_ordered_memory(&self) -> SliceOrderedMemory {
-        self.tissue.slices.as_ref().map(SliceOrdered::memory).unwrap_or_default()
     }
 
     /// The parameters.

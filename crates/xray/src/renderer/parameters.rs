@@ -1,11 +1,11 @@
 //! Rendering parameters and the report of a frame.
 
-use crate::attenuation::HuLaw;
+use scene::Spectrum;
+
 use crate::detector::DetectorParameters;
 use crate::display::{DisplayParameters, WindowLimits};
 use crate::error::{DrrError, check_range};
 use crate::slice_ordered::SliceOrderedOptions;
-use crate::spectrum::Spectrum;
 
 /// Projector for the anatomy's line integrals, from most exact to fastest.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,9 +69,7 @@ pub struct DrrParameters {
     pub projector: Projector,
     /// Photon energy, 30 to 120 keV. 60 is about the mean of a 90 kV beam.
     pub energy_kev: f64,
-    /// Law from Hounsfield units to attenuation.
-    pub hu_law: HuLaw,
-    /// A spectrum instead of one energy; `energy_kev` and `hu_law` then have no effect.
+    /// A spectrum instead of one energy; `energy_kev` then has no effect.
     pub spectrum: Option<Spectrum>,
     /// CT values below this count as air and attenuate nothing.
     pub air_below_hu: i16,
@@ -90,7 +88,6 @@ impl Default for DrrParameters {
         Self {
             projector: Projector::default(),
             energy_kev: 60.0,
-            hu_law: HuLaw::WaterScaling,
             spectrum: None,
             air_below_hu: -900,
             fill_hu: -1000,

@@ -19,6 +19,7 @@ use crate::error::DrrError;
 use crate::grid::{Grid, VolumeView};
 use crate::pieces::least_hu;
 use crate::removal::RemovedVoxels;
+use crate::vector::scale;
 
 /// The copy for slices across z, which another can serve, is made if it takes at most this part of the free memory.
 const SHARE_OF_THIRD: u64 = 4;
@@ -381,8 +382,9 @@ impl Blocks {
 
     fn grid(&self, grid: &Grid) -> Result<Grid, DrrError> {
         let centre = 0.5 * (self.side as f64 - 1.0);
-        let direction = grid.direction();
-        let spacing_m = grid.spacing_m().map(|s| s * self.side as f64);
-        Grid::new(self.dims, spacing_m, grid.index_to_world([centre; 3]), direction)
+        let (steps_m, fine_m) = (grid.axis_steps_m(), grid.spacing_m());
+        let axes = [0, 1, 2].map(|a| scale(steps_m[a], 1.0 / fine_m[a]));
+        let spacing_m = fine_m.map(|s| s * self.side as f64);
+        Grid::new(self.dims, spacing_m, grid.index_to_world([centre; 3]), axes)
     }
 }

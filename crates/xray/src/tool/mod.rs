@@ -19,59 +19,20 @@ pub(crate) use part::{LEAST_MITRE_COSINE, Radii};
 /// One part of the tool, in the world.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum ToolPart {
-    /// A solid cylinder with flat ends.
-    Cylinder {
-        /// Centre of one end.
-        start_m: [f64; 3],
-        /// Centre of the other end.
-        end_m: [f64; 3],
-        /// Radius.
-        radius_m: f64,
-        /// Material.
-        material: Material,
-    },
-    /// A tube with flat, open ends.
-    HollowCylinder {
-        /// Centre of one end.
-        start_m: [f64; 3],
-        /// Centre of the other end.
-        end_m: [f64; 3],
-        /// Outer radius.
-        outer_radius_m: f64,
-        /// Radius of the lumen.
-        inner_radius_m: f64,
-        /// Wall material.
-        material: Material,
-    },
-    /// A tube with a notch in its wall, as between two flexures. The notch belongs to the envelope and holds air.
-    NotchedTube {
-        /// Centre of one end.
-        start_m: [f64; 3],
-        /// Centre of the other end.
-        end_m: [f64; 3],
-        /// Outer radius.
-        outer_radius_m: f64,
-        /// Radius of the lumen.
-        inner_radius_m: f64,
-        /// The notch.
-        notch: Notch,
-        /// Wall material.
-        material: Material,
-    },
-    /// A link of a bent tool: a rod or a tube whose ends are cut by planes, so that the link beyond, cut by the same plane, fits without
-    /// a gap and without overlap.
-    MitredTube {
+    /// A rod or a tube.
+    Tube {
         /// Where the axis meets the plane of one end.
         start_m: [f64; 3],
         /// Where the axis meets the plane of the other end.
         end_m: [f64; 3],
-        /// Unit normals of the two planes, both from start to end; at most 60 degrees from the axis.
-        normals: [[f64; 3]; 2],
+        /// Unit normals of the planes that cut the two ends, both from start to end and at most 60 degrees from the axis; `None` for flat
+        /// ends. The link beyond, cut by the same plane, fits without a gap and without overlap.
+        normals: Option<[[f64; 3]; 2]>,
         /// Outer radius.
         outer_radius_m: f64,
         /// Radius of the lumen; 0 for a solid rod.
         inner_radius_m: f64,
-        /// A notch in the wall.
+        /// A notch in the wall, as between two flexures. It belongs to the envelope and holds air.
         notch: Option<Notch>,
         /// Material of the wall or rod.
         material: Material,
@@ -111,6 +72,14 @@ pub enum ToolPart {
         /// Material.
         material: Material,
     },
+}
+
+impl ToolPart {
+    /// A tube with flat, open ends, of these outer and inner radii; a rod if the inner one is 0.
+    pub fn tube(start_m: [f64; 3], end_m: [f64; 3], radii_m: [f64; 2], material: Material) -> Self {
+        let [outer_radius_m, inner_radius_m] = radii_m;
+        Self::Tube { start_m, end_m, normals: None, outer_radius_m, inner_radius_m, notch: None, material }
+    }
 }
 
 /// A notch in a tube: the cut-out between two planes perpendicular to the axis and beyond a third plane parallel to it.

@@ -57,40 +57,13 @@ impl PreparedPart {
                 check_zone(radius_m, axis, along_m)?;
                 (Shape::Zone { centre_m, radius_m, axis, along_m }, material)
             }
-            ToolPart::Cylinder { start_m, end_m, radius_m, material } => {
-                check_radius(radius_m)?;
-                (axial(start_m, end_m, None, |_, _| Ok(tube(radius_m, 0.0)))?, material)
-            }
-            ToolPart::HollowCylinder { start_m, end_m, outer_radius_m, inner_radius_m, material } => {
+            ToolPart::Tube { start_m, end_m, normals, outer_radius_m, inner_radius_m, notch, material } => {
                 check_tube(outer_radius_m, inner_radius_m)?;
-                (axial(start_m, end_m, None, |_, _| Ok(tube(outer_radius_m, inner_radius_m)))?, material)
-            }
-            ToolPart::NotchedTube { start_m, end_m, outer_radius_m, inner_radius_m, notch, material } => {
-                check_tube(outer_radius_m, inner_radius_m)?;
-                let notched = |axis, length_m| {
-                    let cut = Some(notch.cut(axis, length_m, outer_radius_m)?);
-                    Ok(Radii::Tube { outer_m: outer_radius_m, inner_m: inner_radius_m, notch: cut })
-                };
-                (axial(start_m, end_m, None, notched)?, material)
-            }
-            ToolPart::MitredTube {
-                start_m,
-                end_m,
-                normals,
-                outer_radius_m,
-                inner_radius_m,
-                notch,
-                material,
-            } => {
-                check_radius(outer_radius_m)?;
-                if inner_radius_m != 0.0 {
-                    check_tube(outer_radius_m, inner_radius_m)?;
-                }
                 let notched = |axis, length_m| {
                     let notch = notch.map(|notch| notch.cut(axis, length_m, outer_radius_m)).transpose()?;
                     Ok(Radii::Tube { outer_m: outer_radius_m, inner_m: inner_radius_m, notch })
                 };
-                (axial(start_m, end_m, Some(normals), notched)?, material)
+                (axial(start_m, end_m, normals, notched)?, material)
             }
             ToolPart::Cone { start_m, end_m, start_radius_m, end_radius_m, material } => {
                 let widest_m = start_radius_m.max(end_radius_m);
@@ -224,7 +197,7 @@ fn check_radius(radius_m: f64) -> Result<(), &'static str> {
     if radius_m > 0.0 && radius_m <= 1.0 {
         Ok(())
     } else {
-        Err("a radius is not in 0 to 1 m (0 excluded): give it in metres; a solid part is a Cylinder")
+        Err("a radius is not in 0 to 1 m (0 excluded): give it in metres")
     }
 }
 
@@ -244,15 +217,14 @@ fn check_zone(radius_m: f64, axis: Vec3, [from_m, to_m]: [f64; 2]) -> Result<(),
 
 fn check_tube(outer_radius_m: f64, inner_radius_m: f64) -> Result<(), &'static str> {
     check_radius(outer_radius_m)?;
+    if inner_radius_m == 0.0 {
+        return Ok(());
+    }
     check_radius(inner_radius_m)?;
     if inner_radius_m >= outer_radius_m {
         return Err("the inner radius is not below the outer one: give inner_radius_m < outer_radius_m");
     }
     Ok(())
-}
-
-fn tube(outer_m: f64, inner_m: f64) -> Radii {
-    Radii::Tube { outer_m, inner_m, notch: None }
 }
 
 fn axial(

@@ -2,8 +2,8 @@
 
 use xray::message::{c_arm_message, c_arm_of};
 use xray::{
-    CArm, DrrError, DrrParameters, DrrRenderer, FrameSeed, Grid, PositionerAngles, Projector, Tool,
-    VolumeView, Window, detector::DetectorParameters, display::DisplayParameters,
+    CArm, DetectorParameters, DisplayParameters, DrrError, DrrParameters, DrrRenderer, FrameSeed, Grid,
+    PositionerAngles, Projector, Tool, VolumeView, Window,
 };
 
 use voxel_grid::GridError;

@@ -77,7 +77,8 @@ fn coefficients_are_those_of_xcom() {
 /// What 10 mm of aluminium take from each energy, beside xraylib's coefficient: the weights are relative, so pairs are compared.
 #[test]
 fn the_filter_is_xcoms_aluminium() {
-    let weights = |aluminium_mm| Spectrum { tube_kv: 120.0, aluminium_mm, ..Spectrum::default() }.weights();
+    let weights =
+        |aluminium_mm| xray::weights(&Spectrum { tube_kv: 120.0, aluminium_mm, ..Spectrum::default() });
     let (open, filtered) = (weights(0.0), weights(10.0));
     let energies: Vec<f64> = open.iter().map(|(energy, _)| *energy).collect();
     let Some(theirs) = xraylib(&[&[(13, 1.0)]], &energies) else { return };

@@ -4,9 +4,8 @@ use messages::State;
 use proptest::prelude::*;
 use scene::{Cutter, CutterShape, OuterTubeSize, STANDARD_HOLDER, STANDARD_RADII, ToolBurr, ToolRadii};
 use xray::ray::WorldRay;
-use xray::tool::{PreparedPart, join_intervals};
 use xray::tool_model::tool_of;
-use xray::{Material, ToolPart};
+use xray::{Material, PreparedPart, ToolPart, join_intervals};
 
 fn cutter(shape: CutterShape) -> Cutter {
     let is_bit = shape == CutterShape::Bit;
@@ -78,7 +77,7 @@ fn the_tube_ends_where_a_long_burr_begins() {
     let length_m = |cutter: Cutter| {
         let tool = tool_of(&state, &ToolRadii { cutter, ..STANDARD_RADII }, &STANDARD_HOLDER, None);
         let ends = tool.parts.iter().find_map(|part| match part {
-            ToolPart::HollowCylinder { start_m, end_m, .. } => Some([*start_m, *end_m]),
+            ToolPart::Tube { start_m, end_m, .. } => Some([*start_m, *end_m]),
             _ => None,
         });
         ends.map_or(0.0, |[a, b]| (0..3).map(|i| (b[i] - a[i]).powi(2)).sum::<f64>().sqrt())
@@ -101,12 +100,7 @@ fn an_outer_tube_lies_about_the_tool_up_to_its_end() {
     let across_m = |along_m: f64, material: Material| {
         let at: [f64; 3] = std::array::from_fn(|i| along_m * axis[i]);
         let ray = WorldRay::between([at[0], -0.1, at[2]], [at[0], 0.1, at[2]]);
-        let of = |part: &&ToolPart| match part {
-            ToolPart::HollowCylinder { material: own, .. } | ToolPart::Cylinder { material: own, .. } => {
-                *own == material
-            }
-            _ => false,
-        };
+        let of = |part: &&ToolPart| matches!(part, ToolPart::Tube { material: own, .. } if *own == material);
         tool.parts.iter().filter(of).map(|part| crossed_m(part, &ray)).sum::<f64>()
     };
     let cable_m = 2.0 * STANDARD_RADII.drive_cable_m;

@@ -12,9 +12,8 @@ const PIXELS: u32 = 72;
 /// An oblique, anisotropic volume with structure everywhere but in some empty blocks.
 pub fn volume() -> (Grid, Vec<i16>) {
     let (s, c) = 0.4_f64.sin_cos();
-    let direction = [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]];
-    let grid =
-        Grid::new([40, 33, 29], [0.9e-3, 1.0e-3, 1.3e-3], [-0.012, -0.022, -0.018], direction).unwrap();
+    let axes = [[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]];
+    let grid = Grid::new([40, 33, 29], [0.9e-3, 1.0e-3, 1.3e-3], [-0.012, -0.022, -0.018], axes).unwrap();
     let hu = (0..grid.voxels())
         .map(|i| {
             let [x, y, _] = grid.voxel_of(i);
@@ -36,19 +35,18 @@ pub fn tool(step: u64) -> Tool {
     let x = step as f64 * 1e-3 - 0.02;
     Tool {
         parts: vec![
-            ToolPart::HollowCylinder {
-                start_m: [x - 0.02, 0.001, 0.002],
-                end_m: [x + 0.005, 0.0, 0.004],
-                outer_radius_m: 3e-3,
-                inner_radius_m: 2e-3,
-                material: Material::Nitinol,
-            },
-            ToolPart::Cylinder {
-                start_m: [x - 0.02, 0.001, 0.002],
-                end_m: [x + 0.005, 0.0, 0.004],
-                radius_m: 1e-3,
-                material: Material::Steel316L,
-            },
+            ToolPart::tube(
+                [x - 0.02, 0.001, 0.002],
+                [x + 0.005, 0.0, 0.004],
+                [3e-3, 2e-3],
+                Material::Nitinol,
+            ),
+            ToolPart::tube(
+                [x - 0.02, 0.001, 0.002],
+                [x + 0.005, 0.0, 0.004],
+                [1e-3, 0.0],
+                Material::Steel316L,
+            ),
             ToolPart::Sphere {
                 centre_m: [x + 0.007, 0.0, 0.004],
                 radius_m: 3.25e-3,

@@ -94,20 +94,10 @@ fn a_point_behind_the_source_is_not_seen() {
 }
 
 #[test]
-fn binning_keeps_pixel_centres_in_the_middle_of_their_group() {
-    let fine = arm(20.0, 10.0);
-    let coarse = fine.binned(4).unwrap();
-    assert_eq!((coarse.columns, coarse.rows), (25, 20));
-    let (a, b) = (coarse.pixel_m(3.0, 7.0), fine.pixel_m(13.5, 29.5));
-    assert!((0..3).all(|i| (a[i] - b[i]).abs() < 1e-12), "{a:?} {b:?}");
-    assert!(fine.binned(0).is_err());
-}
-
-#[test]
-fn the_columns_of_the_direction_matrix_are_the_index_axes() {
+fn voxels_lie_along_the_axes_of_their_grid() {
     // i runs to +y, j to +z, k to +x.
-    let direction = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
-    let grid = Grid::new([4, 5, 6], [1e-3, 2e-3, 3e-3], [0.1, 0.2, 0.3], direction).unwrap();
+    let axes = [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]];
+    let grid = Grid::new([4, 5, 6], [1e-3, 2e-3, 3e-3], [0.1, 0.2, 0.3], axes).unwrap();
     let p = grid.index_to_world([1.0, 2.0, 3.0]);
     assert!((p[0] - 0.109).abs() < 1e-15 && (p[1] - 0.201).abs() < 1e-15 && (p[2] - 0.304).abs() < 1e-15);
     assert_eq!(grid.linear_of([1, 2, 3]), Some(1 + 4 * (2 + 5 * 3)));
@@ -173,8 +163,8 @@ proptest! {
     ) {
         let (s, c) = angle.sin_cos();
         // A left-handed, turned grid with three spacings.
-        let direction = [[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, -1.0]];
-        let grid = Grid::new([10, 20, 30], [0.5e-3, 0.7e-3, 1.1e-3], [0.1, -0.2, 0.3], direction).unwrap();
+        let axes = [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, -1.0]];
+        let grid = Grid::new([10, 20, 30], [0.5e-3, 0.7e-3, 1.1e-3], [0.1, -0.2, 0.3], axes).unwrap();
         let back = grid.world_to_index(grid.index_to_world([x, y, z]));
         prop_assert!((back[0] - x).abs() + (back[1] - y).abs() + (back[2] - z).abs() < 1e-10);
     }

@@ -141,13 +141,7 @@ fn a_keypoint_is_overlapped_where_another_part_lies_on_its_ray() {
     let points_m: Vec<[f64; 3]> = (0..6).map(|i| [f64::from(i) * 0.01 - 0.04, 0.0, 0.0]).collect();
     let mut parts: Vec<ToolPart> = points_m
         .windows(2)
-        .map(|ends| ToolPart::HollowCylinder {
-            start_m: ends[0],
-            end_m: ends[1],
-            outer_radius_m: 3e-3,
-            inner_radius_m: 2e-3,
-            material: Material::Nitinol,
-        })
+        .map(|ends| ToolPart::tube(ends[0], ends[1], [3e-3, 2e-3], Material::Nitinol))
         .collect();
     parts.push(ToolPart::Sphere { centre_m: points_m[5], radius_m: 3.25e-3, material: Material::Steel316L });
     let tool = Tool { parts, arm: None };

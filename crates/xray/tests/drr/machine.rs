@@ -4,12 +4,11 @@ use std::sync::LazyLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
-use xray::attenuation::MuTable;
 use xray::removal::RemovedVoxels;
 use xray::slice_ordered::{SliceOrdered, SliceOrderedOptions, Update};
 use xray::{
-    CArm, DetectorFormat, DrrError, DrrParameters, DrrRenderer, FrameSeed, Grid, HuLaw, Machine, Material,
-    Memory, PositionerAngles, Tool, VolumeView,
+    CArm, DetectorFormat, DrrError, DrrParameters, DrrRenderer, FrameSeed, Grid, Machine, Material, Memory,
+    MuTable, PositionerAngles, Tool, VolumeView,
 };
 
 use crate::slice_ordered::{c_arm, hash, random, remove, volume};
@@ -78,7 +77,7 @@ fn the_clock_decides_how_changes_are_worked_in_and_not_what_comes_out() {
     let view = VolumeView::new(grid, &hu).unwrap();
     let c_arm = c_arm(20.0, 10.0, 64);
     let results = [&SLOW as &'static dyn Machine, &NoClock].map(|machine| {
-        let table = MuTable::new(HuLaw::WaterScaling, 60.0, -900).unwrap();
+        let table = MuTable::new(60.0, -900).unwrap();
         let unit_per_m = Material::Water.mu_per_m(60.0).unwrap() / 1000.0;
         let options = SliceOrderedOptions::default();
         let mut slices = SliceOrdered::new(&view, &table, unit_per_m, 0.0, options, machine).unwrap();
@@ -134,7 +133,7 @@ fn images_that_the_memory_cannot_hold_are_refused_with_both_sizes() {
     let format = DetectorFormat { columns: 64, rows: 64, pixel_pitch_m: [0.1; 2] };
     let from_below = PositionerAngles::from_degrees(0.0, 90.0);
     let c_arm = CArm::from_positioner_angles([0.0; 3], from_below, 1.6, 1.7, format).unwrap();
-    let table = MuTable::new(HuLaw::WaterScaling, 60.0, -900).unwrap();
+    let table = MuTable::new(60.0, -900).unwrap();
     let options = SliceOrderedOptions { oversampling: 4.0, ..SliceOrderedOptions::default() };
     let mut slices = SliceOrdered::new(&view, &table, 0.02, 0.0, options, &GIBIBYTE).unwrap();
     let mut image = vec![0.0; c_arm.pixels()];
@@ -153,7 +152,7 @@ fn slices_across_z_have_the_same_bits_with_a_copy_of_their_own_and_without() {
     static PLENTY: Small = Small { free_bytes: Some(1 << 30), given_bytes: usize::MAX };
     let (grid, hu) = volume(2500);
     let view = VolumeView::new(grid, &hu).unwrap();
-    let table = MuTable::new(HuLaw::WaterScaling, 60.0, -900).unwrap();
+    let table = MuTable::new(60.0, -900).unwrap();
     let from_above = c_arm(5.0, 85.0, 64);
     let results = [&SCARCE, &PLENTY].map(|machine| {
         let options = SliceOrderedOptions::default();

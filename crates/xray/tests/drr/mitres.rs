@@ -4,9 +4,8 @@ use messages::State;
 use proptest::prelude::*;
 use scene::{STANDARD_HOLDER, STANDARD_RADII};
 use xray::ray::WorldRay;
-use xray::tool::PreparedPart;
 use xray::tool_model::tool_of;
-use xray::{Material, Tool, ToolPart};
+use xray::{Material, PreparedPart, Tool, ToolPart};
 
 const OUTER_M: f64 = 3e-3;
 const INNER_M: f64 = 2e-3;
@@ -75,11 +74,21 @@ fn the_metal_at_a_joint_is_that_of_the_ellipse_in_its_plane() {
 #[test]
 fn links_in_line_end_flat() {
     let tool = tool_of(&bent(0.0).0, &STANDARD_RADII, &STANDARD_HOLDER, None);
-    assert!(tool.parts.iter().all(|part| !matches!(part, ToolPart::MitredTube { .. })), "{tool:?}");
+    assert!(
+        tool.parts
+            .iter()
+            .all(|part| matches!(part, ToolPart::Sphere { .. } | ToolPart::Tube { normals: None, .. })),
+        "{tool:?}"
+    );
     assert_eq!(tool.parts.len(), 11);
     // So oblique that a mitre would stick out by more than the tube is wide.
     let tool = tool_of(&bent(2.2).0, &STANDARD_RADII, &STANDARD_HOLDER, None);
-    assert!(tool.parts.iter().all(|part| !matches!(part, ToolPart::MitredTube { .. })), "{tool:?}");
+    assert!(
+        tool.parts
+            .iter()
+            .all(|part| matches!(part, ToolPart::Sphere { .. } | ToolPart::Tube { normals: None, .. })),
+        "{tool:?}"
+    );
 }
 
 /// From a base 200 mm before the flange, the shaft goes on to the holder of 60 mm: a straight ray along y crosses its two walls.
@@ -113,10 +122,10 @@ fn an_end_cut_too_obliquely_or_by_no_unit_normal_is_refused() {
     let z = [0.0, 0.0, 1.0];
     for normal in [[0.0, 0.0, -1.0], [0.9, 0.0, 0.19_f64.sqrt()], [0.0, 0.0, 2.0], [f64::NAN, 0.0, 1.0]] {
         for normals in [[normal, z], [z, normal]] {
-            let part = ToolPart::MitredTube {
+            let part = ToolPart::Tube {
                 start_m: [0.0; 3],
                 end_m: [0.0, 0.0, 0.03],
-                normals,
+                normals: Some(normals),
                 outer_radius_m: OUTER_M,
                 inner_radius_m: INNER_M,
                 notch: None,

@@ -1,10 +1,9 @@
 //! Line integrals against closed forms.
 
 use proptest::prelude::*;
-use xray::attenuation::MuTable;
 use xray::ray::{IndexRay, RayFan, WorldRay};
 use xray::removal::{AttenuationField, BlockMap, RemovedVoxels};
-use xray::{CArm, Grid, HuLaw, Material, VolumeView, joseph, reference, siddon};
+use xray::{CArm, Grid, Material, MuTable, VolumeView, joseph, reference, siddon};
 
 /// A volume with everything a projector needs.
 struct Scene {
@@ -17,7 +16,7 @@ struct Scene {
 
 impl Scene {
     fn new(grid: Grid, hu: Vec<i16>) -> Self {
-        let table = MuTable::new(HuLaw::WaterScaling, 60.0, -1000).unwrap();
+        let table = MuTable::new(60.0, -1000).unwrap();
         let blocks = BlockMap::new(&VolumeView::new(grid, &hu).unwrap(), &table);
         Self { grid, hu, table, removed: RemovedVoxels::new(&grid), blocks }
     }

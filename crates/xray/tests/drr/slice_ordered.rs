@@ -1,11 +1,10 @@
 //! Sums over slices: against closed forms and Siddon; the same bits whatever runs them.
 
-use xray::attenuation::MuTable;
 use xray::ray::{IndexRay, RayFan};
 use xray::removal::{AttenuationField, BlockMap, RemovedVoxels};
 use xray::slice_ordered::{Instructions, SliceOrdered, SliceOrderedOptions, Update};
 use xray::{
-    CArm, DetectorFormat, DrrError, DrrParameters, DrrRenderer, FrameSeed, Grid, HuLaw, Material,
+    CArm, DetectorFormat, DrrError, DrrParameters, DrrRenderer, FrameSeed, Grid, Material, MuTable,
     PositionerAngles, Projector, Tool, VolumeView, joseph, reference, siddon,
 };
 use xxhash_rust::xxh3::xxh3_64;
@@ -20,7 +19,7 @@ pub fn water() -> f64 {
 }
 
 pub fn table() -> MuTable {
-    MuTable::new(HuLaw::WaterScaling, 60.0, -900).unwrap()
+    MuTable::new(60.0, -900).unwrap()
 }
 
 pub fn slices(view: &VolumeView<'_>, options: SliceOrderedOptions) -> SliceOrdered {
@@ -76,9 +75,8 @@ pub fn random(i: u64) -> u64 {
 /// An oblique, anisotropic volume with air and values up to `largest`; its sizes are multiples of nothing that the sums work in.
 pub fn volume(largest: i16) -> (Grid, Vec<i16>) {
     let (s, c) = 0.3_f64.sin_cos();
-    let direction = [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]];
-    let grid =
-        Grid::new([75, 61, 53], [0.8e-3, 1.0e-3, 1.1e-3], [-0.012, -0.035, -0.028], direction).unwrap();
+    let axes = [[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]];
+    let grid = Grid::new([75, 61, 53], [0.8e-3, 1.0e-3, 1.1e-3], [-0.012, -0.035, -0.028], axes).unwrap();
     let hu = (0..grid.voxels())
         .map(|i| {
             let [x, y, z] = grid.voxel_of(i);

@@ -8,10 +8,9 @@ use parry3d_f64::query::{Ray, RayCast};
 use parry3d_f64::shape::TriMesh;
 use scene::closed_mesh::ClosedMesh;
 use xray::arm_model::ArmModel;
-use xray::attenuation::ALUMINIUM_G_PER_CM3;
 use xray::{
-    CArm, DetectorParameters, DrrError, DrrParameters, DrrRenderer, FrameSeed, Grid, Material, PlacedSolids,
-    Spectrum, Tool, ToolPart, VolumeView,
+    ALUMINIUM_G_PER_CM3, CArm, DetectorParameters, DrrError, DrrParameters, DrrRenderer, FrameSeed, Grid,
+    Material, PlacedSolids, Spectrum, Tool, ToolPart, VolumeView, weights,
 };
 use zerocopy::FromZeros;
 
@@ -305,12 +304,7 @@ fn the_arm_attenuates_as_its_mass_does_with_and_without_a_spectrum() {
     let solids: Arc<[ClosedMesh]> = Arc::from(vec![cuboid([0.02, 0.01, 0.02])]);
     let arm = PlacedSolids::new(Arc::clone(&solids), &poses, ALUMINIUM_G_PER_CM3 / 3.0).unwrap();
     // The beam runs along y.
-    let rod = ToolPart::Cylinder {
-        start_m: [-0.002, 0.015, 0.0],
-        end_m: [0.002, 0.015, 0.0],
-        radius_m: 2e-3,
-        material: Material::Steel316L,
-    };
+    let rod = ToolPart::tube([-0.002, 0.015, 0.0], [0.002, 0.015, 0.0], [2e-3, 0.0], Material::Steel316L);
     let tool = Tool { parts: vec![rod], arm: Some(arm) };
     let mu = |material: Material, energy_kev| material.mu_per_m(energy_kev).unwrap();
     let depth = |energy_kev: f64, steel_m: f64| {
@@ -327,8 +321,7 @@ fn the_arm_attenuates_as_its_mass_does_with_and_without_a_spectrum() {
     let spectrum = Spectrum::default();
     let hard = shown(&c_arm, &tool, DrrParameters { spectrum: Some(spectrum), ..Default::default() });
     let passed = |slant: f64, steel_m: f64| -> f64 {
-        spectrum
-            .weights()
+        weights(&spectrum)
             .iter()
             .map(|(energy, weight)| weight * (-depth(*energy, steel_m) * slant).exp())
             .sum()

@@ -1,14 +1,12 @@
 //! Chords of the tool's parts, and the anatomy they displace, against closed forms.
 
 use proptest::prelude::*;
-use xray::attenuation::MuTable;
 use xray::ray::RayFan;
 use xray::ray::WorldRay;
 use xray::removal::{AttenuationField, BlockMap, RemovedVoxels};
-use xray::tool::{PreparedPart, join_intervals};
 use xray::{
-    DrrParameters, DrrRenderer, FrameSeed, Grid, HuLaw, Material, Notch, Projector, Tool, ToolPart,
-    VolumeView, detector::DetectorParameters, joseph, siddon,
+    DetectorParameters, DrrParameters, DrrRenderer, FrameSeed, Grid, Material, MuTable, Notch, PreparedPart,
+    Projector, Tool, ToolPart, VolumeView, join_intervals, joseph, siddon,
 };
 
 use crate::machine::Desk;
@@ -20,7 +18,14 @@ fn metal_m(part: &ToolPart, from: [f64; 3], to: [f64; 3]) -> f64 {
 }
 
 fn tube(start_m: [f64; 3], end_m: [f64; 3]) -> ToolPart {
-    ToolPart::HollowCylinder { start_m, end_m, outer_radius_m: 3e-3, inner_radius_m: 2e-3, material: NITINOL }
+    ToolPart::tube(start_m, end_m, [3e-3, 2e-3], NITINOL)
+}
+
+/// A tube of 30 mm along z with a notch.
+fn notched(notch: Notch) -> ToolPart {
+    let (start_m, end_m, outer_radius_m, inner_radius_m) = ([0.0; 3], [0.0, 0.0, 0.03], 3e-3, 2e-3);
+    let (notch, material) = (Some(notch), NITINOL);
+    ToolPart::Tube { start_m, end_m, normals: None, outer_radius_m, inner_radius_m, notch, material }
 }
 
 #[test]
@@ -46,8 +51,7 @@ fn a_tube_by_hand() {
 
 #[test]
 fn solid_parts_by_hand() {
-    let rod =
-        ToolPart::Cylinder { start_m: [0.0; 3], end_m: [0.02, 0.0, 0.0], radius_m: 1e-3, material: NITINOL };
+    let rod = ToolPart::tube([0.0; 3], [0.02, 0.0, 0.0], [1e-3, 0.0], NITINOL);
     assert!((metal_m(&rod, [0.01, -1.0, 0.0], [0.01, 1.0, 0.0]) - 2e-3).abs() < 1e-14);
     assert!((metal_m(&rod, [-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]) - 0.02).abs() < 1e-14);
     let burr = ToolPart::Sphere { centre_m: [0.0; 3], radius_m: 3.25e-3, material: NITINOL };
@@ -64,7 +68,7 @@ fn impossible_parts_are_refused_with_a_reason() {
     assert!(PreparedPart::new(&tube([0.0; 3], [0.0; 3])).unwrap_err().contains("coincide"));
     assert!(PreparedPart::new(&tube([f64::INFINITY, 0.0, 0.0], [0.0; 3])).is_err());
     let mut solid = tube([0.0; 3], [0.0, 0.0, 0.1]);
-    if let ToolPart::HollowCylinder { inner_radius_m, .. } = &mut solid {
+    if let ToolPart::Tube { inner_radius_m, .. } = &mut solid {
         *inner_radius_m = 3e-3;
     }
     assert!(PreparedPart::new(&solid).unwrap_err().contains("inner_radius_m < outer_radius_m"));
@@ -85,12 +89,7 @@ fn metal_displaces_the_anatomy_once() {
     let hu = vec![0; grid.voxels()];
     let view = VolumeView::new(grid, &hu).unwrap();
     // A cable inside a tube, and a burr that overlaps its end: the union of three envelopes.
-    let cable = ToolPart::Cylinder {
-        start_m: [-0.01, 0.0, 0.0],
-        end_m: [0.01, 0.0, 0.0],
-        radius_m: 1e-3,
-        material: Material::Steel316L,
-    };
+    let cable = ToolPart::tube([-0.01, 0.0, 0.0], [0.01, 0.0, 0.0], [1e-3, 0.0], Material::Steel316L);
     let burr =
         ToolPart::Sphere { centre_m: [0.012, 0.0, 0.0], radius_m: 3.25e-3, material: Material::Steel316L };
     let tool = Tool { parts: vec![tube([-0.01, 0.0, 0.0], [0.01, 0.0, 0.0]), cable, burr], arm: None };
@@ -165,13 +164,7 @@ pub fn whole_tool() -> Tool {
     let mut at = [0.0_f64, -0.01, 0.0];
     let along = |angle: f64| [angle.cos() * 0.8, -0.6, angle.sin() * 0.8];
     let step = |p: [f64; 3], d: [f64; 3], length: f64| std::array::from_fn(|i| p[i] + length * d[i]);
-    let shaft = ToolPart::HollowCylinder {
-        start_m: step(at, along(0.6), -0.5),
-        end_m: at,
-        outer_radius_m: 3e-3,
-        inner_radius_m: 2e-3,
-        material: Material::Steel316L,
-    };
+    let shaft = ToolPart::tube(step(at, along(0.6), -0.5), at, [3e-3, 2e-3], Material::Steel316L);
     let mut parts = vec![shaft];
     for i in 0..27 {
         let angle = 0.6 + 0.03 * f64::from(i);
@@ -180,14 +173,18 @@ pub fn whole_tool() -> Tool {
         let turn = if i % 2 == 0 { 1.0 } else { -1.0 };
         let side = [-turn * angle.sin(), 0.0, turn * angle.cos()];
         let notch = Notch { offset_m: 0.4e-3, width_m: 0.5e-3, side, depth_m: 2e-3 };
-        let (start_m, end_m, outer_radius_m, inner_radius_m) = (at, next, 3e-3, 2e-3);
-        let material = NITINOL;
-        parts.push(if i % 2 == 0 {
-            ToolPart::NotchedTube { start_m, end_m, outer_radius_m, inner_radius_m, notch, material }
-        } else {
-            let normals = [-0.4, 0.6].map(|turn| along(angle + turn));
-            let notch = (i % 3 > 0).then_some(notch);
-            ToolPart::MitredTube { start_m, end_m, normals, outer_radius_m, inner_radius_m, notch, material }
+        let (outer_radius_m, inner_radius_m, material) = (3e-3, 2e-3, NITINOL);
+        let normals = (i % 2 == 1).then(|| [-0.4, 0.6].map(|turn| along(angle + turn)));
+        let notch = (i % 2 == 0 || i % 3 > 0).then_some(notch);
+        let (start_m, end_m) = (at, next);
+        parts.push(ToolPart::Tube {
+            start_m,
+            end_m,
+            normals,
+            outer_radius_m,
+            inner_radius_m,
+            notch,
+            material,
         });
         at = next;
     }
@@ -201,8 +198,8 @@ pub fn whole_tool() -> Tool {
 /// A turned grid of air and of numbers without order, and voxels removed from it.
 pub fn turned_volume() -> (Grid, Vec<i16>, Vec<u32>) {
     let (s, c) = 0.3_f64.sin_cos();
-    let direction = [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]];
-    let grid = Grid::new([60, 50, 55], [1.0e-3, 1.2e-3, 0.9e-3], [-0.02, -0.035, -0.02], direction).unwrap();
+    let axes = [[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]];
+    let grid = Grid::new([60, 50, 55], [1.0e-3, 1.2e-3, 0.9e-3], [-0.02, -0.035, -0.02], axes).unwrap();
     let hu: Vec<i16> = (0..grid.voxels())
         .map(|i| if (i / 9) % 40 < 12 { -1000 } else { ((i * 7919) % 2000) as i16 - 500 })
         .collect();
@@ -217,7 +214,7 @@ fn the_fast_tool_layer_is_every_part_on_every_pixel() {
     let view = VolumeView::new(grid, &hu).unwrap();
     let tool = whole_tool();
     let parts: Vec<PreparedPart> = tool.parts.iter().map(|p| PreparedPart::new(p).unwrap()).collect();
-    let table = MuTable::new(HuLaw::WaterScaling, 60.0, -900).unwrap();
+    let table = MuTable::new(60.0, -900).unwrap();
     let blocks = BlockMap::new(&view, &table);
     for (projector, primary, secondary) in [
         (Projector::Joseph, 0.0, 0.0),
@@ -280,14 +277,7 @@ fn the_fast_tool_layer_is_every_part_on_every_pixel() {
 #[test]
 fn a_notch_and_a_cone_by_hand() {
     let notch = Notch { offset_m: 0.01, width_m: 5e-3, side: [0.0, 1.0, 0.0], depth_m: 2.5e-3 };
-    let link = ToolPart::NotchedTube {
-        start_m: [0.0; 3],
-        end_m: [0.0, 0.0, 0.03],
-        outer_radius_m: 3e-3,
-        inner_radius_m: 2e-3,
-        notch,
-        material: NITINOL,
-    };
+    let link = notched(notch);
     // Rounding of parameters of a ray of 1 m.
     let near = |got: f64, want: f64| assert!((got - want).abs() < 1e-13, "got {got}, want {want}");
     // Along y through the notch: the wall at -y only, as y > 0.5 mm is open; beside the notch both walls.
@@ -318,30 +308,22 @@ fn a_notch_and_a_cone_by_hand() {
         near(metal_m(&part, [x, 0.0, -0.1], [x, 0.0, 0.1]), length);
     }
     // A cylinder is a cone of one radius.
-    let rod =
-        ToolPart::Cylinder { start_m: [0.0; 3], end_m: [0.0, 0.0, 0.01], radius_m: 2e-3, material: NITINOL };
+    let rod = ToolPart::tube([0.0; 3], [0.0, 0.0, 0.01], [2e-3, 0.0], NITINOL);
     let (from, to) = ([-0.02, 0.003, -0.01], [0.02, -0.002, 0.02]);
     near(metal_m(&cone(2e-3, 2e-3), from, to), metal_m(&rod, from, to));
 }
 
 #[test]
 fn impossible_notches_and_cones_are_refused_with_a_reason() {
-    let notched = |offset_m, width_m, side, depth_m| {
-        let part = ToolPart::NotchedTube {
-            start_m: [0.0; 3],
-            end_m: [0.0, 0.0, 0.03],
-            outer_radius_m: 3e-3,
-            inner_radius_m: 2e-3,
-            notch: Notch { offset_m, width_m, side, depth_m },
-            material: NITINOL,
-        };
+    let refused = |offset_m, width_m, side, depth_m| {
+        let part = notched(Notch { offset_m, width_m, side, depth_m });
         PreparedPart::new(&part).map(|_| ()).unwrap_err()
     };
     let y = [0.0, 1.0, 0.0];
-    assert!(notched(0.028, 5e-3, y, 1e-3).contains("within the tube"));
-    assert!(notched(0.01, f64::NAN, y, 1e-3).contains("within the tube"));
-    assert!(notched(0.01, 5e-3, y, 7e-3).contains("depth"));
-    assert!(notched(0.01, 5e-3, [0.0, 0.0, 1.0], 1e-3).contains("perpendicular"));
+    assert!(refused(0.028, 5e-3, y, 1e-3).contains("within the tube"));
+    assert!(refused(0.01, f64::NAN, y, 1e-3).contains("within the tube"));
+    assert!(refused(0.01, 5e-3, y, 7e-3).contains("depth"));
+    assert!(refused(0.01, 5e-3, [0.0, 0.0, 1.0], 1e-3).contains("perpendicular"));
     for radii in [(0.0, 0.0), (-1e-3, 1e-3), (f64::NAN, 1e-3)] {
         let part = ToolPart::Cone {
             start_m: [0.0; 3],

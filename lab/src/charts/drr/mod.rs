@@ -16,12 +16,12 @@ use std::time::Instant;
 
 use drr_proc::ThisMachine;
 use xray::ray::RayFan;
-use xray::reference::Phantom;
 use xray::{
     CArm, DetectorFormat, DetectorParameters, DisplayParameters, DrrParameters, DrrRenderer, FrameSeed, Grid,
     Material, PositionerAngles, Projector, Tool, VolumeView, Window,
 };
 
+use crate::phantom::Phantom;
 use trabecula::failure::Failure;
 use trabecula::output::{refuse_existing, within};
 

@@ -8,13 +8,14 @@ use std::path::Path;
 use std::time::Instant;
 
 use drr_proc::ThisMachine;
-use xray::reference::{self, Phantom, Solid, relative_rms};
+use xray::reference::{self, relative_rms};
 use xray::{
     CArm, DetectorFormat, DrrError, DrrRenderer, FrameSeed, Grid, Projector, Tool, VolumeView, ladder,
 };
 
 use super::{POSES, failed, parameters, projectors};
 use crate::bench::samples::median;
+use crate::phantom::{Phantom, Solid};
 use trabecula::failure::Failure;
 
 /// Pixels along each side of the detector, and the stride at which the error is sampled.

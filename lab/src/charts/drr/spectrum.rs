@@ -1,7 +1,6 @@
 //! Errors of the polychromatic table against its sum over energies, and of a single energy against both.
 
-use xray::spectrum::SpectrumTable;
-use xray::{DrrError, Material, Spectrum};
+use xray::{DrrError, Material, Spectrum, SpectrumTable};
 
 /// Tissue in front of the other material, metres.
 const TISSUE_M: f64 = 0.2;

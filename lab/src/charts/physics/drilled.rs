@@ -1,9 +1,9 @@
 //! The drilled path of the default scene: its feed and tendon ramp, open loop, with any settings.
 
-use ipc_types::messages::Volume as VolumeMessage;
 use ipc_types::scene::{Feedback, Mode, Scene};
 use nalgebra::Vector3;
 use simulation::CtView;
+use voxel_grid::Ct;
 
 use trabecula::failure::Failure;
 use trabecula::launcher::volume_source;
@@ -16,8 +16,7 @@ const DURATION_S: f64 = 18.6;
 /// The default scene with its bone.
 pub struct Drilling {
     scene: Scene,
-    volume: VolumeMessage,
-    hu: Vec<i16>,
+    ct: Ct,
 }
 
 impl Drilling {
@@ -38,10 +37,10 @@ impl Drilling {
         if let Some(volume) = &mut scene.volume {
             volume.spacing_mm = spacing_mm;
         }
-        let volume = volume_source::load(&scene, volume_source::VolumeFiles::default())
+        let ct = volume_source::load(&scene, volume_source::VolumeFiles::default())
             .map_err(|cause| Failure::failed(cause.to_string()))?;
-        let (volume, hash) = volume.ok_or_else(|| Failure::failed("the default scene has no volume"))?;
-        Ok(Drilling { volume: volume_source::message(&volume, hash), hu: volume.hu, scene })
+        let ct = ct.ok_or_else(|| Failure::failed("the default scene has no volume"))?;
+        Ok(Drilling { ct, scene })
     }
 
     /// Drills with these settings, beside the reference.
@@ -67,6 +66,6 @@ impl Drilling {
     }
 
     fn ct(&self) -> CtView<'_> {
-        CtView::new(&self.volume, &self.hu)
+        CtView::from(&self.ct.volume)
     }
 }

@@ -12,7 +12,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use test_support::limited::Limited;
 use test_support::python;
-use volume_io::{Label, ReadOptions, Slices, Volume, read_as};
+use volume_io::{Label, ReadOptions, Slices, read_as};
+use voxel_grid::Volume;
 
 const PACKAGES: [&str; 8] = [
     "numpy==2.4.6",
@@ -92,15 +93,15 @@ fn verdict(case: &Value) -> Result<String, String> {
 fn compare(volume: &Volume, reader: &Value) -> Result<i64, String> {
     let dims: Vec<usize> =
         reader["dims"].as_array().unwrap().iter().map(|n| n.as_u64().unwrap() as usize).collect();
-    if dims != volume.dims {
-        return Err(format!("{dims:?} voxels, here {:?}", volume.dims));
+    if dims != volume.grid.dims() {
+        return Err(format!("{dims:?} voxels, here {:?}", volume.grid.dims()));
     }
     if let Value::Array(rows) = &reader["affine_mm"] {
         let theirs = |row: usize, column: usize| rows[row][column].as_f64().unwrap();
         for row in 0..3 {
-            let mine = |axis: usize| volume.direction[row][axis] * volume.spacing_m[axis] * 1e3;
+            let mine = |axis: usize| volume.grid.direction()[row][axis] * volume.grid.spacing_m()[axis] * 1e3;
             let off = (0..3).map(|axis| (mine(axis) - theirs(row, axis)).abs()).fold(0.0, f64::max);
-            let off = off.max((volume.origin_m[row] * 1e3 - theirs(row, 3)).abs());
+            let off = off.max((volume.grid.origin_m()[row] * 1e3 - theirs(row, 3)).abs());
             if off > SAME_MM {
                 return Err(format!("row {row} of the affine is off by {off} mm"));
             }
