@@ -16,8 +16,8 @@ pub(crate) fn transport_reference() -> String {
 ## Joining with iceoryx2 alone
 
 The client library does all of this ([clients.md](clients.md)). A program can also do it itself, in any language that has
-iceoryx2 **{ICEORYX2_VERSION}**; other versions do not find the services. `clients/python/tests/bare_iceoryx2.py` is a controller
-written from this page, with the PyPI package (test `a_controller_written_from_the_page_alone_drives_a_run_to_its_end`).
+iceoryx2 **{ICEORYX2_VERSION}**; other versions do not find the services. `clients/python/tests/test_bare_iceoryx2.py` has a
+controller written from this page, with the PyPI package.
 
 1. **The session** is a folder. `trabecula run` prints its path, and passes it to the programs that it starts in
    `{SESSION_VARIABLE}`. The file `session.json` appears there once all services exist. Its keys: `iceoryx2` is the

@@ -1,15 +1,9 @@
-//! Data sets of labelled frames, as pycocotools, OpenCV and NumPy read them.
+//! Data sets of labelled frames: what the command takes, refuses and splits. `clients/python/tests/test_datasets.py` reads them.
 
 use std::fs;
-use std::process::Command;
-
-use test_support::python::or_skip;
 
 use crate::common::program::{Place, trabecula};
 use crate::common::scenes;
-use crate::languages::{clients, output_of};
-
-const FORMATS: [&str; 4] = ["coco", "yolo", "yolo-segment", "npz"];
 
 /// A recorded run of the block in `run`.
 fn recorded() -> Place {
@@ -17,22 +11,6 @@ fn recorded() -> Place {
     let folder = place.complete(&scenes::drill("lockstep", 0.6)).folder;
     fs::rename(folder, place.path("run")).unwrap();
     place
-}
-
-#[test]
-fn pycocotools_opencv_and_numpy_find_in_a_data_set_what_is_in_its_log() {
-    let packages = ["numpy==2.2.6", "opencv-python-headless==4.12.0.88", "pycocotools==2.0.10"];
-    let Some(python) = or_skip("labels-1", &packages, "numpy, cv2, pycocotools.coco") else { return };
-    let place = recorded();
-    for format in FORMATS {
-        let (log, output) = (place.path("run"), place.path(format));
-        let done = trabecula(&[&"log", &"export", &log, &"-o", &output, &"--dataset", &format]);
-        assert_eq!(done.code, Some(0), "{format}: {}{}", done.out, done.err);
-    }
-    let mut command = Command::new(python);
-    command.arg(clients().join("python/tests/datasets.py")).arg(place.path(""));
-    command.env("TRABECULA_PROGRAM", env!("CARGO_BIN_EXE_trabecula"));
-    assert_eq!(output_of(&mut command), "done\n");
 }
 
 #[test]

@@ -3,14 +3,12 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use ipc_types::messages::{CONTROL_STOP, Command, TENDON_SERVO_JF};
-use ipc_types::session::{CONTROLLER_VARIABLE, SESSION_VARIABLE};
 use trabecula_client::ClientError;
 
 use crate::common::client::Pilot;
-use crate::common::logs::assert_replays;
-use crate::common::program::{LIMIT, Place, assert_nothing_left};
+use crate::common::program::{LIMIT, Place};
 use crate::common::scenes;
-use crate::languages::{clients, output_of, python, skip};
+use crate::languages::clients;
 use crate::strays::{answer_here, joined, stopped};
 
 /// While messages came, the limit of a controller and run control were not looked at: a flood of refused commands held a
@@ -87,22 +85,4 @@ fn the_end_of_the_run_ends_the_wait_for_a_frame_of_a_future_tick() {
     assert!(matches!(outcome, Err(ClientError::Ended)), "{outcome:?}");
     drop(mine);
     assert_eq!(run.end().code, Some(0));
-}
-
-#[test]
-fn floods_of_a_python_client_hold_nobody_up() {
-    let python = match python() {
-        Ok(python) => python,
-        Err(reason) => return skip(&reason),
-    };
-    let place = Place::new();
-    let run = place.start(&with_frames());
-    let mut command = std::process::Command::new(python);
-    command.arg(clients().join("python/tests/floods.py"));
-    command.env(SESSION_VARIABLE, run.session()).env(CONTROLLER_VARIABLE, "mine");
-    assert_eq!(output_of(&mut command), "ended\n");
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
-    assert_nothing_left(ended.pid);
-    assert_replays(&ended.folder);
 }

@@ -6,12 +6,15 @@ use ipc_types::session::{CONTROLLER_VARIABLE, SESSION_VARIABLE};
 
 use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Place, assert_nothing_left};
-use crate::languages::{clients, compiled_test, output_within_limit, python, skip};
-use crate::lifetimes::imaged;
+use crate::languages::{clients, compiled_test, output_within_limit};
 
-fn assert_the_run_goes_on(mut controller: Command, scene: &str) {
+/// The normal exit of a child ran the clean-up of its parent's client, and so ended the run.
+#[test]
+fn a_forked_child_that_exits_does_not_disconnect_its_parent_in_c() {
     let place = Place::new();
-    let run = place.start(scene);
+    let scene = std::fs::read_to_string(clients().join("scenes/free_space.toml")).unwrap();
+    let run = place.start(&scene);
+    let mut controller = Command::new(compiled_test("forked", &place));
     controller.env(SESSION_VARIABLE, run.session()).env(CONTROLLER_VARIABLE, "mine");
     assert_eq!(output_within_limit(&mut controller), "ended\n");
     let ended = run.end();
@@ -19,24 +22,4 @@ fn assert_the_run_goes_on(mut controller: Command, scene: &str) {
     assert_nothing_left(ended.pid);
     assert!(read(&ended.folder).marker.unwrap().lost.is_empty());
     assert_replays(&ended.folder);
-}
-
-/// The normal exit of a child ran the clean-up of its parent's client, and so ended the run.
-#[test]
-fn a_forked_child_that_exits_does_not_disconnect_its_parent_in_python() {
-    match python() {
-        Ok(python) => {
-            let mut controller = Command::new(python);
-            controller.arg(clients().join("python/tests/forked.py"));
-            assert_the_run_goes_on(controller, &imaged());
-        }
-        Err(reason) => skip(&reason),
-    }
-}
-
-#[test]
-fn a_forked_child_that_exits_does_not_disconnect_its_parent_in_c() {
-    let place = Place::new();
-    let scene = std::fs::read_to_string(clients().join("scenes/free_space.toml")).unwrap();
-    assert_the_run_goes_on(Command::new(compiled_test("forked", &place)), &scene);
 }

@@ -4,26 +4,24 @@
 //! hash whoever commands it; all examples print the same lines.
 
 use std::fs;
-use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::OnceLock;
 
 use ipc_types::session::SESSION_VARIABLE;
 
 use crate::common::logs::read;
 use crate::common::program::{LIMIT, Place, Run, assert_nothing_left};
+use crate::python::python;
 use test_support::limited::Limited;
-use test_support::python::{downloads, environment, or_skip, pip};
+use test_support::python::{downloads, or_skip};
 
 const EXAMPLES: [(&str, &str); 3] = [
     ("01_hold_tension", "free_space.toml"),
     ("02_follow_curve", "free_space.toml"),
     ("03_image_guided", "image_guided.toml"),
 ];
-const NUMPY: &str = "numpy==2.3.5";
 /// A whole compiler as a Python package.
-pub const ZIG: &str = "ziglang==0.14.1";
+const ZIG: &str = "ziglang==0.14.1";
 
 pub fn clients() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("clients")
@@ -93,68 +91,9 @@ fn compiled_source(language: &str, compiler: &str, source: &str, place: &Place) 
     program
 }
 
-/// A virtual environment with NumPy and the package, made once a test run; the error is the reason why there is none.
-pub fn python() -> Result<PathBuf, String> {
-    static PYTHON: OnceLock<Result<PathBuf, String>> = OnceLock::new();
-    PYTHON.get_or_init(make_python).clone()
-}
-
-fn make_python() -> Result<PathBuf, String> {
-    let python = environment_with(NUMPY, "numpy")?;
-    let program = Path::new(env!("CARGO_BIN_EXE_trabecula"));
-    install_package(&python, &[("TRABECULA_CLIENT_LIBRARY", &library()), ("TRABECULA_PROGRAM", program)]);
-    Ok(python)
-}
-
-/// Installs the package into an environment as the README says, but with libraries and program that are built already. What is there already and the
-/// same stays: another test, which may be another process, may be about to import it.
-pub fn install_package(python: &Path, binaries: &[(&str, &Path)]) {
-    let folder = python.ancestors().nth(2).unwrap();
-    let lock = fs::File::create(folder.join("package.lock")).unwrap();
-    lock.lock().unwrap();
-    let installed = folder.join("package.installed");
-    let wanted = fingerprint(binaries);
-    if fs::read_to_string(&installed).is_ok_and(|there| there == wanted) {
-        return;
-    }
-    let mut install = pip(python);
-    install.args(["install", "-q", "--no-deps", "--force-reinstall", "--disable-pip-version-check"]);
-    install.arg(env!("CARGO_MANIFEST_DIR")).envs(binaries.iter().copied());
-    let done = install.limited_output().unwrap();
-    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
-    fs::write(installed, wanted).unwrap();
-}
-
-/// Of the package's sources and of what cargo has built that goes into it.
-fn fingerprint(binaries: &[(&str, &Path)]) -> String {
-    let package = clients().join("python");
-    let mut sources: Vec<PathBuf> = [package.clone(), package.join("trabecula")]
-        .iter()
-        .flat_map(|folder| fs::read_dir(folder).unwrap())
-        .map(|entry| entry.unwrap().path())
-        .filter(|path| path.is_file())
-        .collect();
-    sources.push(Path::new(env!("CARGO_MANIFEST_DIR")).join("pyproject.toml"));
-    sources.sort();
-    let mut hasher = DefaultHasher::new();
-    for source in sources {
-        (&source, fs::read(&source).unwrap()).hash(&mut hasher);
-    }
-    for (_, binary) in binaries {
-        let facts = fs::metadata(binary).unwrap();
-        (binary, facts.len(), facts.modified().unwrap()).hash(&mut hasher);
-    }
-    format!("{:016x}", hasher.finish())
-}
-
-/// An environment with one pinned package; the error is the reason why there is none.
-pub fn environment_with(package: &str, module: &str) -> Result<PathBuf, String> {
-    environment(&package.replace("==", "-"), &[package], module)
-}
-
-pub fn skip(reason: &str) {
-    assert!(std::env::var_os("CI").is_none(), "no environment: {reason}");
-    println!("\n*** SKIPPED: no environment: {reason} ***\n");
+/// A Python that has the Zig compiler.
+pub fn zig() -> Option<PathBuf> {
+    or_skip(&ZIG.replace("==", "-"), &[ZIG], "ziglang")
 }
 
 /// The program of an example in a language, if the language is there.
@@ -168,19 +107,12 @@ fn program_of(language: &str, name: &str, place: &Place) -> Option<Command> {
         }
         "c" => Some(Command::new(compiled("c", "cc ", name, place))),
         "cpp" => Some(Command::new(compiled("cpp", "c++ ", name, place))),
-        "python" => match python() {
-            Ok(python) => {
-                let mut command = Command::new(python);
-                command.arg(clients().join(format!("python/examples/{name}.py")));
-                Some(command)
-            }
-            Err(reason) => {
-                skip(&reason);
-                None
-            }
-        },
-        "zig" => or_skip(&ZIG.replace("==", "-"), &[ZIG], "ziglang")
-            .map(|python| Command::new(compiled_by_zig(&python, name, place))),
+        "python" => {
+            let mut command = Command::new(python()?);
+            command.arg(clients().join(format!("python/examples/{name}.py")));
+            Some(command)
+        }
+        "zig" => Some(Command::new(compiled_by_zig(&zig()?, name, place))),
         other => panic!("no language {other}"),
     }
 }

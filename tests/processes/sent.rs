@@ -11,7 +11,7 @@ use zerocopy::FromBytes;
 
 use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Place, Run, assert_nothing_left};
-use crate::languages::{clients, compiled_test, output_within_limit, python, skip};
+use crate::languages::{clients, compiled_test, output_within_limit};
 
 /// Tensions of a run's commands, latched and as sent.
 fn tensions_n(folder: &Path) -> (Vec<[f64; 2]>, Vec<[f64; 2]>) {
@@ -46,20 +46,7 @@ fn assert_only_what_was_sent(mut controller: Command) {
     assert_replays(&ended.folder);
 }
 
-/// Python's view and C's pointer were into the message that had been sent: 718 of 1000 ticks latched 55 N where 3 N were
-/// sent.
-#[test]
-fn a_command_that_is_written_after_it_was_sent_is_what_it_was_in_python() {
-    match python() {
-        Ok(python) => {
-            let mut controller = Command::new(python);
-            controller.arg(clients().join("python/tests/sent.py"));
-            assert_only_what_was_sent(controller);
-        }
-        Err(reason) => skip(&reason),
-    }
-}
-
+/// C's pointer was into the message that had been sent: 718 of 1000 ticks latched 55 N where 3 N were sent.
 #[test]
 fn a_command_that_is_written_after_it_was_sent_is_what_it_was_in_c() {
     let place = Place::new();

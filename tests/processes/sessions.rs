@@ -14,7 +14,6 @@ use test_support::limited::Limited;
 use crate::common::logs::{assert_replays, read};
 use crate::common::program::{LIMIT, Place, Run, assert_nothing_left, segments_of, session_below, trabecula};
 use crate::common::scenes;
-use crate::languages::{output_within_limit, python, skip};
 use crate::strays::joined;
 
 const VARIABLE: &str = "XDG_RUNTIME_DIR";
@@ -322,15 +321,4 @@ fn a_name_that_can_never_be_a_session_is_refused_at_once() {
     }
     let done = trabecula(&[&"view", &"--session", &"/etc", &"--no-open", &"--port", &"0"]);
     assert!(done.code == Some(2) && done.err.contains("cannot be a session"), "{}", done.err);
-}
-
-#[test]
-fn a_name_that_can_never_be_a_session_is_refused_at_once_in_python() {
-    let python = match python() {
-        Ok(python) => python,
-        Err(reason) => return skip(&reason),
-    };
-    let script = "import trabecula as t\ntry:\n    t.Client(session='/etc', timeout_s=1e5)\nexcept t.Error as e:\n    print(e.status, e)";
-    let said = output_within_limit(std::process::Command::new(python).args(["-c", script]));
-    assert!(said.starts_with("-3 `/etc` cannot be a session"), "{said}");
 }

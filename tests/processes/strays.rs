@@ -1,9 +1,7 @@
 //! Clients that flood, stop reading, die or come late, through the client library: the run goes on.
 
-use std::io::{BufRead, BufReader};
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::time::Duration;
-use test_support::limited::{Watchdog, end_within};
 
 use ipc_types::messages::{
     CONTROL_STOP, DRR_REFUSED, DrrReply, DrrRequest, EVENT_REQUEST_REFUSED, Pose, SOURCE_FRESH,
@@ -12,13 +10,13 @@ use ipc_types::messages::{
 use ipc_types::services;
 use ipc_types::session::{SESSION_VARIABLE, Session};
 use run_log::EndReason;
-use rustix::process::Signal;
 use trabecula_client::{Client, ClientError, Connection};
 
 use crate::common::logs::{assert_replays, read};
-use crate::common::program::{Ended, LIMIT, Place, Run, assert_nothing_left, signal, wait_for};
+use crate::common::program::{Ended, LIMIT, Place, Run, assert_nothing_left, wait_for};
 use crate::common::scenes;
-use crate::languages::{clients, output_of, python, skip};
+use crate::languages::{clients, output_of};
+use crate::python::python;
 
 /// Joins a run under a name.
 pub fn joined(run: &Run, controller: &str) -> Client {
@@ -231,80 +229,19 @@ fn the_volume_is_seen_in_place_by_rust_and_python() {
     let [columns, rows, slices] = seen.volume.dimensions;
     assert_eq!((columns, rows, slices, seen.hu.len()), (40, 40, 60, 96_000), "the block of 40 x 40 x 60 mm");
     let sum: i64 = seen.hu.iter().enumerate().map(|(i, hu)| (i as i64 % 7 + 1) * i64::from(*hu)).sum();
-    match python() {
-        Ok(python) => {
-            let script = "import numpy as np, trabecula
+    if let Some(python) = python() {
+        let script = "import numpy as np, trabecula
 with trabecula.Client(controller='') as client:
     hu = client.volume().hu
     assert not hu.flags.writeable and not hu.flags.owndata
     print(hu.shape, int((hu.reshape(-1).astype(np.int64) * (np.arange(hu.size) % 7 + 1)).sum()))
 ";
-            let mut command = Command::new(python);
-            command.args(["-c", script]).env(SESSION_VARIABLE, run.session());
-            assert_eq!(output_of(&mut command), format!("(60, 40, 40) {sum}\n"));
-        }
-        Err(reason) => skip(&reason),
+        let mut command = Command::new(python);
+        command.args(["-c", script]).env(SESSION_VARIABLE, run.session());
+        assert_eq!(output_of(&mut command), format!("(60, 40, 40) {sum}\n"));
     }
     let mut mine = joined(&run, "mine");
     mine.wait_state(LIMIT).unwrap();
     answer_here(&mut mine);
     stopped(run, observer, mine);
-}
-
-#[test]
-fn every_defect_of_a_python_client_is_refused_by_name_and_the_run_goes_on() {
-    let python = match python() {
-        Ok(python) => python,
-        Err(reason) => return skip(&reason),
-    };
-    let place = Place::new();
-    let scene = scenes::shared("realtime", 120.0).replace("hold = { tension_n = 0.0 }", "external = true");
-    let run = place.start(&scene);
-    let mut command = Command::new(python);
-    command.arg(clients().join("python/tests/bad_input.py")).env(SESSION_VARIABLE, run.session());
-    assert_eq!(output_of(&mut command), "ended\n");
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
-    assert_nothing_left(ended.pid);
-    assert_replays(&ended.folder);
-}
-
-/// Connecting, run control and the volume waited inside the library until their own limit, deaf to Ctrl-C.
-#[test]
-fn a_python_client_hears_ctrl_c_while_it_waits() {
-    let python = match python() {
-        Ok(python) => python,
-        Err(reason) => return skip(&reason),
-    };
-    let place = Place::new();
-    let run = place.start(&scenes::hold("realtime", 120.0));
-    let mut observer = joined(&run, "");
-    observer.wait_state(LIMIT).unwrap();
-    let physics = run.part("physics");
-    signal(physics, Signal::STOP);
-    for waiting in [
-        "trabecula.Client(session='NoSuchSessi', timeout_s=1e6)",
-        "trabecula.Client(controller='').run_control(trabecula.CONTROL_PAUSE, timeout_s=1e6)",
-    ] {
-        let script = format!(
-            "import signal, trabecula\n\
-             # Whoever started the tests may have them ignore it (`cargo test &`).\n\
-             signal.signal(signal.SIGINT, signal.default_int_handler)\n\
-             try:\n    print('waiting', flush=True)\n    {waiting}\nexcept KeyboardInterrupt:\n    print('heard')\n"
-        );
-        let mut command = Command::new(&python);
-        command.args(["-c", &script]).env(SESSION_VARIABLE, run.session()).stdout(Stdio::piped());
-        let mut program = command.spawn().unwrap();
-        let watchdog = Watchdog::over(&program, LIMIT);
-        let mut said = BufReader::new(program.stdout.take().unwrap()).lines();
-        assert_eq!(said.next().unwrap().unwrap(), "waiting");
-        // Into the wait.
-        std::thread::sleep(Duration::from_millis(300));
-        signal(program.id(), Signal::INT);
-        assert_eq!(said.next().unwrap().unwrap(), "heard", "{waiting}");
-        drop(watchdog);
-        end_within(&mut program, LIMIT, waiting);
-    }
-    signal(physics, Signal::CONT);
-    stopped(run, observer, ());
 }

@@ -10,6 +10,7 @@ use test_support::limited::{Limited, limited_output_of};
 use test_support::python::or_skip;
 
 use crate::common::program::{Done, Guarded, LIMIT, Place, only_entry, signal, trabecula, wait_for};
+use crate::python::python;
 
 /// A tool held by its tendon in a block of bone, for a moment.
 const SCENE: &str = "name = \"swept\"\n[run]\nmode = \"lockstep\"\nduration_s = 0.2\n[volume]\nphantom = \"block\"\nspacing_mm = 1.0\n\
@@ -239,13 +240,7 @@ fn a_report_finds_what_a_figure_depends_on_and_pandas_opens_the_dataset() {
     assert_eq!(sweep(&[&"plot", &folder, &"--of", &"bend_deg", &"-o", &picture]).code, Some(0));
     assert!(place.path("bend.png").exists() && place.path("bend.svg").exists());
     assert_eq!(sweep(&[&"plot", &folder, &"--of", &"bend_deg", &"-o", &picture]).code, Some(2));
-    let Some(python) = or_skip(
-        "tables-1",
-        &["pandas==3.1.1", "polars==2.1.0", "fastparquet==2026.9.0", "pyarrow==26.0.1"],
-        "pandas, polars, fastparquet, pyarrow",
-    ) else {
-        return;
-    };
+    let Some(python) = python() else { return };
     let script = "import sys, pandas, polars\n\
         a = pandas.read_parquet(sys.argv[1])\n\
         b = polars.read_parquet(sys.argv[1] + '/*.parquet')\n\

@@ -1,43 +1,12 @@
-//! The wheel and the source distribution: what one installs without a checkout, and without cargo.
+//! The source distribution: what one builds without a checkout of git.
 
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use test_support::python::or_skip;
-
 use crate::common::program::Place;
-use crate::languages::{clients, install_package, library, output_of};
-use crate::simulations::native;
-
-/// Installs the whole wheel into an environment: libraries and program as they are built for these tests.
-pub fn install_wheel(python: &Path) {
-    let (client, simulations) = (library(), native());
-    let program = Path::new(env!("CARGO_BIN_EXE_trabecula"));
-    install_package(
-        python,
-        &[
-            ("TRABECULA_CLIENT_LIBRARY", &client),
-            ("TRABECULA_SIM_LIBRARY", &simulations),
-            ("TRABECULA_PROGRAM", program),
-        ],
-    );
-}
-
-#[test]
-fn a_wheel_runs_replays_simulates_and_shows_without_cargo_and_checkout() {
-    let Some(python) = or_skip("wheel-1", &["numpy==2.3.5"], "numpy") else { return };
-    install_wheel(&python);
-    let place = Place::new();
-    let mut command = Command::new(&python);
-    command.arg(clients().join("python/tests/wheel.py")).arg(clients().join("scenes/free_space.toml"));
-    command.current_dir(place.path(""));
-    // Of the machine only the user's folders.
-    command.env_clear().env("PATH", python.parent().unwrap());
-    command.envs(["HOME", "XDG_RUNTIME_DIR"].iter().filter_map(|name| Some((name, std::env::var_os(name)?))));
-    assert_eq!(output_of(&mut command), "done\n");
-}
+use crate::languages::output_of;
 
 /// The source distribution of some sources, made by their backend and unpacked in a folder.
 fn sdist(sources: &Path, folder: &Path) -> PathBuf {

@@ -32,7 +32,7 @@ pub fn downloads() -> PathBuf {
     folder
 }
 
-/// A virtual environment with the packages in [`downloads`]; made once. The error is the reason.
+/// A virtual environment with exactly these packages in [`downloads`]: made once, and again when they change. The error is the reason.
 ///
 /// # Errors
 /// Why there is none, in the words of the program that failed.
@@ -42,17 +42,20 @@ pub fn environment(name: &str, packages: &[&str], probe: &str) -> Result<PathBuf
     let lock = File::create(downloads().join(format!("{name}.lock"))).map_err(|error| error.to_string())?;
     lock.lock().map_err(|error| error.to_string())?;
     let python = folder.join("bin/python3");
-    if said(Command::new(&python).args(["-c", &format!("import {probe}")])).is_ok() {
+    let (installed, wanted) = (folder.join("packages.installed"), packages.join("\n"));
+    if python.exists() && std::fs::read_to_string(&installed).is_ok_and(|there| there == wanted) {
         return Ok(python);
     }
     let folder = folder.to_str().ok_or("a target folder that is not UTF-8")?;
-    said(Command::new("python3").args(["-m", "venv", "--without-pip", folder]))?;
+    said(Command::new("python3").args(["-m", "venv", "--clear", "--without-pip", folder]))?;
     if said(pip(&python).arg("--version")).is_err() {
         said(Command::new(&python).args(["-m", "ensurepip", "--default-pip"]))?;
     }
     // Only what is imported is compiled, and then by its import.
     let quickly = ["install", "-q", "--no-compile", "--retries", "1", "--timeout", "10"];
     said(pip(&python).args(quickly).args(packages))?;
+    said(Command::new(&python).args(["-c", &format!("import {probe}")]))?;
+    std::fs::write(installed, wanted).map_err(|error| error.to_string())?;
     Ok(python)
 }
 

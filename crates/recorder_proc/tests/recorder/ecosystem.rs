@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use std::collections::BTreeSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use test_support::limited::Limited;
 
@@ -15,8 +15,15 @@ use run_log::{Topic, fields, topics};
 use serde_json::Value;
 use test_support::python::or_skip;
 
-const PACKAGES: [&str; 5] =
+/// The first two read a log in Python; `docs/logs.md` names them.
+pub const PACKAGES: [&str; 5] =
     ["mcap==1.6.0", "mcap-ros2-support==0.6.0", "rosbags==0.11.9", "rerun-sdk==0.41.0", "pyarrow==26.0.1"];
+
+/// A Python with all of the packages.
+pub fn python() -> Option<PathBuf> {
+    let modules = "mcap_ros2.reader, mcap_ros2.decoder, rosbags.highlevel, rerun, pyarrow";
+    or_skip("log-readers", &PACKAGES, modules)
+}
 
 fn text(output: Output) -> String {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -26,8 +33,7 @@ fn text(output: Output) -> String {
 /// A single test, so that the environment is created once.
 #[test]
 fn rosbags_rerun_pyarrow_and_the_guides_five_lines_read_a_log() {
-    let modules = "mcap_ros2.reader, rosbags.highlevel, rerun, pyarrow";
-    let Some(python) = or_skip("log-readers-1", &PACKAGES, modules) else { return };
+    let Some(python) = python() else { return };
     let folder = tempfile::tempdir().unwrap();
     let steps = run_messages(250, None);
     let path = save(folder.path(), "run.mcap", &write_log(&steps));

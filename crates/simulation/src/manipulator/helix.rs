@@ -7,7 +7,8 @@
 //!
 //! The shorter the flexures, the nearer the chords are to the tangents of the path, and the forces at the holes, the tension times the
 //! change of direction, to those of Rucker and Webster 2011 ("Statics and dynamics of continuum robots with general tendon routing and
-//! external loading", IEEE Trans. Robotics 27(6):1033, doi 10.1109/TRO.2011.2160469), against which `clients/python/tests/helical_tendons.py` solves it.
+//! external loading", IEEE Trans. Robotics 27(6):1033, doi 10.1109/TRO.2011.2160469), which
+//! `clients/python/tests/test_helical_tendons.py` solves.
 
 use nalgebra::Vector3;
 

@@ -1,5 +1,5 @@
-//! Tendons that wind about the tool. The statics of one are solved in SciPy, by `clients/python/tests/helical_tendons.py`; here is what
-//! needs no solver.
+//! Tendons that wind about the tool. The statics of one are solved in SciPy, by
+//! `clients/python/tests/test_helical_tendons.py`; here is what needs no solver.
 
 #![allow(clippy::unwrap_used, reason = "a helper that fails is a failed test")]
 

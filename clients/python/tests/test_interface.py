@@ -1,22 +1,20 @@
-"""What the package offers beyond the bare messages, and what it refuses: `interface.py CASE`.
-
-Run by the tests in `tests/processes/interface.rs`, each case beside a lockstep run with X-ray and a volume whose external controller is
-`mine`; `starts_runs` beside none.
-"""
+"""What the package offers beyond the bare messages, and what it refuses."""
 
 from __future__ import annotations
 
 import os
 import pickle
 import re
-import sys
 import time
+from pathlib import Path
 from typing import Any, Callable
 
 import numpy as np
+import pytest
+import support
 import trabecula as t
-
-LIMIT_S = 60.0
+from scenes import imaged, shared
+from support import LIMIT_S, SCENES, Run
 
 
 def refusal(kind: type[t.Error], call: Callable[[], Any]) -> str:
@@ -36,11 +34,20 @@ def wrong_values() -> None:
     argument, read_only = t.ArgumentError, t.ReadOnlyError
     command = client.loan_command()
     for call, words in [
-        (lambda: setattr(command, "tendon_force_n", 5.0), "`tendon_force_n` of this Command is 5.0, expected 4 numbers"),
+        (
+            lambda: setattr(command, "tendon_force_n", 5.0),
+            "`tendon_force_n` of this Command is 5.0, expected 4 numbers",
+        ),
         (lambda: setattr(command, "tendon_force_n", "much"), "is 'much', expected 4 numbers"),
-        (lambda: setattr(command, "tendon_mode", "servo"), "expected a TendonMode: NONE, SERVO_JF, SERVO_JP, MOVE_JP"),
+        (
+            lambda: setattr(command, "tendon_mode", "servo"),
+            "expected a TendonMode: NONE, SERVO_JF, SERVO_JP, MOVE_JP",
+        ),
         (lambda: setattr(command, "burr_speed_rad_per_s", None), "is None, expected a number"),
-        (lambda: setattr(command, "state_tick", -1), "is -1, expected a whole number, 0 to 18446744073709551615"),
+        (
+            lambda: setattr(command, "state_tick", -1),
+            "is -1, expected a whole number, 0 to 18446744073709551615",
+        ),
         (lambda: setattr(command, "t_world_base", (0, 0, 0)), "is (0, 0, 0), expected a Pose"),
         (lambda: command.tendon_force_n.__setitem__(0, "x"), "'x' does not fit"),
         (lambda: client.run_control("pause"), "expected a ControlAction: 1 PAUSE"),
@@ -69,46 +76,69 @@ def wrong_values() -> None:
     assert "it has been sent" in refusal(read_only, lambda: setattr(command, "tendon_mode", 1))
     client.run_control(t.ControlAction.STOP)
     client.close()
-    for call in [client.wait_state, client.loan_command, client.events, lambda: client.step(), lambda: client.info]:
+    for call in [
+        client.wait_state,
+        client.loan_command,
+        client.events,
+        lambda: client.step(),
+        lambda: client.info,
+    ]:
         text = refusal(t.Error, call)
         assert "this client is closed" in text, text
     assert repr(client) == "Client(closed)"
 
 
 def true_lengths_and_names() -> None:
-    """Arrays end where their count says, elements have attributes as the message has, and codes are members of enums."""
+    """Arrays end where their count says, elements have attributes as the message has, and codes are members
+    of enums.
+    """
     client = t.Client()
     state = client.wait_state(LIMIT_S)
     assert 0 < state.joint_count < t.MAX_JOINTS
     assert len(state.joint_position_rad) == len(state.t_world_link) == state.joint_count
-    assert len(state.tendon_tension_n) == state.tendon_count and len(state.t_world_body) == state.body_count == 0
+    assert (
+        len(state.tendon_tension_n) == state.tendon_count and len(state.t_world_body) == state.body_count == 0
+    )
     assert len(state.applied) == state.controller_count == 0
     assert len(state.array["joint_position_rad"]) == t.MAX_JOINTS
     last = state.t_world_link[-1]
     whole = state.array["t_world_link"][state.joint_count - 1]
     assert np.array_equal(last.position_m, whole["position_m"])
     assert np.array_equal(state.t_world_link.array["position_m"][-1], last.position_m)
-    assert [link.position_m[2] for link in state.t_world_link] == list(state.t_world_link.array["position_m"][:, 2])
+    assert [link.position_m[2] for link in state.t_world_link] == list(
+        state.t_world_link.array["position_m"][:, 2]
+    )
     try:
         state.t_world_link[state.joint_count]
         raise AssertionError("beyond the end")
     except IndexError:
         pass
     stepped = client.step(2, LIMIT_S)
-    assert [one.controller_index for one in stepped.applied] == [0, 1] and stepped.applied[-1].source is t.CommandSource.NONE
+    assert [one.controller_index for one in stepped.applied] == [0, 1] and stepped.applied[
+        -1
+    ].source is t.CommandSource.NONE
     assert isinstance(stepped.arm_mode, t.ArmMode) and stepped.applied[0].source is t.CommandSource.FRESH
     state = stepped
     assert t.TENDON_SERVO_JF is t.TendonMode.SERVO_JF and t.TendonMode.SERVO_JF == 1
     # What is computed is an ordinary array, and survives a trip through pickle.
     assert type(state.joint_position_rad * 2.0) is np.ndarray
-    assert np.array_equal(pickle.loads(pickle.dumps(np.array(state.joint_position_rad))), state.joint_position_rad)
-    for shown in (state, state.t_world_tip, client.volume(LIMIT_S), client, client.loan_command(), state.contacts):
+    assert np.array_equal(
+        pickle.loads(pickle.dumps(np.array(state.joint_position_rad))), state.joint_position_rad
+    )
+    for shown in (
+        state,
+        state.t_world_tip,
+        client.volume(LIMIT_S),
+        client,
+        client.loan_command(),
+        state.contacts,
+    ):
         assert len(repr(shown)) < 400 and "\n" not in repr(shown), repr(shown)
     client.run_control(t.ControlAction.STOP)
 
 
 def steps_and_resets() -> None:
-    """`step` ends at the tick that was asked for, running and paused, and a reset is seen by event and count."""
+    """`step` ends at the tick that was asked for, running and paused; an event and a count show a reset."""
     client = t.Client()
     observer = t.Client(controller="")
     assert observer.reset_count == client.reset_count == 0
@@ -139,14 +169,15 @@ def steps_and_resets() -> None:
             assert time.monotonic() < deadline
         assert one.reset_count == 1
         resets = [event for event in one.events() if event.is_reset()]
-        assert len(resets) == 1 and resets[0].severity is t.Severity.INFO and resets[0].code is t.EventCode.RESET, resets
+        assert (
+            len(resets) == 1 and resets[0].severity is t.Severity.INFO and resets[0].code is t.EventCode.RESET
+        ), resets
         assert not one.events() and one.reset_count == 1
     client.run_control(t.ControlAction.STOP)
 
 
-def several_sessions() -> None:
+def several_sessions(*folders: str) -> None:
     """Of several sessions none is joined unnamed: that is said at once, with all of them."""
-    folders = sys.argv[2:]
     # Retried, it would never end.
     try:
         t.Client(timeout_s=float("inf"))
@@ -158,7 +189,9 @@ def several_sessions() -> None:
 
 
 def places() -> None:
-    """Poses, pixels and voxels beside NumPy's own arithmetic, and beside what the renderer and the volume say of themselves."""
+    """Poses, pixels and voxels beside NumPy's own arithmetic, and beside what the renderer and the volume say
+    of themselves.
+    """
     client = t.Client()
     image = client.wait_frame(client.request_frame(), LIMIT_S)
     frame, geometry, camera = image.frame, image.frame.geometry, image.frame.projection
@@ -167,7 +200,11 @@ def places() -> None:
     # A quaternion turns v to q v q*, written out with NumPy.
     x, y, z, w = pose.orientation_xyzw
     vector = np.array([0.3, -0.2, 0.9])
-    turned = vector + 2.0 * w * np.cross([x, y, z], vector) + 2.0 * np.cross([x, y, z], np.cross([x, y, z], vector))
+    turned = (
+        vector
+        + 2.0 * w * np.cross([x, y, z], vector)
+        + 2.0 * np.cross([x, y, z], np.cross([x, y, z], vector))
+    )
     assert np.allclose(matrix @ [*vector, 1.0], [*(turned + pose.position_m), 1.0], rtol=0, atol=1e-15)
     assert np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-15) and np.linalg.det(matrix) > 0
     # The renderer's own camera matrix: s (u, v, 1) = K (R x + t).
@@ -175,12 +212,20 @@ def places() -> None:
     seen = points @ camera.rotation.reshape(3, 3).T + camera.translation_m
     uv = seen @ camera.intrinsics.reshape(3, 3).T
     pixels = t.world_to_pixel(geometry, points)
-    assert np.allclose(pixels, uv[:, :2] / uv[:, 2:], rtol=0, atol=1e-6), np.abs(pixels - uv[:, :2] / uv[:, 2:]).max()
+    assert np.allclose(pixels, uv[:, :2] / uv[:, 2:], rtol=0, atol=1e-6), np.abs(
+        pixels - uv[:, :2] / uv[:, 2:]
+    ).max()
     assert t.world_to_pixel(geometry, points[0]).shape == (2,)
     for point, pixel, depth in zip(points, pixels, seen[:, 2]):
         assert np.allclose(t.pixel_to_world(geometry, pixel, float(depth)), point, rtol=0, atol=1e-9)
-    assert np.allclose(t.pixel_to_world(geometry, [0.5 * (geometry.columns - 1), 0.5 * (geometry.rows - 1)]), geometry.detector_centre_m)
-    text = refusal(t.ArgumentError, lambda: t.world_to_pixel(geometry, 2.0 * geometry.source_m - geometry.detector_centre_m))
+    assert np.allclose(
+        t.pixel_to_world(geometry, [0.5 * (geometry.columns - 1), 0.5 * (geometry.rows - 1)]),
+        geometry.detector_centre_m,
+    )
+    text = refusal(
+        t.ArgumentError,
+        lambda: t.world_to_pixel(geometry, 2.0 * geometry.source_m - geometry.detector_centre_m),
+    )
     assert "not in front of the source" in text
     # Voxels: the scene's block says where its two halves are.
     ct = client.volume(LIMIT_S)
@@ -193,21 +238,25 @@ def places() -> None:
         by_hand = ct.volume.origin_m + sum(index[a] * ct.volume.spacing_m[a] * axes[a] for a in range(3))
         assert np.allclose(point, by_hand, rtol=0, atol=1e-15)
         assert ct.hu_at(point + 0.4 * ct.volume.spacing_m[0] * axes[0]) == ct.hu[index[2], index[1], index[0]]
+        flat = index[0] + ct.volume.dimensions[0] * (index[1] + ct.volume.dimensions[1] * index[2])
+        assert ct.hu_at(point) == ct.hu.reshape(-1)[flat]
+    # The block is 35 x 35 x 55 mm of bone, 2.5 mm of air around it, about the world's origin.
+    assert np.allclose(ct.voxel_to_world([19.5, 19.5, 29.5]), 0.0, rtol=0, atol=1e-12)
+    for axis, half_m in enumerate((0.0175, 0.0175, 0.0275)):
+        for side in (-1.0, 1.0):
+            inside, outside = np.zeros(3), np.zeros(3)
+            inside[axis], outside[axis] = side * (half_m - 1e-3), side * (half_m + 1e-3)
+            assert ct.hu_at(inside) > 150 > -500 > ct.hu_at(outside), (axis, side)
     many = ct.hu_at(ct.voxel_to_world([[0, 0, 0], [1, 2, 3]]))
     assert list(many) == [ct.hu[0, 0, 0], ct.hu[3, 2, 1]]
-    # What Rust says of the same points is compared by the test.
-    for index in ([0, 0, 0], [5, 6, 7]):
-        position = " ".join(repr(float(x)) for x in ct.voxel_to_world(index))
-        print(f"voxel {index[0]} {index[1]} {index[2]} {position} {int(ct.hu_at(ct.voxel_to_world(index)))}")
-    outside = corner - 1.0
-    assert "outside the volume" in refusal(t.ArgumentError, lambda: ct.hu_at(outside))
+    far = corner - 1.0
+    assert "outside the volume" in refusal(t.ArgumentError, lambda: ct.hu_at(far))
     assert "outside the volume" in refusal(t.ArgumentError, lambda: ct.hu_at([np.nan, 0.0, 0.0]))
     client.run_control(t.ControlAction.STOP)
 
 
-def starts_runs() -> None:
+def starts_runs(scene: str, out: str) -> None:
     """`run` starts, overrides, hands out the client, and ends what it has started."""
-    scene, out = sys.argv[2:]
     changes: dict[str, Any] = {"run.duration_s": 0.3, "name": "renamed", "controller.0.connect_limit_s": 30.0}
     with t.run(scene, overrides=changes, output=out, timeout_s=LIMIT_S) as client:
         info = client.info
@@ -242,6 +291,42 @@ def starts_runs() -> None:
     assert "install the package by `pip install .`" in refusal(t.Error, t.run(scene).__enter__)
 
 
+CASES = [
+    # `tendon_force_n = 5.0` wrote all four tendons, a wrong mode ended in `struct.error`, and misuse in
+    # errors of other libraries.
+    wrong_values,
+    # Arrays came at their capacity, and elements of arrays of messages by keys in place of attributes.
+    true_lengths_and_names,
+    # A reset was in no event and no state.
+    steps_and_resets,
+    places,
+]
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
+def test_the_interface(case: Callable[[], None], start: Callable[[str], Run]) -> None:
+    run = start(imaged())
+    support.outside(case, session=run.session, controller="mine")
+    run.end()
+
+
+def test_a_client_that_names_none_of_several_sessions_is_refused_at_once(start: Callable[[str], Run]) -> None:
+    """Several sessions were answered like none: looked for again until the time was over."""
+    runs = [start(shared("realtime", 600.0)) for _ in range(2)]
+    support.outside(several_sessions, *(run.session for run in runs))
+    for run in runs:
+        support.trabecula("session", "stop", run.session)
+        run.end()
+
+
+def test_a_run_is_started_overridden_and_ended(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    support.outside(starts_runs, SCENES / "free_space.toml", out)
+    folders = list(out.iterdir())
+    assert len(folders) == 3, folders
+    for folder in folders:
+        support.assert_replays(folder)
+
+
 if __name__ == "__main__":
-    globals()[sys.argv[1]]()
-    print("done", flush=True)
+    support.main(globals())

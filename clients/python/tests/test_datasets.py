@@ -1,6 +1,6 @@
-"""Data sets of `trabecula log export --dataset`, as others read them: `datasets.py FOLDER`, which holds `run`, `coco`, `yolo`, `yolo-segment` and `npz`.
+"""Data sets of `trabecula log export --dataset`, as pycocotools, OpenCV and NumPy read them.
 
-The program is `TRABECULA_PROGRAM`. With `PICTURE` set, a picture of a frame with its labels is written there. Prints `done` at the end.
+With `PICTURE=FILE` in the environment, a picture of a frame with its labels is written there.
 """
 
 from __future__ import annotations
@@ -9,39 +9,49 @@ import contextlib
 import io
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-from pycocotools.coco import COCO
-from pycocotools.cocoeval import COCOeval
+import pytest
+import support
+from scenes import drill
 
-LIMIT_S = 100.0
+cv2, coco_file, coco_judge = support.needs("cv2", "pycocotools.coco", "pycocotools.cocoeval")
+
 CLASSES = {"bone": 1, "tool": 2, "burr": 4, "tunnel": 8}
 
 
 def points_of(log: Path) -> dict[int, Any]:
     """Base, joints and burr in the world by tick, from the log's states."""
-    words = ["log", "cat", log, "--topic", "/state"]
-    for field in ("tick", "joint_count", "t_world_base", "t_world_link", "t_world_burr"):
-        words += ["--field", field]
-    line = [os.environ["TRABECULA_PROGRAM"], *map(str, words)]
-    text = subprocess.run(line, capture_output=True, text=True, timeout=LIMIT_S, check=True).stdout
+    fields = ("tick", "joint_count", "t_world_base", "t_world_link", "t_world_burr")
     found = {}
-    for state in (json.loads(each)["message"] for each in text.splitlines()):
+    for state in support.messages(log, "/state", *fields):
         links = [link["position_m"] for link in state["t_world_link"][: state["joint_count"]]]
         ends = (state["t_world_base"]["position_m"], state["t_world_burr"]["position_m"])
         found[state["tick"]] = np.array([ends[0], *links, ends[1]])
     return found
 
 
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a recorded run of the block in `run`, and its data sets in folders that are named after
+    their formats.
+    """
+    folder = tmp_path_factory.mktemp("datasets")
+    (folder / "scene.toml").write_text(drill(0.6))
+    support.recorded(folder / "scene.toml", folder / "out").rename(folder / "run")
+    for name in ("coco", "yolo", "yolo-segment", "npz"):
+        support.trabecula("log", "export", folder / "run", "-o", folder / name, "--dataset", name)
+    return folder
+
+
 def arrays(folder: Path) -> list[tuple[dict[str, Any], dict[str, Any]]]:
     """The npz data set: each frame with its entry; NumPy reads it without pickles."""
     about = json.loads((folder / "dataset.json").read_text())
-    assert about["classes"] == CLASSES and about["keypoints"][0] == "base" and about["keypoints"][-1] == "burr"
+    assert (
+        about["classes"] == CLASSES and about["keypoints"][0] == "base" and about["keypoints"][-1] == "burr"
+    )
     frames = []
     for entry in about["frames"]:
         with np.load(folder / entry["file"], allow_pickle=False) as opened:
@@ -50,7 +60,7 @@ def arrays(folder: Path) -> list[tuple[dict[str, Any], dict[str, Any]]]:
     return frames
 
 
-def projected(folder: Path) -> None:
+def test_keypoints_are_where_opencv_projects_them(folder: Path) -> None:
     """Keypoints are where OpenCV projects the states' points, with the camera of the data set."""
     points = points_of(folder / "run")
     visible = 0
@@ -64,15 +74,23 @@ def projected(folder: Path) -> None:
         inside = (x >= -0.5) & (x < columns - 0.5) & (y >= -0.5) & (y < rows - 0.5)
         assert np.array_equal(inside, frame["visibility"] > 0)
         visible += int(inside.sum())
-        assert np.allclose(world[-1], frame["burr_position_m"]) and np.allclose(entry["t_world_burr"]["position_m"], world[-1])
-        assert frame["image"].dtype == np.uint16 and frame["mask"].dtype == np.uint8 and frame["tick"].shape == ()
+        assert np.allclose(world[-1], frame["burr_position_m"]) and np.allclose(
+            entry["t_world_burr"]["position_m"], world[-1]
+        )
+        assert (
+            frame["image"].dtype == np.uint16
+            and frame["mask"].dtype == np.uint8
+            and frame["tick"].shape == ()
+        )
     assert visible > 20, visible
 
 
-def coco(folder: Path) -> None:
-    """pycocotools loads the data set, its masks and boxes are those of the arrays, and it finds itself perfect."""
+def test_pycocotools_finds_the_arrays_masks_and_boxes(folder: Path) -> None:
+    """pycocotools loads the data set, its masks and boxes are those of the arrays, and it finds itself
+    perfect.
+    """
     with contextlib.redirect_stdout(io.StringIO()):
-        data = COCO(str(folder / "coco/annotations.json"))
+        data = coco_file.COCO(str(folder / "coco/annotations.json"))
     frames = {entry["file"][:-4]: frame for entry, frame in arrays(folder / "npz")}
     assert len(data.imgs) == len(frames)
     for image in data.loadImgs(data.getImgIds()):
@@ -89,29 +107,48 @@ def coco(folder: Path) -> None:
                 assert np.array_equal(data.annToMask(annotation) != 0, wanted), name
                 left, top, width, height = annotation["bbox"]
                 (ys, xs), area = np.nonzero(wanted), annotation["area"]
-                assert (left, top, left + width, top + height) == (xs.min(), ys.min(), xs.max() + 1, ys.max() + 1)
+                assert (left, top, left + width, top + height) == (
+                    xs.min(),
+                    ys.min(),
+                    xs.max() + 1,
+                    ys.max() + 1,
+                )
                 assert area == wanted.sum()
                 if name == "tool":
                     points = np.array(annotation["keypoints"]).reshape(-1, 3)
                     seen = frame["visibility"] > 0
-                    assert np.array_equal(points[:, 2], frame["visibility"]) and annotation["num_keypoints"] == seen.sum()
-                    assert np.allclose(points[seen, :2], frame["keypoints"][seen, :2]) and not points[~seen].any()
-                    assert len(category["skeleton"]) == len(points) - 1 and len(category["keypoints"]) == len(points)
+                    assert (
+                        np.array_equal(points[:, 2], frame["visibility"])
+                        and annotation["num_keypoints"] == seen.sum()
+                    )
+                    assert (
+                        np.allclose(points[seen, :2], frame["keypoints"][seen, :2])
+                        and not points[~seen].any()
+                    )
+                    assert len(category["skeleton"]) == len(points) - 1 and len(category["keypoints"]) == len(
+                        points
+                    )
     with contextlib.redirect_stdout(io.StringIO()):
         same = data.loadRes([{**annotation, "score": 1.0} for annotation in data.anns.values()])
-        judge = COCOeval(data, same, "segm")
+        judge = coco_judge.COCOeval(data, same, "segm")
         judge.evaluate()
         judge.accumulate()
         judge.summarize()
     assert judge.stats[0] > 0.999, judge.stats
 
 
-def yolo(folder: Path) -> None:
-    """Ultralytics' rules for a pose data set: five numbers and the keypoints in each line, fractions of the image."""
-    lines = [line for line in (folder / "yolo/data.yaml").read_text().splitlines() if not line.startswith("#")]
+def test_yolo_lines_follow_the_rules_of_a_pose_data_set(folder: Path) -> None:
+    """Ultralytics' rules for a pose data set: five numbers and the keypoints in each line, fractions of the
+    image.
+    """
+    lines = [
+        line for line in (folder / "yolo/data.yaml").read_text().splitlines() if not line.startswith("#")
+    ]
     about = dict(line.split(": ", 1) for line in lines if ": " in line)
     count = json.loads(about["kpt_shape"])[0]
-    assert [about[f"  {number}"] for number in range(4)] == list(CLASSES) and about["train"] == about["val"] == "images"
+    assert [about[f"  {number}"] for number in range(4)] == list(CLASSES) and about["train"] == about[
+        "val"
+    ] == "images"
     assert json.loads(about["flip_idx"]) == list(range(count))
     for entry, frame in arrays(folder / "npz"):
         name = entry["file"][:-4]
@@ -120,7 +157,9 @@ def yolo(folder: Path) -> None:
         rows, columns = pixels.shape
         table = np.loadtxt(folder / f"yolo/labels/{name}.txt", ndmin=2)
         assert table.shape[1] == 5 + 3 * count and np.all(table[:, 1:5] <= 1.0) and np.all(table >= 0.0)
-        assert sorted(table[:, 0]) == [n for n, bit in enumerate(CLASSES.values()) if (frame["mask"] & bit).any()]
+        assert sorted(table[:, 0]) == [
+            n for n, bit in enumerate(CLASSES.values()) if (frame["mask"] & bit).any()
+        ]
         for line in table:
             wanted = frame["mask"] & list(CLASSES.values())[int(line[0])] != 0
             ys, xs = np.nonzero(wanted)
@@ -131,13 +170,17 @@ def yolo(folder: Path) -> None:
             if int(line[0]) == 1:
                 seen = frame["visibility"] > 0
                 assert np.array_equal(points[:, 2], frame["visibility"])
-                assert np.allclose(points[seen, :2] * [columns, rows] - 0.5, frame["keypoints"][seen, :2], atol=1e-3)
+                assert np.allclose(
+                    points[seen, :2] * [columns, rows] - 0.5, frame["keypoints"][seen, :2], atol=1e-3
+                )
             else:
                 assert not points.any()
 
 
-def segments(folder: Path) -> None:
-    """Polygons filled as `ultralytics.data.utils.polygon2mask` fills them are the masks; a line with more than six columns is a polygon there."""
+def test_polygons_filled_as_ultralytics_does_are_the_masks(folder: Path) -> None:
+    """Polygons filled as `ultralytics.data.utils.polygon2mask` fills them are the masks; a line with more
+    than six columns is a polygon there.
+    """
     about = (folder / "yolo-segment/data.yaml").read_text()
     assert "kpt_shape" not in about and "train: images\nval: images\n" in about
     parts, most = 0, 0
@@ -161,7 +204,7 @@ def segments(folder: Path) -> None:
     assert parts > 8 and most > 12, (parts, most)
 
 
-def picture(folder: Path, path: str) -> None:
+def test_a_picture_of_the_labels_is_drawn(folder: Path) -> None:
     """A frame with outlines of its masks and its keypoints, beside the attenuation of the metal."""
     _, frame = arrays(folder / "npz")[-1]
     scale = 6 if frame["image"].shape[0] < 200 else 2
@@ -178,16 +221,8 @@ def picture(folder: Path, path: str) -> None:
             at = (round((x + 0.5) * scale), round((y + 0.5) * scale))
             cv2.circle(shown, at, 4, (255, 255, 255) if seen == 2 else (120, 120, 120), -1)
             cv2.circle(shown, at, 4, (0, 0, 0), 1)
-    metal = cv2.resize((255 * frame["metal"] / max(frame["metal"].max(), 1e-9)).astype(np.uint8), None, **grow)
-    cv2.imwrite(path, np.hstack([shown, cv2.cvtColor(metal, cv2.COLOR_GRAY2BGR)]))
-
-
-if __name__ == "__main__":
-    given = Path(sys.argv[1])
-    projected(given)
-    coco(given)
-    yolo(given)
-    segments(given)
-    if "PICTURE" in os.environ:
-        picture(given, os.environ["PICTURE"])
-    print("done")
+    metal = cv2.resize(
+        (255 * frame["metal"] / max(frame["metal"].max(), 1e-9)).astype(np.uint8), None, **grow
+    )
+    file = Path(os.environ.get("PICTURE", folder / "labels.png"))
+    assert cv2.imwrite(str(file), np.hstack([shown, cv2.cvtColor(metal, cv2.COLOR_GRAY2BGR)]))

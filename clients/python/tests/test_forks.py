@@ -1,30 +1,33 @@
-"""A child made by fork: it uses nothing of its parent's client, and its end disconnects nobody.
+"""A child made by fork uses nothing of its parent's client, and its end disconnects nobody."""
 
-Run by the test `tests/processes/forks.rs` as the external controller `mine` of a lockstep run with X-ray and a volume.
-"""
+from __future__ import annotations
 
 import gc
 import multiprocessing
 import os
+import signal
 import subprocess
 import sys
 import threading
+import time
+from typing import Any, Callable
 
 import numpy as np
+import support
 import trabecula as t
+from scenes import imaged
+from support import LIMIT_S, Run
 
-LIMIT_S = 60.0
 
-
-def answer(client):
+def answer(client: t.Client) -> int:
     state = client.wait_state(LIMIT_S)
     with client.command() as command:
         command.tendon_mode = t.TENDON_SERVO_JF
         command.tendon_force_n[0] = 2.0
-    return state.tick
+    return int(state.tick)
 
 
-def status_of(call):
+def status_of(call: Callable[[], Any]) -> int:
     try:
         call()
     except t.Error as error:
@@ -32,17 +35,29 @@ def status_of(call):
     return 0
 
 
-def all_calls(client):
+def all_calls(client: t.Client) -> list[Callable[[], Any]]:
     """Every call of a client that needs no state."""
     return [
-        client.wait_state, client.next_state, client.poll_state, client.loan_command, client.send_command,
-        client.discard_command, client.request_frame, client.wait_frame, client.volume, client.events, client.next_removed,
-        lambda: client.run_control(t.CONTROL_STOP), lambda: client.remark("x"), lambda: client.status, lambda: client.info,
+        client.wait_state,
+        client.next_state,
+        client.poll_state,
+        client.loan_command,
+        client.send_command,
+        client.discard_command,
+        client.request_frame,
+        client.wait_frame,
+        client.volume,
+        client.events,
+        client.next_removed,
+        lambda: client.run_control(t.CONTROL_STOP),
+        lambda: client.remark("x"),
+        lambda: client.status,
+        lambda: client.info,
         lambda: client.states_missed,
     ]
 
 
-def child(client, hu, expected):
+def child(client: t.Client, hu: Any, expected: int) -> None:
     """What a worker does: it reads what was handed out, and is refused what it asks for."""
     assert int(hu.astype(np.int64).sum()) == expected
     for call in all_calls(client):
@@ -55,7 +70,7 @@ def child(client, hu, expected):
         assert int(observer.volume(LIMIT_S).hu.astype(np.int64).sum()) == expected
 
 
-def forked(body, leave):
+def forked(body: Callable[[], Any], leave: Callable[[], Any]) -> int:
     """The exit code of a forked child."""
     pid = os.fork()
     if pid == 0:
@@ -65,14 +80,19 @@ def forked(body, leave):
             sys.excepthook(*sys.exc_info())
             os._exit(1)
         leave()
-    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    deadline = time.monotonic() + LIMIT_S
+    while (ended := os.waitpid(pid, os.WNOHANG))[0] == 0:
+        if time.monotonic() > deadline:
+            os.kill(pid, signal.SIGKILL)
+        time.sleep(0.002)
+    return os.waitstatus_to_exitcode(ended[1])
 
 
-def held_lock_and_child(client):
+def held_lock_and_child(client: t.Client) -> None:
     """A fork while other threads hold and release the memory of clients."""
     over = threading.Event()
 
-    def churn():
+    def churn() -> None:
         while not over.is_set():
             with t.Client(controller="") as observer:
                 state = observer.wait_state(LIMIT_S)
@@ -83,12 +103,13 @@ def held_lock_and_child(client):
     for _ in range(20):
         assert forked(gc.collect, lambda: sys.exit(0)) == 0
     over.set()
-    thread.join()
+    thread.join(LIMIT_S)
 
 
-if __name__ == "__main__":
-    client = t.Client()
-    hu = client.volume(LIMIT_S).hu
+def forks() -> None:
+    """As the controller `mine`; ends the run."""
+    client: Any = t.Client()
+    hu: Any = client.volume(LIMIT_S).hu
     expected = int(hu.astype(np.int64).sum())
     ticks = [answer(client)]
 
@@ -98,8 +119,8 @@ if __name__ == "__main__":
     assert forked(lambda: child(client, hu, expected), lambda: os._exit(0)) == 0
     assert forked(lambda: None, lambda: os.execv(sys.executable, [sys.executable, "-c", "pass"])) == 0
 
-    def let_go():
-        global client, hu
+    def let_go() -> None:
+        nonlocal client, hu
         client = hu = None
         gc.collect()
 
@@ -112,11 +133,11 @@ if __name__ == "__main__":
     worker.join(LIMIT_S)
     assert worker.exitcode == 0, worker.exitcode
     with workers.Pool(2) as pool:
-        assert pool.map(abs, [-1, -2, -3]) == [1, 2, 3]
+        assert pool.map_async(abs, [-1, -2, -3]).get(LIMIT_S) == [1, 2, 3]
     ticks.append(answer(client))
 
-    subprocess.run([sys.executable, "-c", "pass"], check=True)
-    subprocess.run(["true"], check=True, preexec_fn=gc.collect)
+    subprocess.run([sys.executable, "-c", "pass"], check=True, timeout=LIMIT_S)
+    subprocess.run(["true"], check=True, preexec_fn=gc.collect, timeout=LIMIT_S)
     ticks.append(answer(client))
     # Each answer is for its own tick: the parent was connected the whole time.
     assert ticks == list(range(ticks[0], ticks[0] + len(ticks))), ticks
@@ -130,4 +151,16 @@ if __name__ == "__main__":
         while True:
             client.wait_state(LIMIT_S)
     except t.Ended:
-        print("ended")
+        pass
+
+
+def test_a_forked_child_that_exits_does_not_disconnect_its_parent(start: Callable[[str], Run]) -> None:
+    """The normal exit of a child ran the clean-up of its parent's client, and so ended the run."""
+    run = start(imaged())
+    support.outside(forks, session=run.session, controller="mine")
+    folder = run.end()
+    support.assert_replays(folder)
+
+
+if __name__ == "__main__":
+    support.main(globals())

@@ -1,7 +1,6 @@
-"""What an installed wheel does in an empty folder: `wheel.py SCENE`, by the environment's Python, with nothing but that environment in PATH.
-SCENE has one external controller and no bone.
+"""What an installed wheel does in an empty folder, with nothing but its environment in the PATH.
 
-The default scene, its replay, a controller, a simulation, the viewer. Prints `done` at the end.
+The default scene, its replay, a controller, a simulation, the viewer.
 """
 
 from __future__ import annotations
@@ -15,11 +14,25 @@ import sys
 import urllib.request
 from pathlib import Path
 
+import pytest
+import support
 import trabecula
+from support import LIMIT_S, SCENES
 from trabecula.sim import Sim
 
-#: Longest time that a program may take.
-LIMIT_S = 300.0
+BIN = Path(sys.executable).parent
+
+
+@pytest.fixture(autouse=True)
+def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An empty folder and an environment with nothing else of the machine than the user's folders."""
+    if not Path(trabecula.__file__).resolve().is_relative_to(Path(sys.prefix).resolve()):
+        support.missing("the package is not installed: these tests need the wheel")
+    for variable in list(os.environ):
+        if variable not in ("HOME", "XDG_RUNTIME_DIR") and not variable.startswith("PYTEST"):
+            monkeypatch.delenv(variable)
+    monkeypatch.setenv("PATH", str(BIN))
+    monkeypatch.chdir(tmp_path)
 
 
 def said(*words: str) -> str:
@@ -29,16 +42,12 @@ def said(*words: str) -> str:
     return done.stdout + done.stderr
 
 
-def nothing_else_is_there() -> None:
-    bin_folder = Path(sys.executable).parent
-    assert os.environ["PATH"] == str(bin_folder), os.environ["PATH"]
-    assert shutil.which("trabecula") == str(bin_folder / "trabecula")
+def test_nothing_else_is_there() -> None:
+    assert shutil.which("trabecula") == str(BIN / "trabecula")
     assert shutil.which("cargo") is None
-    package = Path(trabecula.__file__).resolve()
-    assert package.is_relative_to(Path(sys.prefix).resolve()), package
 
 
-def notices_of_what_is_linked_in_are_there() -> None:
+def test_notices_of_what_is_linked_in_are_there() -> None:
     files = [file for file in importlib.metadata.files("trabecula") or [] if file.parent.name == "licenses"]
     assert {file.name for file in files} == {"LICENSE-APACHE", "LICENSE-MIT", "THIRD_PARTY"}, files
     metadata = importlib.metadata.metadata("trabecula")
@@ -47,7 +56,11 @@ def notices_of_what_is_linked_in_are_there() -> None:
     for crate in ("iceoryx2 ", "mcap ", "nalgebra ", "rapier3d-f64 ", "pyo3 ", "epaint_default_fonts "):
         assert f"\n{crate}" in notices, crate
     # A font's licence, and one text for each of the two that most crates have.
-    assert "SIL OPEN FONT LICENSE" in notices and "Apache License" in notices and "Permission is hereby granted" in notices
+    assert (
+        "SIL OPEN FONT LICENSE" in notices
+        and "Apache License" in notices
+        and "Permission is hereby granted" in notices
+    )
     assert "\ntrabecula " not in notices and "\nwinapi " not in notices
 
 
@@ -59,29 +72,37 @@ def the_default_scene_runs_and_replays() -> Path:
     return run
 
 
+def test_the_default_scene_runs_replays_simulates_and_is_shown() -> None:
+    run = the_default_scene_runs_and_replays()
+    a_simulation_has_the_hash_of_the_run(run)
+    the_viewer_shows_a_log(run)
+
+
 def a_simulation_has_the_hash_of_the_run(run: Path) -> None:
     sim = Sim()
     sim.step(ticks=500)
     assert sim.hash in said("replay", str(run)), sim.hash
 
 
-def a_controller_commands_its_run() -> None:
+def test_a_controller_commands_its_run(monkeypatch: pytest.MonkeyPatch) -> None:
     # The program of the package, although none is in the PATH.
-    path = os.environ.pop("PATH")
+    monkeypatch.delenv("PATH")
     overrides = {"run.duration_s": 0.5, "run.controller_limit_ms": 60000.0}
-    with trabecula.run(sys.argv[1], overrides=overrides, output="mine") as client:
+    with trabecula.run(SCENES / "free_space.toml", overrides=overrides, output="mine") as client:
         for state in client.states():
             with client.command() as command:
                 command.tendon_mode = trabecula.TendonMode.SERVO_JF
                 command.tendon_force_n[0] = 5.0
-    os.environ["PATH"] = path
+    monkeypatch.setenv("PATH", str(BIN))
     assert state.tick == 500 and state.bend_rad > 0.1, (state.tick, state.bend_rad)
     (run,) = Path("mine").iterdir()
     assert "replayed 500 ticks, all identical" in said("replay", str(run), "--verify")
 
 
 def the_viewer_shows_a_log(run: Path) -> None:
-    view = subprocess.Popen(["trabecula", "view", str(run), "--port", "0", "--no-open"], stdout=subprocess.PIPE, text=True)
+    view = subprocess.Popen(
+        ["trabecula", "view", str(run), "--port", "0", "--no-open"], stdout=subprocess.PIPE, text=True
+    )
     try:
         assert view.stdout is not None  # a pipe
         ready, _, _ = select.select([view.stdout], [], [], LIMIT_S)
@@ -92,12 +113,3 @@ def the_viewer_shows_a_log(run: Path) -> None:
     finally:
         view.terminate()
         view.wait(LIMIT_S)
-
-
-nothing_else_is_there()
-notices_of_what_is_linked_in_are_there()
-default_run = the_default_scene_runs_and_replays()
-a_simulation_has_the_hash_of_the_run(default_run)
-a_controller_commands_its_run()
-the_viewer_shows_a_log(default_run)
-print("done")

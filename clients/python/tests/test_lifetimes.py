@@ -1,8 +1,10 @@
-"""What a client has handed out stays readable: `lifetimes.py CASE`.
+"""What a client has handed out stays readable for as long as Python holds it.
 
-Run by the tests in `tests/processes/lifetimes.rs`, each case beside a lockstep run with X-ray and a volume whose external
-controller is `mine`. A case that touches unmapped memory dies by SIGSEGV; all others print "whole" and end the run.
+Each case runs in a Python of its own beside a lockstep run with X-ray and a volume, and ends the run. One
+that touches unmapped memory dies by SIGSEGV.
 """
+
+from __future__ import annotations
 
 import gc
 import os
@@ -10,19 +12,22 @@ import signal
 import sys
 import threading
 import time
+from typing import Any, Callable
 
 import numpy as np
+import pytest
+import support
 import trabecula as t
+from scenes import imaged
+from support import LIMIT_S, Run
 
-LIMIT_S = 60.0
 
-
-def sums(*arrays):
+def sums(*arrays: Any) -> list[int]:
     """Touches every byte."""
     return [int(np.asarray(array).view(np.uint8).astype(np.int64).sum()) for array in arrays]
 
 
-def answered(client):
+def answered(client: t.Client) -> t.State:
     """Answers the newest state."""
     state = client.wait_state(LIMIT_S)
     with client.command() as command:
@@ -31,12 +36,12 @@ def answered(client):
     return state
 
 
-def frame_of(client):
+def frame_of(client: t.Client) -> t.Image:
     """A frame of the newest state; needs no other tick."""
     return client.wait_frame(client.request_frame(), LIMIT_S)
 
 
-def to_the_end(client):
+def to_the_end(client: t.Client) -> None:
     """Stops the run and waits until the hub and its shared memory have gone."""
     folder = client.info.folder
     client.run_control(t.CONTROL_STOP, timeout_s=LIMIT_S)
@@ -47,7 +52,7 @@ def to_the_end(client):
     raise AssertionError(f"{folder} is still there")
 
 
-def the_last_frame_after_the_end():
+def the_last_frame_after_the_end() -> None:
     """`wait_frame` gave the last frame back before it knew that there would be no other."""
     client = t.Client()
     state, image = client.wait_state(LIMIT_S), frame_of(client)
@@ -62,7 +67,7 @@ def the_last_frame_after_the_end():
     assert state.tick == 0 and np.isfinite(state.joint_position_rad).all()
 
 
-def the_last_removal_after_a_look_in_vain():
+def the_last_removal_after_a_look_in_vain() -> None:
     client = t.Client()
     removal = client.next_removed()
     # Drives the burr into the bone.
@@ -84,7 +89,7 @@ def the_last_removal_after_a_look_in_vain():
     assert sums(removal.voxel_index) == before and removal.removed.tick > 0
 
 
-def the_volume_after_its_thread():
+def the_volume_after_its_thread() -> None:
     """A thread's clients end with it; what they have handed out is still looked at."""
     found = {}
 
@@ -107,7 +112,7 @@ def the_volume_after_its_thread():
     gc.collect()
 
 
-def everything_after_close_and_in_any_order():
+def everything_after_close_and_in_any_order() -> None:
     client = t.Client(controller="")
     mine = t.Client()
     image, ct, state = frame_of(client), client.volume(LIMIT_S), client.wait_state(LIMIT_S)
@@ -138,7 +143,7 @@ def everything_after_close_and_in_any_order():
     gc.collect()
 
 
-def a_client_that_nobody_keeps():
+def a_client_that_nobody_keeps() -> None:
     """The name is free again at once; the array has its memory."""
     pixels = frame_of(t.Client(controller="other")).pixels
     before = sums(pixels)
@@ -150,10 +155,10 @@ def a_client_that_nobody_keeps():
     assert sums(pixels) == before
 
 
-KEPT = []
+KEPT: list[Any] = []
 
 
-def everything_at_exit():
+def everything_at_exit() -> None:
     """A thread that goes on reading while the interpreter ends."""
     client = t.Client()
     ct, image = client.volume(LIMIT_S), frame_of(client)
@@ -171,7 +176,7 @@ def everything_at_exit():
     sys.modules["kept by the interpreter"] = (client, ct.hu)
 
 
-def a_signal_during_a_wait():
+def a_signal_during_a_wait() -> None:
     """A handler that calls the client between a wait and the look at what it gave."""
     client = t.Client()
     client.wait_state(LIMIT_S)
@@ -187,7 +192,9 @@ def a_signal_during_a_wait():
         for _ in range(400):
             try:
                 state = client.wait_state(0.002)
-                assert len(state.joint_position_rad) == state.joint_count and abs(state.bend_rad) < 10.0, state
+                assert len(state.joint_position_rad) == state.joint_count and abs(state.bend_rad) < 10.0, (
+                    state
+                )
             except TimeoutError:
                 pass
             try:
@@ -203,6 +210,26 @@ def a_signal_during_a_wait():
     to_the_end(client)
 
 
+CASES = [
+    # A wait for a frame gave the one before back at once, and its memory went with the DRR process.
+    the_last_frame_after_the_end,
+    the_last_removal_after_a_look_in_vain,
+    # A thread's clients end with it, and with them went the memory of arrays that others hold.
+    the_volume_after_its_thread,
+    everything_after_close_and_in_any_order,
+    # An array kept its client connected, and so its name taken.
+    a_client_that_nobody_keeps,
+    everything_at_exit,
+    a_signal_during_a_wait,
+]
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
+def test_what_was_handed_out_stays_readable(case: Callable[[], None], start: Callable[[str], Run]) -> None:
+    run = start(imaged())
+    support.outside(case, session=run.session, controller="mine")
+    run.end()
+
+
 if __name__ == "__main__":
-    globals()[sys.argv[1]]()
-    print("whole", flush=True)
+    support.main(globals())

@@ -1,24 +1,25 @@
-"""Statistics of every kind of sensor, by SciPy: `sensor_statistics.py`, which prints a table and `done`.
+"""Statistics of every kind of sensor, by SciPy. `-s` shows what each check found.
 
-A tool in free space moves for 16 s, the arm with it. Each reading is held against the state that it measured: noise and drift by their
-Allan deviation, delay by cross-correlation, rate, jitter and drop-outs by their counts. Every check is then asked about a sensor that
-is declared slightly otherwise, and must refuse it.
+A tool in free space moves for 16 s, the arm with it. Each reading is held against the state that it measured:
+noise and drift by their Allan deviation, delay by cross-correlation, rate, jitter and drop-outs by their
+counts. Every check is then asked about a sensor that is declared slightly otherwise, and must refuse it.
 """
 
 from __future__ import annotations
 
-import tempfile
 from copy import deepcopy
 from pathlib import Path
 from typing import Any, Callable
 
 import numpy as np
 import numpy.typing as npt
-from scipy import signal, stats
-from scipy.spatial.transform import Rotation
-
+import pytest
+import support
 import trabecula
 from trabecula.sim import Sim
+
+signal, stats, transform = support.needs("scipy.signal", "scipy.stats", "scipy.spatial.transform")
+Rotation = transform.Rotation
 
 Array = npt.NDArray[np.float64]
 Declared = dict[str, Any]
@@ -33,12 +34,31 @@ BIASED_RUNS = 40
 MOST_LAG = 60
 
 SENSORS: dict[str, Declared] = {
-    "shape": {"rate_hz": 200.0, "delay_ms": 20.0, "fbg": {"nodes": 3, "gauge_mm": 5.0, "noise_per_m": 0.2, "bias_per_m": 0.5}},
-    "tracker": {"rate_hz": 250.0, "delay_ms": 30.0, "tracker": {"position_noise_mm": 0.3, "orientation_noise_deg": 0.2}},
-    "joints": {"rate_hz": 333.3, "delay_ms": 3.0, "encoders": {"noise_deg": 0.005, "resolution_deg": 360 / 2**17}},
-    "tension": {"rate_hz": 500.0, "delay_ms": 7.0, "load_cell": {"noise_n": 0.05, "bias_n": 0.1, "resolution_n": 0.02}},
+    "shape": {
+        "rate_hz": 200.0,
+        "delay_ms": 20.0,
+        "fbg": {"nodes": 3, "gauge_mm": 5.0, "noise_per_m": 0.2, "bias_per_m": 0.5},
+    },
+    "tracker": {
+        "rate_hz": 250.0,
+        "delay_ms": 30.0,
+        "tracker": {"position_noise_mm": 0.3, "orientation_noise_deg": 0.2},
+    },
+    "joints": {
+        "rate_hz": 333.3,
+        "delay_ms": 3.0,
+        "encoders": {"noise_deg": 0.005, "resolution_deg": 360 / 2**17},
+    },
+    "tension": {
+        "rate_hz": 500.0,
+        "delay_ms": 7.0,
+        "load_cell": {"noise_n": 0.05, "bias_n": 0.1, "resolution_n": 0.02},
+    },
     "wrist": {"rate_hz": 1000.0, "delay_ms": 1.0, "force_torque": {"noise_n": 0.02, "noise_nm": 0.001}},
-    "walk": {"rate_hz": 500.0, "force_torque": {"noise_n": 0.0, "noise_nm": 0.0, "drift_n": 0.01, "drift_nm": 0.002}},
+    "walk": {
+        "rate_hz": 500.0,
+        "force_torque": {"noise_n": 0.0, "noise_nm": 0.0, "drift_n": 0.01, "drift_nm": 0.002},
+    },
     "filtered": {"rate_hz": 1000.0, "force_torque": {"noise_n": 0.0, "noise_nm": 0.0, "low_pass_hz": 50.0}},
     "losses": {"rate_hz": 40.0, "delay_ms": 30.0, "jitter_ms": 8.0, "dropout": 0.1, "seed": 3, "tracker": {}},
 }
@@ -69,7 +89,9 @@ def toml(value: Any) -> str:
 def written_scene(folder: Path) -> Path:
     text = SCENE
     for name, declared in SENSORS.items():
-        text += f'[[sensor]]\nname = "{name}"\n' + "".join(f"{key} = {toml(value)}\n" for key, value in declared.items())
+        text += f'[[sensor]]\nname = "{name}"\n' + "".join(
+            f"{key} = {toml(value)}\n" for key, value in declared.items()
+        )
     (folder / "scene.toml").write_text(text)
     return folder / "scene.toml"
 
@@ -100,7 +122,9 @@ class Truth:
     """What sensors without errors would measure, from the states alone, as docs/sensors.md says it."""
 
     def __init__(self) -> None:
-        self.rows: dict[str, list[Array]] = {name: [] for name in ("burr", "base", "links", "joints", "tension", "wrench")}
+        self.rows: dict[str, list[Array]] = {
+            name: [] for name in ("burr", "base", "links", "joints", "tension", "wrench")
+        }
 
     def add(self, state: trabecula.State) -> None:
         raw, rows = state.array, self.rows
@@ -109,7 +133,9 @@ class Truth:
         rows["links"].append(pose(raw["t_world_link"][: state.joint_count]))
         rows["joints"].append(raw["arm_joint_position_rad"][: state.arm_joint_count].copy())
         rows["tension"].append(raw["tendon_tension_n"][: state.tendon_count].copy())
-        rows["wrench"].append(np.concatenate([raw["flange_wrench"]["force_n"], raw["flange_wrench"]["torque_nm"]]))
+        rows["wrench"].append(
+            np.concatenate([raw["flange_wrench"]["force_n"], raw["flange_wrench"]["torque_nm"]])
+        )
 
     def of(self, name: str) -> Array:
         return np.array(self.rows[name])
@@ -120,9 +146,13 @@ class Truth:
         return np.hstack([to_base.apply(world[:, :3]), to_base.apply(world[:, 3:])])
 
     def curvature(self, nodes: int, gauge_m: float) -> Array:
-        """Mean curvature over the gauge of each node, toward and across: each flexure's turn is even over the half ways to its neighbours."""
+        """Mean curvature over the gauge of each node, toward and across: each flexure's turn is even over the
+        half ways to its neighbours.
+        """
         links, base = self.of("links"), self.of("base")
-        turns = [Rotation.from_quat(base[:, 3:])] + [Rotation.from_quat(links[:, i, 3:]) for i in range(links.shape[1])]
+        turns = [Rotation.from_quat(base[:, 3:])] + [
+            Rotation.from_quat(links[:, i, 3:]) for i in range(links.shape[1])
+        ]
         turned = np.array([(a.inv() * b).as_rotvec() for a, b in zip(turns, turns[1:])])
         gaps_m = np.linalg.norm(np.diff(links[0, :, :3], axis=0), axis=1)
         lengths_m = 0.5 * (np.append(gaps_m[0], gaps_m) + np.append(gaps_m, gaps_m[-1]))
@@ -130,7 +160,10 @@ class Truth:
         columns = []
         for node in range(nodes):
             middle_m = (node + 0.5) / nodes * ends_m[-1]
-            low, high = (np.clip(end, middle_m - gauge_m / 2, middle_m + gauge_m / 2) for end in (ends_m[:-1], ends_m[1:]))
+            low, high = (
+                np.clip(end, middle_m - gauge_m / 2, middle_m + gauge_m / 2)
+                for end in (ends_m[:-1], ends_m[1:])
+            )
             shares = (high - low) / lengths_m
             covered_m = (high - low).sum()
             columns += [shares @ turned[:, :, 1] / covered_m, -shares @ turned[:, :, 0] / covered_m]
@@ -189,8 +222,9 @@ def freedom(samples: int, m: int, is_walk: bool) -> float:
 
 
 def allan(x: Array, sigma: float, period_s: float, *, walk: float = 0.0) -> str:
-    """Holds the Allan variance of independent channels (samples, channels) against white noise, or against a walk of `walk` a root second:
-    σ²/m, and K² T (2m² + 1)/(6m), which is K² τ/3 at long times. The interval is that of χ² over all channels.
+    """Holds the Allan variance of independent channels (samples, channels) against white noise, or against a
+    walk of `walk` a root second: σ²/m, and K² T (2m² + 1)/(6m), which is K² τ/3 at long times. The interval
+    is that of χ² over all channels.
     """
     samples, channels = x.shape
     octaves = [1 << i for i in range(20) if (1 << i) <= samples // 16]
@@ -200,14 +234,17 @@ def allan(x: Array, sigma: float, period_s: float, *, walk: float = 0.0) -> str:
         law = walk**2 * period_s * (2 * m**2 + 1) / (6 * m) if walk else sigma**2 / m
         degrees = channels * freedom(samples, m, bool(walk))
         low, high = (stats.chi2.ppf(p, degrees) / degrees for p in (CHANCE / 2, 1 - CHANCE / 2))
-        assert low < variance / law < high, f"m = {m}: Allan variance {variance} against {law}, allowed {low} to {high} of it"
+        assert low < variance / law < high, (
+            f"m = {m}: Allan variance {variance} against {law}, allowed {low} to {high} of it"
+        )
         found.append((m * period_s, np.sqrt(variance), np.sqrt(low), np.sqrt(high), np.sqrt(variance / law)))
     first, last = found[0], found[-1]
     # Of a walk, from where the sampling no longer shows.
     line = found[3:] if walk else found
     slope = stats.linregress(np.log([it[0] for it in line]), np.log([it[1] for it in line])).slope
     return (
-        f"{first[4]:.3f} of the law at {first[0] * 1e3:.3g} ms ({first[2]:.3f} to {first[3]:.3f}), {last[4]:.2f} at {last[0]:.2g} s "
+        f"{first[4]:.3f} of the law at {first[0] * 1e3:.3g} ms ({first[2]:.3f} to {first[3]:.3f}), "
+        f"{last[4]:.2f} at {last[0]:.2g} s "
         f"({last[2]:.2f} to {last[3]:.2f}), slope {slope:+.2f}"
     )
 
@@ -231,18 +268,26 @@ def noise_of_position(seen: Seen, declared: Declared) -> str:
 
 def noise_of_orientation(seen: Seen, declared: Declared) -> str:
     true, read = (Rotation.from_quat(pose[:, 3:]) for pose in (seen.truth[seen.sample_tick], seen.value))
-    return allan((true.inv() * read).as_rotvec(), np.radians(declared["tracker"]["orientation_noise_deg"]), period_s(declared))
+    return allan(
+        (true.inv() * read).as_rotvec(),
+        np.radians(declared["tracker"]["orientation_noise_deg"]),
+        period_s(declared),
+    )
 
 
 def noise_of_joints(seen: Seen, declared: Declared) -> str:
     sigma, step = (np.radians(declared["encoders"][key]) for key in ("noise_deg", "resolution_deg"))
-    assert np.allclose(seen.value / step, np.round(seen.value / step), rtol=0, atol=1e-6), "no multiple of the resolution"
+    assert np.allclose(seen.value / step, np.round(seen.value / step), rtol=0, atol=1e-6), (
+        "no multiple of the resolution"
+    )
     return allan(seen.error(), rounded(sigma, step), period_s(declared))
 
 
 def noise_of_tension(seen: Seen, declared: Declared) -> str:
     sigma, step = (declared["load_cell"][key] for key in ("noise_n", "resolution_n"))
-    assert np.allclose(seen.value / step, np.round(seen.value / step), rtol=0, atol=1e-6), "no multiple of the resolution"
+    assert np.allclose(seen.value / step, np.round(seen.value / step), rtol=0, atol=1e-6), (
+        "no multiple of the resolution"
+    )
     return allan(seen.error(), rounded(sigma, step), period_s(declared))
 
 
@@ -272,7 +317,9 @@ def low_pass(seen: Seen, declared: Declared) -> str:
 
 
 def delay(seen: Seen, declared: Declared) -> str:
-    """The lag at which what arrives correlates best with the truth: Pearson's coefficient over all lags, its sums by FFT."""
+    """The lag at which what arrives correlates best with the truth: Pearson's coefficient over all lags, its
+    sums by FFT.
+    """
     gain = seen.truth[seen.sample_tick].std(axis=0) / seen.error().std(axis=0)
     channel = int(np.argmax(gain))
     x = seen.truth[:, channel] - seen.truth[:, channel].mean()
@@ -282,13 +329,17 @@ def delay(seen: Seen, declared: Declared) -> str:
     arrived[seen.tick[used]] = 1.0
     lags = signal.correlation_lags(len(x), len(x))
     within = (lags >= 0) & (lags <= MOST_LAG)
-    product, sums, squares = (signal.correlate(a, b, method="fft")[within] for a, b in ((y, x), (arrived, x), (arrived, x**2)))
+    product, sums, squares = (
+        signal.correlate(a, b, method="fft")[within] for a, b in ((y, x), (arrived, x), (arrived, x**2))
+    )
     count = used.sum()
     coefficient = product / np.sqrt((squares - sums**2 / count) * np.sum(y**2))
     lag = int(lags[within][np.argmax(coefficient)])
     wanted = (declared.get("delay_ms", 0.0) + declared.get("jitter_ms", 0.0) / 2) / (DT_S * 1e3)
     allowed = 0.5 if "jitter_ms" not in declared else 0.5 * period_s(declared) / DT_S
-    assert abs(lag - wanted) <= allowed, f"the cross-correlation is greatest at {lag} ticks, declared are {wanted}"
+    assert abs(lag - wanted) <= allowed, (
+        f"the cross-correlation is greatest at {lag} ticks, declared are {wanted}"
+    )
     return f"greatest at {lag} ms (coefficient {coefficient.max():.4f})"
 
 
@@ -296,7 +347,9 @@ def rate(seen: Seen, declared: Declared) -> str:
     numbers = np.arange(len(seen.sample_tick))
     due = np.ceil(numbers / (declared["rate_hz"] * DT_S) - 1e-6).astype(int)
     assert np.array_equal(seen.sample_tick, due), f"samples at {seen.sample_tick[:9]}, due at {due[:9]}"
-    late = (TICKS - declared.get("delay_ms", 0.0) - declared.get("jitter_ms", 0.0)) * DT_S * declared["rate_hz"]
+    late = (
+        (TICKS - declared.get("delay_ms", 0.0) - declared.get("jitter_ms", 0.0)) * DT_S * declared["rate_hz"]
+    )
     assert len(numbers) >= int(late), f"{len(numbers)} readings"
     return f"{len(numbers)} samples, each at its tick"
 
@@ -333,7 +386,11 @@ def biases(scene: Path, name: str) -> tuple[Array, int]:
             truth.add(sim.step())
             readings += sim.readings()
         shape = SENSORS["shape"]["fbg"]
-        exact = truth.curvature(shape["nodes"], 1e-3 * shape["gauge_mm"]) if name == "shape" else truth.of("tension")
+        exact = (
+            truth.curvature(shape["nodes"], 1e-3 * shape["gauge_mm"])
+            if name == "shape"
+            else truth.of("tension")
+        )
         seen = Seen([reading for reading in readings if reading.sensor_index == index], exact)
         count = len(seen.tick)
         found += list(seen.error().mean(axis=0))
@@ -348,7 +405,8 @@ def bias(found: tuple[Array, int], sigma: float, noise: float) -> str:
     assert low < ratio < high, f"deviation of the bias is {ratio} of the law, allowed {low} to {high}"
     test = stats.kstest(values / law, "norm")
     assert test.pvalue > CHANCE, f"not normal: p = {test.pvalue}"
-    return f"{ratio:.3f} of the law ({low:.2f} to {high:.2f}), normal with p = {test.pvalue:.2f} of {len(values)}"
+    interval = f"({low:.2f} to {high:.2f})"
+    return f"{ratio:.3f} of the law {interval}, normal with p = {test.pvalue:.2f} of {len(values)}"
 
 
 Check = Callable[[Seen, Declared], str]
@@ -365,7 +423,10 @@ CHECKS: list[tuple[str, str, Check, tuple[str, ...], float, float]] = [
     ("walk", "drift of force", drift_of_force, ("force_torque", "drift_n"), 1.05, 0.0),
     ("walk", "drift of torque", drift_of_torque, ("force_torque", "drift_nm"), 1.05, 0.0),
     ("filtered", "low pass", low_pass, ("force_torque", "low_pass_hz"), 1.001, 0.0),
-    *((name, "delay", delay, ("delay_ms",), 1.0, 1.0) for name in ("shape", "tracker", "joints", "tension", "wrist")),
+    *(
+        (name, "delay", delay, ("delay_ms",), 1.0, 1.0)
+        for name in ("shape", "tracker", "joints", "tension", "wrist")
+    ),
     *((name, "rate", rate, ("rate_hz",), 1.001, 0.0) for name in SENSORS),
     ("losses", "jitter", jitter, ("jitter_ms",), 1.0, 1.0),
     ("losses", "drop-outs", drop_outs, ("dropout",), 1.8, 0.0),
@@ -381,29 +442,38 @@ def otherwise(declared: Declared, path: tuple[str, ...], factor: float, more: fl
     return changed
 
 
-def refused(what: str, check: Callable[[], str]) -> None:
-    try:
-        found = check()
-    except AssertionError:
-        return
-    raise AssertionError(f"{what} accepts a sensor that is declared otherwise: {found}")
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written_scene(tmp_path_factory.mktemp("sensors"))
 
 
-def main() -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        scene = written_scene(Path(folder))
-        seen = run(scene)
-        for name, what, check, path, factor, more in CHECKS:
-            declared = SENSORS[name]
-            print(f"{name:<9} {what:<18} {check(seen[name], declared)}")
-            refused(f"{name}, {what}", lambda: check(seen[name], otherwise(declared, path, factor, more)))
-        for name, kind, unit in (("shape", "fbg", "per_m"), ("tension", "load_cell", "n")):
-            found = biases(scene, name)
-            sigma, noise = SENSORS[name][kind][f"bias_{unit}"], SENSORS[name][kind][f"noise_{unit}"]
-            print(f"{name:<9} {'bias':<18} {bias(found, sigma, noise)}")
-            refused(f"{name}, bias", lambda: bias(found, 1.6 * sigma, noise))
-    print("done")
+@pytest.fixture(scope="module")
+def seen(scene: Path) -> dict[str, Seen]:
+    return run(scene)
 
 
-if __name__ == "__main__":
-    main()
+@pytest.mark.parametrize(
+    ("name", "what", "check", "path", "factor", "more"), CHECKS, ids=[f"{c[0]}-{c[1]}" for c in CHECKS]
+)
+def test_a_sensor_is_as_declared_and_not_otherwise(
+    name: str,
+    what: str,
+    check: Check,
+    path: tuple[str, ...],
+    factor: float,
+    more: float,
+    seen: dict[str, Seen],
+) -> None:
+    declared = SENSORS[name]
+    print(f"{name:<9} {what:<18} {check(seen[name], declared)}")
+    with pytest.raises(AssertionError):
+        check(seen[name], otherwise(declared, path, factor, more))
+
+
+@pytest.mark.parametrize(("name", "kind", "unit"), [("shape", "fbg", "per_m"), ("tension", "load_cell", "n")])
+def test_a_bias_is_drawn_as_declared(name: str, kind: str, unit: str, scene: Path) -> None:
+    found = biases(scene, name)
+    sigma, noise = SENSORS[name][kind][f"bias_{unit}"], SENSORS[name][kind][f"noise_{unit}"]
+    print(f"{name:<9} {'bias':<18} {bias(found, sigma, noise)}")
+    with pytest.raises(AssertionError):
+        bias(found, 1.6 * sigma, noise)

@@ -1,8 +1,10 @@
-"""A controller written from docs/messages.md alone, with the PyPI package iceoryx2 and nothing of Trabecula's.
+"""A controller written from docs/messages.md alone, with the PyPI package iceoryx2 and nothing of
+Trabecula's.
 
-Run by the test `tests/processes/bare_iceoryx2.rs` as a controller of a lockstep run: `bare_iceoryx2.py PAGE`. Every name,
-number and offset is read from the page, so that one that is wrong or missing there fails here.
+Every name, number and offset is read from the page, so that one that is wrong or missing there fails here.
 """
+
+from __future__ import annotations
 
 import ctypes
 import json
@@ -12,28 +14,33 @@ import pathlib
 import re
 import struct
 import time
-import sys
+from typing import Any, Callable
 
-import iceoryx2
+import support
+from scenes import shared
+from support import Run
 
-PAGE = pathlib.Path(sys.argv[1]).read_text()
+(iceoryx2,) = support.needs("iceoryx2")
+
+PAGE = (support.ROOT / "docs/messages.md").read_text()
 LIMIT_S = 30
+TICKS = 500
 TENSION_N = 7.25
 CODES = {"uint32": "<I", "uint64": "<Q", "float64": "<d"}
 
 
-def word(pattern):
+def word(pattern: str) -> str:
     """The one thing that the page has in this place."""
     found = set(re.findall(pattern, PAGE))
     assert len(found) == 1, (pattern, found)
-    return found.pop()
+    return str(found.pop())
 
 
-def section(title):
+def section(title: str) -> str:
     return PAGE.split(f"\n## {title}\n", 1)[1].split("\n## ", 1)[0]
 
 
-def rows(text):
+def rows(text: str) -> list[list[str]]:
     """Cells of the lines of tables."""
     lines = [line.strip() for line in text.splitlines() if line.strip().startswith("| ")]
     return [[cell.strip().strip("`") for cell in line.strip("|").split(" | ")] for line in lines]
@@ -42,18 +49,20 @@ def rows(text):
 class Message:
     """A message of the page: where its fields lie."""
 
-    def __init__(self, name):
+    def __init__(self, name: str) -> None:
         text = section(name)
         self.size = int(re.search(r", (\d+) bytes\.", text)[1])
         self.layout = re.search(r"layout `([0-9a-f]{16})`", text)[1]
         scalars = [(row[0], row[1].split("[")[0], row[2]) for row in rows(text)]
-        self.fields = {name: (CODES[scalar], int(offset)) for name, scalar, offset in scalars if scalar in CODES}
+        self.fields = {
+            name: (CODES[scalar], int(offset)) for name, scalar, offset in scalars if scalar in CODES
+        }
 
-    def get(self, memory, name):
+    def get(self, memory: Any, name: str) -> Any:
         code, offset = self.fields[name]
         return struct.unpack_from(code, memory, offset)[0]
 
-    def put(self, memory, **values):
+    def put(self, memory: Any, **values: Any) -> None:
         for name, value in values.items():
             code, offset = self.fields[name]
             struct.pack_into(code, memory, offset, value)
@@ -65,10 +74,13 @@ WAKE = {row[0].split(" (")[0]: row for row in rows(section("Joining with iceoryx
 SHM_PREFIX = word(r"which is `(\S+<name of the folder>_)`")
 HELD = int(word(r"may hold (\d+) samples at a time"))
 ENDED = int(word(r"with `phase` (\d+), after the last state"))
-SESSION_VARIABLE, NAME_VARIABLE = word(r"programs that it starts in\s+`(\w+)`"), word(r"`(\w+)` holds the name")
+SESSION_VARIABLE, NAME_VARIABLE = (
+    word(r"programs that it starts in\s+`(\w+)`"),
+    word(r"`(\w+)` holds the name"),
+)
 
 
-def main():
+def drives_a_run() -> None:
     # 1. The session.
     folder, name = pathlib.Path(os.environ[SESSION_VARIABLE]), os.environ[NAME_VARIABLE]
     announced = json.loads((folder / "session.json").read_text())
@@ -87,14 +99,14 @@ def main():
     node = builder.signal_handling_mode(iceoryx2.SignalHandlingMode.Disabled).create(iceoryx2.ServiceType.Ipc)
 
     # 3. Services.
-    def service(name):
+    def service(name: str) -> Any:
         return node.service_builder(iceoryx2.ServiceName.new(name))
 
-    def subscriber(name):
+    def subscriber(name: str) -> Any:
         opened = service(name).publish_subscribe(iceoryx2.Slice[ctypes.c_uint8]).open()
         return opened.subscriber_builder().buffer_size(int(SERVICES[name][3])).create()
 
-    def taken(subscriber):
+    def taken(subscriber: Any) -> Any:
         """A copy of the oldest message that waits, which goes back at once."""
         sample = subscriber.receive()
         if sample is None:
@@ -111,7 +123,13 @@ def main():
 
     # 4. Waking: the physics, and being woken.
     notifier = service(WAKE["physics"][1]).event().open().notifier_builder().create()
-    listener = service(WAKE["a controller"][1].replace("<index>", str(index))).event().open().listener_builder().create()
+    listener = (
+        service(WAKE["a controller"][1].replace("<index>", str(index)))
+        .event()
+        .open()
+        .listener_builder()
+        .create()
+    )
     first, stride = re.fullmatch(r"(\d+) \+ (\d+) × index", WAKE["a controller"][2]).groups()
     flags_file = word(r"in the file `(\S+)` in the session's folder")
     with open(folder / flags_file, "r+b") as file:
@@ -134,7 +152,9 @@ def main():
                 assert loan.payload().data_ptr % 8 == 0
                 memory = (ctypes.c_ubyte * COMMAND.size).from_address(loan.payload().data_ptr)
                 ctypes.memset(memory, 0, COMMAND.size)
-                COMMAND.put(memory, sequence=sequence, state_tick=tick, tendon_mode=1, tendon_force_n=TENSION_N)
+                COMMAND.put(
+                    memory, sequence=sequence, state_tick=tick, tendon_mode=1, tendon_force_n=TENSION_N
+                )
                 del memory
                 loan.assume_init().send()
                 notifier.notify()
@@ -148,7 +168,27 @@ def main():
         # May return early and empty: two wake-ups can be merged into one.
         listener.timed_wait(iceoryx2.Duration.from_secs(LIMIT_S))
         assert time.monotonic() < limit, f"no message within {LIMIT_S} s"
-    print(f"answered {sequence} states, the last of tick {answered}")
+    # At the end there is nothing to answer: 500 or 501 states.
+    assert sequence in (TICKS, TICKS + 1), sequence
 
 
-main()
+def test_a_controller_written_from_the_page_alone_drives_a_run_to_its_end(
+    start: Callable[[str], Run],
+) -> None:
+    """The page did not say how to reach the session, how to wake anybody and how the end is known."""
+    # As the second controller, so that its index counts.
+    before, pilot, holder = shared("lockstep", 1e-3 * TICKS).split("[[controller]]")
+    run = start("[[controller]]".join([before, holder, pilot]))
+    support.outside(drives_a_run, session=run.session, controller="pilot")
+    folder = run.end()
+    ticks = support.messages(folder / "run.mcap", "/latched")
+    assert len(ticks) == TICKS
+    for tick in ticks:
+        latched = tick["commands"][1]
+        assert (latched["source"], latched["age_ticks"]) == (1, 0), tick
+        assert latched["command"]["tendon_force_n"][0] == TENSION_N, tick
+    support.assert_replays(folder)
+
+
+if __name__ == "__main__":
+    support.main(globals())

@@ -1,29 +1,33 @@
-"""Statics of tools with helical tendons, by SciPy: `helical_tendons.py`, which prints a table and `done`.
+"""Statics of tools with helical tendons, by SciPy. `-s` shows a table of the differences.
 
-The equations are those of Rucker and Webster 2011 ("Statics and dynamics of continuum robots with general tendon routing and external
-loading", IEEE Trans. Robotics 27(6):1033, doi 10.1109/TRO.2011.2160469), section IV, for a rod that neither shears nor stretches: a tendon
-at r(s) in the rod's axes, with the tension T, runs along `p' = u x r + r' + e_z`, pulls the rod with the force `T d/ds (p'/|p'|)` per length
-and the moment of that force about the rod's axis, and at its end with `-T p'/|p'|`. They are integrated as an initial-value problem whose
-curvature at the base is shot at the end's moment. The rod is that of the tool: E I and G J = E I / (1 + nu), straight at rest.
+The equations are those of Rucker and Webster 2011 ("Statics and dynamics of continuum robots with general
+tendon routing and external loading", IEEE Trans. Robotics 27(6):1033, doi 10.1109/TRO.2011.2160469), section
+IV, for a rod that neither shears nor stretches: a tendon at r(s) in the rod's axes, with the tension T, runs
+along `p' = u x r + r' + e_z`, pulls the rod with the force `T d/ds (p'/|p'|)` per length and the moment of
+that force about the rod's axis, and at its end with `-T p'/|p'|`. They are integrated as an initial-value
+problem whose curvature at the base is shot at the end's moment. The rod is that of the tool: E I and G J = E
+I / (1 + nu), straight at rest.
 """
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import integrate, optimize
-from scipy.spatial.transform import Rotation
-
+import pytest
+import support
 import trabecula
 from trabecula.sim import Sim
 
+integrate, optimize, transform = support.needs("scipy.integrate", "scipy.optimize", "scipy.spatial.transform")
+Rotation = transform.Rotation
+
 Array = npt.NDArray[np.float64]
 
-#: The rod: the part that bends, 40 mm in front of a rigid shaft of 40 mm, and the burr's centre right at its end.
+#: The rod: the part that bends, 40 mm in front of a rigid shaft of 40 mm, and the burr's centre right at its
+#: end.
 SHAFT_M, LENGTH_M, RADIUS_M = 0.040, 0.040, 2.0e-3
 OUTER_M, INNER_M, MODULUS_PA, POISSON = 1.5e-3, 1.25e-3, 0.3e9, 0.33
 BENDING_NM2 = MODULUS_PA * np.pi / 4 * (OUTER_M**4 - INNER_M**4)
@@ -60,7 +64,10 @@ class Tendon:
 
     def place(self, s: float) -> tuple[Array, Array, Array]:
         angle = self.start + self.rate * s
-        radial, around = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([-np.sin(angle), np.cos(angle), 0.0])
+        radial, around = (
+            np.array([np.cos(angle), np.sin(angle), 0.0]),
+            np.array([-np.sin(angle), np.cos(angle), 0.0]),
+        )
         return RADIUS_M * radial, RADIUS_M * self.rate * around, -RADIUS_M * self.rate**2 * radial
 
 
@@ -70,9 +77,9 @@ E_Z: Array = np.array([0.0, 0.0, 1.0])
 def bent(u: Array, s: float, tendons: list[Tendon]) -> Array:
     """u' from the balance of moments and forces of rod and tendons.
 
-    Let n be the rod's inner force. Without load on the rod but the tendons', n + sum T p'/|p'| = 0 all along, since the end carries no more.
-    So n follows from u, and the moments' balance (K u)' + u x K u + e_z x n + sum r x T (p'/|p'|)' = 0, in the rod's axes, gives u': the
-    direction's derivative contains u x r.
+    Let n be the rod's inner force. Without load on the rod but the tendons', n + sum T p'/|p'| = 0 all along,
+    since the end carries no more. So n follows from u, and the moments' balance (K u)' + u x K u + e_z x n +
+    sum r x T (p'/|p'|)' = 0, in the rod's axes, gives u': the direction's derivative contains u x r.
     """
     matrix, right = np.diag(STIFFNESS_NM2), -(cross(u) @ (STIFFNESS_NM2 * u))
     for tendon in tendons:
@@ -83,7 +90,11 @@ def bent(u: Array, s: float, tendons: list[Tendon]) -> Array:
         a = -tendon.tension_n * cross(along) @ cross(along) / size**3
         # (p')' in the rod's axes: u x p' + u' x r + u x r' + r''.
         matrix = matrix + cross(r) @ a @ -cross(r)
-        right = right - cross(r) @ a @ (cross(u) @ (along + r1) + r2) + cross(E_Z) @ (tendon.tension_n * along / size)
+        right = (
+            right
+            - cross(r) @ a @ (cross(u) @ (along + r1) + r2)
+            + cross(E_Z) @ (tendon.tension_n * along / size)
+        )
     return np.asarray(np.linalg.solve(matrix, right))
 
 
@@ -126,7 +137,10 @@ def scene(links: int, twist: float, starts: list[float], folder: Path) -> Path:
 name = "helical"
 run = {{ mode = "lockstep", duration_s = 60.0 }}
 gravity_m_per_s2 = [0.0, 0.0, 0.0]
-tool = {{ burr_start_mm = [0.0, 0.0, {(SHAFT_M + LENGTH_M) * 1e3!r}], direction = [0.0, 0.0, 1.0], bend_toward = [1.0, 0.0, 0.0] }}
+[tool]
+burr_start_mm = [0.0, 0.0, {(SHAFT_M + LENGTH_M) * 1e3!r}]
+direction = [0.0, 0.0, 1.0]
+bend_toward = [1.0, 0.0, 0.0]
 [[controller]]
 name = "puller"
 drives = ["tendon", "arm", "burr"]
@@ -156,13 +170,14 @@ pitch_mm = {pitch_mm!r}
 """
     for start in starts:
         x, y = RADIUS_M * 1e3 * np.cos(np.radians(start)), RADIUS_M * 1e3 * np.sin(np.radians(start))
-        text += f"[[manipulator.tool.tendon]]\ntoward_mm = {float(x)!r}\nacross_mm = {float(y)!r}\ntwist_deg_per_mm = {twist!r}\n"
+        place = f"toward_mm = {float(x)!r}\nacross_mm = {float(y)!r}\n"
+        text += f"[[manipulator.tool.tendon]]\n{place}twist_deg_per_mm = {twist!r}\n"
     file = folder / f"helical_{links}.toml"
     file.write_text(text)
     return file
 
 
-def settled(file: Path, tensions_n: list[float]) -> tuple[Array, Rotation]:
+def settled(file: Path, tensions_n: list[float]) -> tuple[Array, Any]:
     """Place and attitude of the burr, from where the flexible part begins."""
     sim = Sim(file)
     made = trabecula.Command()
@@ -175,37 +190,35 @@ def settled(file: Path, tensions_n: list[float]) -> tuple[Array, Rotation]:
     raw = state.array
     base = Rotation.from_quat(raw["t_world_base"]["orientation_xyzw"])
     from_base = base.inv().apply(raw["t_world_burr"]["position_m"] - raw["t_world_base"]["position_m"])
-    return from_base - [0.0, 0.0, SHAFT_M], base.inv() * Rotation.from_quat(raw["t_world_burr"]["orientation_xyzw"])
+    return from_base - [0.0, 0.0, SHAFT_M], base.inv() * Rotation.from_quat(
+        raw["t_world_burr"]["orientation_xyzw"]
+    )
 
 
-def main() -> None:
-    print(f"{'twist':>6} {'tensions':>12} {'moved':>9}  off at {', '.join(map(str, LINKS))} flexures, um; extrapolated; turned, mrad")
-    with tempfile.TemporaryDirectory() as folder:
-        for twist, starts, tensions_n in CASES:
-            tendons = [Tendon(twist, start, tension) for start, tension in zip(starts, tensions_n)]
-            exact = solved(tendons)
-            place, turn = exact.y[:3, -1], Rotation.from_matrix(exact.y[3:12, -1].reshape(3, 3))
-            found = [settled(scene(links, twist, starts, Path(folder)), tensions_n) for links in LINKS]
-            off_m = [float(np.linalg.norm(at - place)) for at, _ in found]
-            turned = float((found[-1][1].inv() * turn).magnitude())
-            moved_m = float(np.linalg.norm(place - [0.0, 0.0, LENGTH_M]))
-            # First order, since a flexure turns about its axes one after the other, and second, as chords are to an arc: three numbers of
-            # flexures, each twice the one before, extrapolate to no error of either.
-            limit_m = float(np.linalg.norm((found[0][0] - 6 * found[1][0] + 8 * found[2][0]) / 3 - place))
-            print(
-                f"{twist:>6} {'+'.join(map(str, tensions_n)):>12} {1e3 * moved_m:>6.2f} mm  "
-                f"{', '.join(f'{1e6 * off:.0f}' for off in off_m)}; {1e6 * limit_m:.1f}; {1e3 * turned:.2f}"
-            )
-            assert moved_m > 5e-3, "a load that shows"
-            assert off_m[2] < 0.01 * moved_m, f"{off_m[2]} m off at {LINKS[2]} flexures"
-            assert off_m[2] < off_m[1] / 1.8 < off_m[0] / 3.24, f"{off_m}: it does not converge"
-            assert limit_m < 0.002 * moved_m, f"{limit_m} m off when extrapolated"
-            assert turned < 0.01, f"{turned} rad off at {LINKS[2]} flexures"
-            # The same rod with its tendon wound the other way is another shape.
-            other = solved([Tendon(-twist, start, tension) for start, tension in zip(starts, tensions_n)]).y[:3, -1]
-            assert float(np.linalg.norm(other - place)) > 20 * off_m[2], "the twist's sense does not show"
-    print("done")
-
-
-if __name__ == "__main__":
-    main()
+@pytest.mark.parametrize(("twist", "starts", "tensions_n"), CASES)
+def test_the_tool_bends_as_rucker_and_websters_equations(
+    twist: float, starts: list[float], tensions_n: list[float], tmp_path: Path
+) -> None:
+    tendons = [Tendon(twist, start, tension) for start, tension in zip(starts, tensions_n)]
+    exact = solved(tendons)
+    place, turn = exact.y[:3, -1], Rotation.from_matrix(exact.y[3:12, -1].reshape(3, 3))
+    found = [settled(scene(links, twist, starts, tmp_path), tensions_n) for links in LINKS]
+    off_m = [float(np.linalg.norm(at - place)) for at, _ in found]
+    turned = float((found[-1][1].inv() * turn).magnitude())
+    moved_m = float(np.linalg.norm(place - [0.0, 0.0, LENGTH_M]))
+    # First order, since a flexure turns about its axes one after the other, and second, as chords are to an
+    # arc: three numbers of flexures, each twice the one before, extrapolate to no error of either.
+    limit_m = float(np.linalg.norm((found[0][0] - 6 * found[1][0] + 8 * found[2][0]) / 3 - place))
+    print(
+        f"twist {twist} degrees/mm, {'+'.join(map(str, tensions_n))} N: moved {1e3 * moved_m:.2f} mm; off at"
+        f" {', '.join(map(str, LINKS))} flexures {', '.join(f'{1e6 * off:.0f}' for off in off_m)} um;"
+        f" extrapolated {1e6 * limit_m:.1f} um; turned {1e3 * turned:.2f} mrad"
+    )
+    assert moved_m > 5e-3, "a load that shows"
+    assert off_m[2] < 0.01 * moved_m, f"{off_m[2]} m off at {LINKS[2]} flexures"
+    assert off_m[2] < off_m[1] / 1.8 < off_m[0] / 3.24, f"{off_m}: it does not converge"
+    assert limit_m < 0.002 * moved_m, f"{limit_m} m off when extrapolated"
+    assert turned < 0.01, f"{turned} rad off at {LINKS[2]} flexures"
+    # The same rod with its tendon wound the other way is another shape.
+    other = solved([Tendon(-twist, start, tension) for start, tension in zip(starts, tensions_n)]).y[:3, -1]
+    assert float(np.linalg.norm(other - place)) > 20 * off_m[2], "the twist's sense does not show"
