@@ -51,14 +51,12 @@
 //!
 //! | module | contents |
 //! |---|---|
-//! | [`manipulator`] | the tool: four models of increasing detail, tendons, contact impulses |
+//! | [`manipulator`] | the tool: five models of increasing detail, tendons, contact impulses |
 //! | [`bone`] | the voxels: contact planes, drilling |
 //! | [`arm`] | kinematics, jerk-limited motion, elastic joints |
 //! | [`rigid`] | free and fixed bodies in Rapier |
-//! | [`baselines`] | published methods, for comparison in charts only |
 
 pub mod arm;
-pub mod baselines;
 pub mod bone;
 pub mod contact_plane;
 pub mod manipulator;

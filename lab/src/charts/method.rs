@@ -3,7 +3,7 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use nalgebra::Vector3;
-use simulation::baselines::{ProxyDrive, ProxyTool, RapierChain, RapierJoints, Wall, explicit_chain};
+use physics_lab::{ProxyDrive, ProxyTool, RapierChain, RapierJoints, Wall, explicit_chain};
 use simulation::manipulator::{
     AnyManipulator, BaseMotion, Integrator, ManipulatorError, ManipulatorModel, ManipulatorParameters, Rung,
     SpatialChain, StepInput, TendonCommand, Wrench,

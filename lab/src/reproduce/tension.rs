@@ -4,7 +4,8 @@ use nalgebra::{Isometry3, Vector3};
 use plotters::style::RGBColor;
 use rayon::prelude::*;
 use simulation::manipulator::{
-    BaseMotion, Manipulator, ManipulatorError, ManipulatorParameters, StepInput, TendonCommand, Wrench,
+    BaseMotion, Manipulator, ManipulatorError, ManipulatorModel, ManipulatorParameters, StepInput,
+    TendonCommand, Wrench,
 };
 
 use super::output::{Plan, Table};

@@ -51,13 +51,6 @@ impl CuttingLaw {
         self.cutting_friction * burr.normal_force_n * burr.speed_rad_s.abs() * lever_m
     }
 
-    /// Steady feed in m/s of a burr under its force in bone of the given specific cutting energy, below the feed limit: power / (u x
-    /// cross-section of the hole). For calibration.
-    pub fn steady_feed_m_s(&self, burr: &BurrState, specific_energy_j_m3: f64) -> f64 {
-        let hole = burr.radius_m + self.reach_m;
-        self.power_w(burr) / (specific_energy_j_m3 * core::f64::consts::PI * hole * hole)
-    }
-
     pub(super) fn check(&self) -> Result<(), BoneError> {
         let above_zero = [
             ("cutting_friction", self.cutting_friction),

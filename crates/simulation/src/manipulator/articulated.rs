@@ -5,6 +5,7 @@
 //! (omega_y, v_x, v_z) at the origin, a planar force (m_y, f_x, f_z).
 
 use super::MAX_JOINTS;
+use super::coupling::Freedoms;
 use super::geometry::{Configuration, Layout, Planar};
 
 /// Planar spatial motion (omega, v_x, v_z) or force (m, f_x, f_z) at the base origin.
@@ -60,16 +61,57 @@ pub(super) struct Generalised {
 impl Generalised {
     pub const ZERO: Self = Self { joint: [0.0; MAX_JOINTS], mount: [0.0; 3] };
 
+    /// The coordinates of a state, or their velocities: the mount's come first there.
+    pub fn of(all: &[f64]) -> Self {
+        let mut of = Self::ZERO;
+        let (mount, joint) = all.split_at(of.mount.len());
+        of.mount.copy_from_slice(mount);
+        of.joint.copy_from_slice(joint);
+        of
+    }
+
     /// self + scale other.
     pub fn plus(&self, scale: f64, other: &Self) -> Self {
         let mut sum = *self;
-        for (s, o) in sum.joint.iter_mut().zip(&other.joint) {
-            *s += scale * o;
-        }
-        for (s, o) in sum.mount.iter_mut().zip(&other.mount) {
-            *s += scale * o;
+        sum.add_scaled(scale, other);
+        sum
+    }
+}
+
+/// The flexures alone.
+impl AsRef<[f64]> for Generalised {
+    fn as_ref(&self) -> &[f64] {
+        &self.joint
+    }
+}
+
+/// As vectors of tendons, which do not move the mount.
+impl Freedoms for Generalised {
+    fn dot(&self, other: &Self) -> f64 {
+        let mut sum = 0.0;
+        for i in 0..MAX_JOINTS {
+            sum += self.joint[i] * other.joint[i];
         }
         sum
+    }
+
+    fn add_scaled(&mut self, scale: f64, other: &Self) {
+        for (s, o) in self.joint.iter_mut().zip(&other.joint) {
+            *s += scale * o;
+        }
+        for (s, o) in self.mount.iter_mut().zip(&other.mount) {
+            *s += scale * o;
+        }
+    }
+
+    fn clear(&mut self) {
+        *self = Self::ZERO;
+    }
+
+    fn copy_to(&self, list: &mut [f64]) {
+        let (mount, joints) = list.split_at_mut(self.mount.len());
+        mount.copy_from_slice(&self.mount);
+        joints.copy_from_slice(&self.joint[..joints.len()]);
     }
 }
 

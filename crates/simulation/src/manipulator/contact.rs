@@ -20,7 +20,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use super::geometry::{SphereKind, SphereLayout};
 use super::parameters::ContactParameters;
 use super::row::{StopLaw, tangents, target};
-use super::state::ContactResult;
+use super::state::{ContactResult, StepReport};
 use crate::contact_plane::ContactPlane;
 use laws::{ContactRow, StopRow};
 use newton::Problem;
@@ -28,7 +28,6 @@ use patch::Patch;
 
 pub(super) use chain::{Chain, Operator, Square};
 pub(super) use dense::{Dense, Factor, lanes, lanes_mut};
-pub(super) use newton::Outcome;
 
 /// A contact inherits the last tick's impulses if it is on the same sphere and the cosine between the two normals exceeds this.
 const SAME_NORMAL_COSINE: f64 = 0.9;
@@ -55,6 +54,13 @@ pub(super) struct ContactStep<'a> {
     pub drive: &'a BaseDrive,
     pub planes: &'a [ContactPlane],
     pub parameters: &'a ContactParameters,
+    pub spheres: &'a [SphereLayout],
+    /// Of the last step, ordered by sphere.
+    pub results: &'a [ContactResult],
+    /// Whether the burr turns; if not, it rubs like the tube.
+    pub burr_turns: bool,
+    /// SIMD support of this CPU.
+    pub arch: pulp::Arch,
 }
 
 impl ContactStep<'_> {
@@ -106,12 +112,6 @@ pub(super) struct ContactSolver<const N: usize, O = Chain<N>> {
     used: Vec<bool>,
     /// Motions of the links without contact.
     free_motion: Vec<[f64; N]>,
-    pub refused: usize,
-    pub max_overlap_m: f64,
-    /// Whether the burr turns; if not, it rubs like the tube.
-    pub burr_turns: bool,
-    /// SIMD support of this CPU.
-    pub arch: pulp::Arch,
 }
 
 impl<const N: usize> ContactSolver<N> {
@@ -134,10 +134,6 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
             order: Vec::with_capacity(contacts),
             used: vec![false; contacts],
             free_motion: vec![[0.0; N]; links],
-            refused: 0,
-            max_overlap_m: 0.0,
-            burr_turns: true,
-            arch: pulp::Arch::new(),
         }
     }
 
@@ -147,31 +143,32 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
         self.row.clear();
         self.stop.clear();
         self.order.clear();
-        self.max_overlap_m = 0.0;
         self.patch = Patch::default();
     }
 
     /// Takes the usable contacts, ordered by sphere, then by input order, warm-started with the last tick's impulses. Spheres are ordered
-    /// by link. Only those enter for which `enters` says so, by index; `place` gives a sphere's contact for its normal and tangents.
+    /// by link. Only those enter for which `enters` says so, by index; `place` gives the contact of the sphere with this index for its
+    /// normal and tangents.
     pub fn collect(
         &mut self,
         step: &ContactStep,
-        spheres: &[SphereLayout],
-        results: &[ContactResult],
-        enters: impl Fn(usize, &ContactPlane) -> bool,
+        report: &mut StepReport,
+        enters: impl Fn(usize) -> bool,
         place: impl Fn(usize, &[Vector3<f64>; 3]) -> Place<N>,
     ) {
+        let spheres = step.spheres;
         self.clear();
         let considered = &step.planes[..step.planes.len().min(self.used.len())];
         let usable = |c: &ContactPlane| c.sphere_index < spheres.len() && c.is_usable();
         for (index, plane) in considered.iter().enumerate().filter(|(_, c)| usable(c)) {
             self.order.push((plane.sphere_index, index));
         }
-        self.refused = step.planes.len() - self.order.len();
-        self.order.retain(|(_, index)| enters(*index, &step.planes[*index]));
+        report.refused_contact_count = step.planes.len() - self.order.len();
+        report.max_overlap_m = 0.0;
+        self.order.retain(|(_, index)| enters(*index));
         self.order.sort_unstable();
         self.used.fill(false);
-        let mut last = LastContacts { results, used: &mut self.used };
+        let mut last = LastContacts { results: step.results, used: &mut self.used };
         for &(sphere, index) in &self.order {
             let plane = &step.planes[index];
             let normal = step.drive.rotation.inverse_transform_vector(plane.normal.as_ref());
@@ -181,7 +178,7 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
             let base_velocity = step.drive.linear + step.drive.angular.cross(&point);
             let mut row = ContactRow::new(link, force);
             row.drive = direction.map(|d| d.dot(&base_velocity));
-            row.friction = step.parameters.friction_of(spheres[sphere].kind, self.burr_turns);
+            row.friction = step.parameters.friction_of(spheres[sphere].kind, step.burr_turns);
             row.compliance = step.compliance();
             (row.target, row.impulse) = last.start(step, plane, &[t0, t1]);
             row.strength = plane.strength_n * step.dt;
@@ -190,10 +187,11 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
                 self.patch = Patch::new(&plane.give, step.dt);
             }
             row.impulse[0] = row.impulse[0].min(row.strength);
-            self.max_overlap_m = self.max_overlap_m.max(-plane.gap_m);
+            report.max_overlap_m = report.max_overlap_m.max(-plane.gap_m);
             self.row.push(row);
             self.contact.push(Contact { index, sphere, point, direction });
         }
+        report.contact_count = self.contact.len();
     }
 
     /// Adds the stop of a freedom at `position` rad if the free motion, at `rate` rad/s, would bring it near its stop. `last_nm` is the
@@ -216,20 +214,15 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
     }
 
     /// Solves for the impulses. `free`: velocities of the freedoms without contact.
-    pub fn solve(&mut self, free: &[f64], parameters: &ContactParameters) -> Outcome {
+    pub fn solve(&mut self, free: &[f64], step: &ContactStep, report: &mut StepReport) {
         let chain = &mut self.chain;
         chain.motions_of(free, &mut self.free_motion);
         let (row, stop) = (&mut self.row[..], &mut self.stop[..]);
         let patch = self.patch;
-        self.arch.dispatch(Problem {
-            chain,
-            row,
-            stop,
-            patch,
-            free_motion: &self.free_motion,
-            free,
-            parameters,
-        })
+        let (free_motion, parameters) = (&self.free_motion, step.parameters);
+        let outcome = step.arch.dispatch(Problem { chain, row, stop, patch, free_motion, free, parameters });
+        report.contact_iterations = outcome.iterations;
+        report.contact_residual_m_per_s = outcome.residual;
     }
 
     /// Adds the impulses of the solution to each link and each freedom.

@@ -5,26 +5,65 @@
 //! stiff direction, then responds as under the exact operator, and statics are unaffected. The inverse follows from the Woodbury
 //! identity.
 
-use super::articulated::{Articulated, Generalised, Spatial};
+use super::MAX_TENDONS;
 use super::contact::Chain;
-use super::tendon::TendonLoad;
-use super::{MAX_JOINTS, MAX_TENDONS};
+
+/// Velocities or impulses of all freedoms.
+pub(super) trait Freedoms: Clone {
+    fn dot(&self, other: &Self) -> f64;
+    /// self += scale other.
+    fn add_scaled(&mut self, scale: f64, other: &Self);
+    fn clear(&mut self);
+    /// Copies the entries into a list with the mount's first.
+    fn copy_to(&self, list: &mut [f64]);
+}
+
+impl Freedoms for Vec<f64> {
+    fn dot(&self, other: &Self) -> f64 {
+        self.iter().zip(other).map(|(a, b)| a * b).sum()
+    }
+
+    fn add_scaled(&mut self, scale: f64, other: &Self) {
+        for (s, o) in self.iter_mut().zip(other) {
+            *s += scale * o;
+        }
+    }
+
+    fn clear(&mut self) {
+        self.fill(0.0);
+    }
+
+    fn copy_to(&self, list: &mut [f64]) {
+        list.copy_from_slice(self);
+    }
+}
+
+/// What the tendons of a chain contribute to its operator.
+pub(super) struct TendonTerms<'t, V> {
+    pub count: usize,
+    /// True for each tendon whose gradient is not zero.
+    pub coupled: &'t [bool; MAX_TENDONS],
+    /// d take-up / dq and -d force / d take-up.
+    pub slope: &'t [V; MAX_TENDONS],
+    pub gradient: &'t [V; MAX_TENDONS],
+}
 
 /// `A = H + sum_t c_t g_t g_t'` and its inverse.
 #[derive(Debug, Clone)]
-pub(super) struct Coupling {
+pub(super) struct Coupling<V> {
     /// True if any tendon couples the joints.
-    pub active: bool,
+    active: bool,
     /// alpha of each tendon, N/m.
-    pub alpha: [f64; MAX_TENDONS],
+    alpha: [f64; MAX_TENDONS],
     /// Number of tendons.
-    pub count: usize,
-    slope: [[f64; MAX_JOINTS]; MAX_TENDONS],
+    count: usize,
+    slope: [V; MAX_TENDONS],
     /// c_t.
     weight: [f64; MAX_TENDONS],
     /// H^-1 g_t.
-    pub response: [Generalised; MAX_TENDONS],
-    pub kernel: Kernel,
+    response: [V; MAX_TENDONS],
+    scratch: V,
+    kernel: Kernel,
 }
 
 /// Symmetric kernel of the Woodbury identity: A^-1 = H^-1 - Z kernel Z', where the columns of Z are H^-1 g_t.
@@ -81,99 +120,81 @@ impl Kernel {
     }
 }
 
-fn dot_joints(a: &[f64; MAX_JOINTS], b: &[f64; MAX_JOINTS]) -> f64 {
-    let mut sum = 0.0;
-    for i in 0..MAX_JOINTS {
-        sum += a[i] * b[i];
-    }
-    sum
-}
-
-impl Coupling {
-    pub fn new() -> Self {
+impl<V: Freedoms> Coupling<V> {
+    /// `zero`: all freedoms at 0.
+    pub fn new(zero: V) -> Self {
+        let blank = || core::array::from_fn(|_| zero.clone());
         Self {
             active: false,
             alpha: [0.0; MAX_TENDONS],
             count: 0,
-            slope: [[0.0; MAX_JOINTS]; MAX_TENDONS],
+            slope: blank(),
             weight: [0.0; MAX_TENDONS],
-            response: [Generalised::ZERO; MAX_TENDONS],
+            response: blank(),
+            scratch: zero,
             kernel: Kernel::NONE,
         }
     }
 
-    /// Sets up the coupling for a factored H. `scale` weighs the rank-one stiffness (dt^2 for the method in use).
-    pub fn update(&mut self, articulated: &Articulated, load: &TendonLoad, scale: f64) {
-        self.count = load.channels.count;
-        self.active = load.coupled[..self.count].contains(&true);
+    /// Sets up the coupling for a factored H, whose inverse `solve` writes into its second argument. `scale` weighs the
+    /// rank-one stiffness (dt^2 for the method in use).
+    pub fn update(&mut self, terms: &TendonTerms<V>, scale: f64, mut solve: impl FnMut(&V, &mut V)) {
+        self.count = terms.count;
+        self.active = terms.coupled[..self.count].contains(&true);
         self.alpha = [0.0; MAX_TENDONS];
         if !self.active {
             return;
         }
-        let none: [Spatial; MAX_JOINTS + 1] = [[0.0; 3]; MAX_JOINTS + 1];
         for t in 0..self.count {
-            self.response[t] = Generalised::ZERO;
-            if !load.coupled[t] {
-                self.slope[t] = [0.0; MAX_JOINTS];
+            if !terms.coupled[t] {
+                self.slope[t].clear();
+                self.response[t].clear();
                 continue;
             }
-            self.slope[t] = load.slope[t];
-            let slope = Generalised { joint: load.slope[t], mount: [0.0; 3] };
-            let gradient = Generalised { joint: load.gradient[t], mount: [0.0; 3] };
-            self.response[t] = articulated.solve(&none, &slope);
-            let own = dot_joints(&self.slope[t], &self.response[t].joint);
-            let cross = dot_joints(&self.slope[t], &articulated.solve(&none, &gradient).joint);
+            self.slope[t].clone_from(&terms.slope[t]);
+            solve(&terms.gradient[t], &mut self.scratch);
+            let cross = self.slope[t].dot(&self.scratch);
+            solve(&terms.slope[t], &mut self.response[t]);
+            let own = self.slope[t].dot(&self.response[t]);
             self.alpha[t] = if own > 0.0 { (cross / own).max(0.0) } else { 0.0 };
         }
-        let c = self.alpha.map(|a| a * scale);
-        self.weight = c;
+        self.weight = self.alpha.map(|a| a * scale);
         let mut s = [[0.0; MAX_TENDONS]; MAX_TENDONS];
         for i in 0..self.count {
             for j in i..self.count {
-                s[i][j] = dot_joints(&self.slope[i], &self.response[j].joint);
+                s[i][j] = self.slope[i].dot(&self.response[j]);
             }
         }
-        self.kernel = Kernel::new(self.count, &c, &s);
+        self.kernel = Kernel::new(self.count, &self.weight, &s);
     }
 
-    /// Tells the contact solver's chain, whose freedoms before the joints are the mount's `mount`.
-    pub fn describe<const N: usize>(&self, mount: usize, chain: &mut Chain<N>) {
+    /// Sets the tendons of the contact solver's chain.
+    pub fn describe<const N: usize>(&self, chain: &mut Chain<N>) {
         chain.coupled = if self.active { self.count.max(2) } else { 0 };
         chain.weight = self.weight;
         for t in 0..chain.coupled {
-            chain.slope[t][..mount].fill(0.0);
-            let joints = &mut chain.slope[t][mount..];
-            joints.copy_from_slice(&self.slope[t][..joints.len()]);
+            self.slope[t].copy_to(&mut chain.slope[t]);
         }
     }
 
-    /// Adds `-weight` times the rank-one stiffness times joint velocities `rate` to `rhs`.
-    pub fn subtract_stiffness(&self, rate: &[f64; MAX_JOINTS], weight: f64, rhs: &mut [f64; MAX_JOINTS]) {
-        if !self.active {
-            return;
-        }
-        for t in 0..self.count {
-            let scale = weight * self.alpha[t] * dot_joints(&self.slope[t], rate);
-            for (r, slope) in rhs.iter_mut().zip(&self.slope[t]) {
-                *r -= scale * slope;
-            }
+    /// Subtracts the rank-one stiffnesses times the velocities `rate` from `rhs`.
+    pub fn subtract_stiffness(&self, rate: &V, rhs: &mut V) {
+        for t in 0..if self.active { self.count } else { 0 } {
+            rhs.add_scaled(-self.alpha[t] * self.slope[t].dot(rate), &self.slope[t]);
         }
     }
 
     /// A^-1 b from H^-1 b.
-    pub fn correct(&self, x: Generalised) -> Generalised {
+    pub fn correct(&self, x: &mut V) {
         if !self.active {
-            return x;
+            return;
         }
         let mut p = [0.0; MAX_TENDONS];
         for t in 0..self.count {
-            p[t] = dot_joints(&self.slope[t], &x.joint);
+            p[t] = self.slope[t].dot(x);
         }
-        let w = self.kernel.weigh(&p);
-        let mut sum = x;
-        for t in 0..self.count {
-            sum = sum.plus(-w[t], &self.response[t]);
+        for (response, w) in self.response[..self.count].iter().zip(self.kernel.weigh(&p)) {
+            x.add_scaled(-w, response);
         }
-        sum
     }
 }

@@ -21,6 +21,32 @@ impl ManipulatorParameters {
         squared_s.into_iter().take(count).map(hz).collect()
     }
 
+    /// Angular frequency of the first mode on a rigid mount, rad/s, by inverse iteration on `K x = omega^2 M x`.
+    pub(super) fn first_frequency_rad_per_s(&self) -> f64 {
+        let (stiffness, length_m) = (&self.joint_stiffness_nm_per_rad, link_lengths_m(self));
+        let n = length_m.len();
+        let mass = mass_matrix(self.joint_positions_m[0], &length_m, &link_bodies(self, &length_m));
+        let mut x = vec![1.0; n];
+        let mut momentum = vec![0.0; n];
+        let mut squared = 0.0;
+        for _ in 0..200 {
+            for i in 0..n {
+                momentum[i] = (0..n).map(|j| mass[i * n + j] * x[j]).sum();
+            }
+            let kinetic: f64 = (0..n).map(|i| x[i] * momentum[i]).sum();
+            let potential: f64 = (0..n).map(|i| x[i] * stiffness[i] * x[i]).sum();
+            squared = potential / kinetic;
+            let mut norm = 0.0;
+            for i in 0..n {
+                x[i] = momentum[i] / stiffness[i];
+                norm += x[i] * x[i];
+            }
+            let scale = 1.0 / libm::sqrt(norm);
+            x.iter_mut().for_each(|value| *value *= scale);
+        }
+        libm::sqrt(squared)
+    }
+
     /// The least tension of one tendon alone that bends a flexure to its stop, at rest in free space and without friction, N: its stiffness
     /// times the stop's angle over the tendon's lever, `k q = T (d cos(q/2) + g/2 sin(q/2))`. `None` without tendons.
     pub fn first_stop_n(&self) -> Option<f64> {
@@ -54,37 +80,6 @@ impl ManipulatorParameters {
         }
         load_n
     }
-}
-
-/// Angular frequency of the first mode, rad/s, by inverse iteration on `K x = omega^2 M x`. `length_m` and `stiffness` have one entry per
-/// flexure; `body` has the shaft, then one per flexure.
-pub(super) fn first_frequency_rad_per_s(
-    first_joint_m: f64,
-    length_m: &[f64],
-    body: &[LinkBody],
-    stiffness: &[f64],
-) -> f64 {
-    let n = length_m.len();
-    let mass = mass_matrix(first_joint_m, length_m, body);
-    let mut x = vec![1.0; n];
-    let mut momentum = vec![0.0; n];
-    let mut squared = 0.0;
-    for _ in 0..200 {
-        for i in 0..n {
-            momentum[i] = (0..n).map(|j| mass[i * n + j] * x[j]).sum();
-        }
-        let kinetic: f64 = (0..n).map(|i| x[i] * momentum[i]).sum();
-        let potential: f64 = (0..n).map(|i| x[i] * stiffness[i] * x[i]).sum();
-        squared = potential / kinetic;
-        let mut norm = 0.0;
-        for i in 0..n {
-            x[i] = momentum[i] / stiffness[i];
-            norm += x[i] * x[i];
-        }
-        let scale = 1.0 / libm::sqrt(norm);
-        x.iter_mut().for_each(|value| *value *= scale);
-    }
-    libm::sqrt(squared)
 }
 
 /// Joint-space mass matrix of the straight tool, row-major.
@@ -134,12 +129,7 @@ mod tests {
         println!("{:.4} N, closed form {closed_n:.4}", beam.euler_load_n());
         assert!((beam.euler_load_n() / closed_n - 1.0).abs() < 1e-3);
         let standard = ManipulatorParameters::jhu_27();
-        let first = first_frequency_rad_per_s(
-            standard.joint_positions_m[0],
-            &link_lengths_m(&standard),
-            &link_bodies(&standard, &link_lengths_m(&standard)),
-            &standard.joint_stiffness_nm_per_rad,
-        );
+        let first = standard.first_frequency_rad_per_s();
         let own = standard.bending_frequencies_hz(1)[0] * core::f64::consts::TAU;
         assert!((own / first - 1.0).abs() < 1e-9, "{own} {first}");
     }

@@ -46,12 +46,11 @@ pub(super) struct Layout {
     pub length_m: [f64; MAX_JOINTS],
     /// Bodies: the shaft, then one per flexure.
     pub body: [LinkBody; MAX_JOINTS + 1],
-    pub spheres: Vec<SphereLayout>,
     pub total_mass_kg: f64,
 }
 
 impl Layout {
-    /// Links, masses and spheres from validated parameters.
+    /// Links and masses from validated parameters.
     pub fn new(p: &ManipulatorParameters) -> Self {
         let n = p.joint_positions_m.len();
         let mut length_m = [0.0; MAX_JOINTS];
@@ -59,8 +58,7 @@ impl Layout {
         let mut body = [LinkBody::default(); MAX_JOINTS + 1];
         body[..=n].copy_from_slice(&link_bodies(p, &length_m[..n]));
         let total_mass_kg = body[..=n].iter().map(|b| b.mass_kg).sum();
-        let first_joint_m = p.joint_positions_m[0];
-        Self { joints: n, first_joint_m, length_m, body, spheres: spheres(p, &length_m[..n]), total_mass_kg }
+        Self { joints: n, first_joint_m: p.joint_positions_m[0], length_m, body, total_mass_kg }
     }
 }
 
@@ -128,7 +126,8 @@ fn with_burr(tube: LinkBody, p: &ManipulatorParameters) -> LinkBody {
 }
 
 /// Shaft spheres at equal spacing, one sphere per segment, the burr's from the back to the front. Link indices are non-decreasing.
-pub(super) fn spheres(p: &ManipulatorParameters, length_m: &[f64]) -> Vec<SphereLayout> {
+pub(super) fn spheres(p: &ManipulatorParameters) -> Vec<SphereLayout> {
+    let length_m = link_lengths_m(p);
     let n = p.joint_positions_m.len();
     let mut list = Vec::with_capacity(p.shaft_sphere_count + n + p.cutter.balls().len());
     for i in 0..p.shaft_sphere_count {

@@ -3,16 +3,18 @@
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
-use super::constant_curvature::{ConstantCurvature, ConstantCurvatureState};
+use super::common::Common;
+use super::constant_curvature::ConstantCurvature;
 use super::error::ManipulatorError;
-use super::moment_modes::{FEW_MODES, MomentModes, MomentModesState};
+use super::moment_modes::{FEW_MODES, MomentModes};
 use super::parameters::ManipulatorParameters;
-use super::spatial::{SpatialChain, SpatialState};
+use super::spatial::SpatialChain;
 use super::state::{BaseMotion, ContactResult, ManipulatorState, ProxySphere, StepInput, StepReport, Wrench};
-use super::{MAX_JOINTS, MAX_TENDONS, Manipulator};
+use super::validation::validate_base;
+use super::{MAX_TENDONS, Manipulator};
 
 /// The rungs of the ladder, from cheapest to most detailed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Rung {
     /// One arc of constant curvature.
     ConstantCurvature,
@@ -43,55 +45,148 @@ impl Rung {
     }
 }
 
-/// Common interface of all rungs. [`Manipulator`] documents each function and its errors.
+/// A manipulator of any rung.
 pub trait ManipulatorModel {
-    /// The complete dynamic state.
-    type State: Clone + PartialEq + core::fmt::Debug;
-
-    /// Advances by `dt_s`.
+    /// Parameters, state and what all rungs derive from it.
+    fn common(&self) -> &Common;
+    /// The same, to change it; [`Self::follow_state`] must follow a change of the state.
+    fn common_mut(&mut self) -> &mut Common;
+    /// Updates what is derived from the state.
+    fn follow_state(&mut self);
+    /// Advances by `dt_s` (1e-7 to 0.1 s). Unusable contacts are skipped and counted in the report.
     ///
     /// # Errors
     /// The input is not finite or out of range. A refused step changes nothing.
     fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError>;
-    /// A copy of the complete dynamic state.
-    fn snapshot(&self) -> Self::State;
-    /// Continues bit for bit from a snapshot of a tool with the same parameters.
-    fn restore(&mut self, state: &Self::State);
-    /// Teleports the base.
+    /// Makes the tool straight, and at rest: a pre-curved tool that a hole or a guide holds.
+    fn straighten(&mut self);
+    /// Bend of a flexure without load, with what is out of an outer tube now, rad.
+    fn rest_rad(&self, joint: usize) -> f64;
+    /// Pose of the point at `along_m` on the axis of `link` (0 is the shaft at the base origin, i + 1 sits at flexure i), z
+    /// along the link.
+    fn t_world_point(&self, link: usize, along_m: f64) -> Isometry3<f64>;
+    /// Kinetic energy relative to the base plus elastic energy of flexures and mount, J.
+    fn energy_j(&self) -> f64;
+
+    /// Sets how far a tool with an outer tube is out of it, m (initially 0): its springs, and the radius of what the outer
+    /// tube covers. The caller moves the base, which slides with it. Rungs that take no such tool ignore it.
+    fn set_deployed(&mut self, _deployed_m: f64) {}
+
+    /// False while a flexure of a tool in moment modes is beyond its stop ([`MomentModes`]); the other models hold there.
+    fn is_valid(&self) -> bool {
+        true
+    }
+
+    /// Sets whether the burr spins (initially true). A stationary burr has the tube's friction.
+    fn set_burr_turns(&mut self, turns: bool) {
+        self.common_mut().burr_turns = turns;
+    }
+
+    /// Disables SIMD: slower, same bits.
+    fn use_plain_instructions(&mut self) {
+        self.common_mut().arch = pulp::Arch::Scalar;
+    }
+
+    /// The complete dynamic state.
+    fn state(&self) -> &ManipulatorState {
+        &self.common().state
+    }
+
+    /// A copy of the complete dynamic state, with room for the contacts of any step.
+    fn snapshot(&self) -> ManipulatorState {
+        self.common().snapshot()
+    }
+
+    /// Copies the complete dynamic state into a snapshot of the same tool, without allocating.
+    fn save(&self, into: &mut ManipulatorState) {
+        into.copy_from(self.state());
+    }
+
+    /// True if a deserialised state belongs to this rung and size.
+    fn fits(&self, state: &ManipulatorState) -> bool {
+        self.common().fits(state)
+    }
+
+    /// Continues bit for bit from a snapshot of a tool of the same rung and parameters.
+    fn restore(&mut self, state: &ManipulatorState) {
+        self.common_mut().state.copy_from(state);
+        self.follow_state();
+    }
+
+    /// Teleports the base and keeps shape and relative motion. For scene set-up, not for motion.
     ///
     /// # Errors
     /// The base motion is not finite, not a rotation, or out of range.
-    fn place_base(&mut self, base: &BaseMotion) -> Result<(), ManipulatorError>;
+    fn place_base(&mut self, base: &BaseMotion) -> Result<(), ManipulatorError> {
+        validate_base(base)?;
+        self.common_mut().state.base = *base;
+        self.follow_state();
+        Ok(())
+    }
+
+    /// The rung.
+    fn rung(&self) -> Rung {
+        self.state().rung
+    }
+
     /// The parameters the tool was built from.
-    fn parameters(&self) -> &ManipulatorParameters;
+    fn parameters(&self) -> &ManipulatorParameters {
+        &self.common().parameters
+    }
+
     /// Base motion at the end of the last step.
-    fn base(&self) -> &BaseMotion;
+    fn base(&self) -> &BaseMotion {
+        &self.state().base
+    }
+
     /// Number of flexures.
-    fn joint_count(&self) -> usize;
+    fn joint_count(&self) -> usize {
+        self.joint_positions_rad().len()
+    }
+
     /// Bending angles, base to tip, rad.
-    fn joint_positions_rad(&self) -> &[f64];
-    /// Bend of a flexure without load, with what is out of an outer tube now, rad.
-    fn rest_rad(&self, joint: usize) -> f64;
+    fn joint_positions_rad(&self) -> &[f64] {
+        &self.common().bend[0]
+    }
+
     /// Bending rates, base to tip, rad/s.
-    fn joint_velocities_rad_per_s(&self) -> &[f64];
-    /// Proxy spheres in the current configuration: shaft, segments, burr.
-    fn proxy_spheres(&self) -> &[ProxySphere];
-    /// Contacts of the last step, ordered by sphere.
-    fn contact_results(&self) -> &[ContactResult];
-    /// Summary of the last step.
-    fn last_report(&self) -> &StepReport;
-    /// Pose of link `link` (0 is the shaft), z along the link.
-    fn t_world_link(&self, link: usize) -> Isometry3<f64>;
-    /// Pose of the tip frame: origin at the burr centre.
-    fn t_world_tip(&self) -> Isometry3<f64>;
-    /// Kinetic energy relative to the base plus elastic energy, J.
-    fn energy_j(&self) -> f64;
-    /// First bending mode of the tool on a rigid mount while it is straight, Hz.
-    fn first_natural_frequency_hz(&self) -> f64;
+    fn joint_velocities_rad_per_s(&self) -> &[f64] {
+        &self.common().bend[1]
+    }
+
+    /// Pose of a link, z along it. An index past the last link returns the last link.
+    fn t_world_link(&self, link: usize) -> Isometry3<f64> {
+        self.t_world_point(link.min(self.joint_count()), 0.0)
+    }
+
+    /// Pose of the tip frame: origin at the burr centre, z along the last link.
+    fn t_world_tip(&self) -> Isometry3<f64> {
+        self.t_world_point(self.joint_count(), self.parameters().tip_offset_m)
+    }
 
     /// Sum of the bending angles, rad.
     fn bend_rad(&self) -> f64 {
         self.joint_positions_rad().iter().sum()
+    }
+
+    /// Proxy spheres in the current configuration: shaft, segments, burr.
+    fn proxy_spheres(&self) -> &[ProxySphere] {
+        &self.common().spheres
+    }
+
+    /// Contacts of the last step, ordered by sphere.
+    fn contact_results(&self) -> &[ContactResult] {
+        &self.state().results
+    }
+
+    /// Summary of the last step.
+    fn last_report(&self) -> &StepReport {
+        &self.state().report
+    }
+
+    /// First bending mode of the tool on a rigid mount while it is straight, Hz.
+    fn first_natural_frequency_hz(&self) -> f64 {
+        self.common().first_frequency_rad_per_s / (2.0 * core::f64::consts::PI)
     }
 
     /// Number of tendons.
@@ -109,61 +204,31 @@ pub trait ManipulatorModel {
         self.last_report().tendon_displacement_m
     }
 
-    /// Wrench of the tool on the flange in the last step.
+    /// Wrench of the tool on the flange in the last step: world axes, torque about the base origin.
     fn flange_wrench(&self) -> Wrench {
         self.last_report().flange_wrench
     }
 }
 
-macro_rules! inherent {
-    ($($name:ident($($argument:ident: $type:ty),*) -> $out:ty;)*) => {
-        $(fn $name(&self, $($argument: $type),*) -> $out { Self::$name(self, $($argument),*) })*
-    };
-}
+/// Implements what each rung's own fields answer.
+macro_rules! own_parts {
+    () => {
+        fn common(&self) -> &Common {
+            &self.common
+        }
 
-macro_rules! model {
-    ([$($generics:tt)*] $type:ty, $state:ty) => {
-        impl<$($generics)*> ManipulatorModel for $type {
-            type State = $state;
+        fn common_mut(&mut self) -> &mut Common {
+            &mut self.common
+        }
 
-            fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError> {
-                Self::step(self, dt_s, input)
-            }
-
-            fn restore(&mut self, state: &$state) {
-                Self::restore(self, state);
-            }
-
-            fn place_base(&mut self, base: &BaseMotion) -> Result<(), ManipulatorError> {
-                Self::place_base(self, base)
-            }
-
-            inherent! {
-                snapshot() -> $state;
-                parameters() -> &ManipulatorParameters;
-                base() -> &BaseMotion;
-                joint_count() -> usize;
-                joint_positions_rad() -> &[f64];
-                rest_rad(joint: usize) -> f64;
-                joint_velocities_rad_per_s() -> &[f64];
-                proxy_spheres() -> &[ProxySphere];
-                contact_results() -> &[ContactResult];
-                last_report() -> &StepReport;
-                t_world_link(link: usize) -> Isometry3<f64>;
-                t_world_tip() -> Isometry3<f64>;
-                energy_j() -> f64;
-                first_natural_frequency_hz() -> f64;
-            }
+        fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError> {
+            self.take_step(dt_s, input)
         }
     };
 }
+pub(super) use own_parts;
 
-model!([] Manipulator, ManipulatorState);
-model!([] ConstantCurvature, ConstantCurvatureState);
-model!([const N: usize] MomentModes<N>, MomentModesState);
-model!([const D: usize] SpatialChain<D>, SpatialState);
-
-/// A manipulator of any rung.
+/// A manipulator of a rung chosen at run time.
 #[derive(Debug, Clone)]
 #[expect(
     clippy::large_enum_variant,
@@ -178,34 +243,10 @@ pub enum AnyManipulator {
     MoreModes(MomentModes<16>),
     /// See [`Manipulator`].
     Planar(Manipulator),
-    /// The planar rung with more flexures than [`Manipulator`] supports.
-    LongPlanar(SpatialChain<1>),
     /// See [`SpatialChain`].
     Spatial(SpatialChain<3>),
     /// See [`SpatialChain`].
     Full(SpatialChain<6>),
-}
-
-/// The state of an [`AnyManipulator`].
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-pub enum AnyManipulatorState {
-    /// State of the arc.
-    ConstantCurvature(ConstantCurvatureState),
-    /// State of the planar chain.
-    Planar(Box<ManipulatorState>),
-    /// State of a spatial chain, including the long planar one.
-    Spatial(SpatialState),
-    /// State of the moment modes.
-    Modes(MomentModesState),
-}
-
-/// Borrowed [`AnyManipulatorState`], so that serialising needs no copy. The variants are the same.
-#[derive(Debug, Clone, Copy, Serialize)]
-pub(crate) enum AnyManipulatorStateRef<'a> {
-    ConstantCurvature(&'a ConstantCurvatureState),
-    Planar(&'a ManipulatorState),
-    Spatial(&'a SpatialState),
-    Modes(&'a MomentModesState),
 }
 
 impl AnyManipulator {
@@ -224,201 +265,73 @@ impl AnyManipulator {
                 Self::FewModes(MomentModes::new(parameters, base)?)
             }
             Rung::Modal => Self::MoreModes(MomentModes::new(parameters, base)?),
-            Rung::Planar if parameters.joint_positions_m.len() > MAX_JOINTS => {
-                Self::LongPlanar(SpatialChain::new(parameters, base)?)
-            }
             Rung::Planar => Self::Planar(Manipulator::new(parameters, base)?),
             Rung::Spatial => Self::Spatial(SpatialChain::new(parameters, base)?),
             Rung::Full => Self::Full(SpatialChain::new(parameters, base)?),
         })
     }
 
-    /// Makes the tool straight, and at rest: a pre-curved tool that a hole or a guide holds.
-    pub fn straighten(&mut self) {
+    fn model(&self) -> &dyn ManipulatorModel {
         match self {
-            Self::ConstantCurvature(tool) => tool.straighten(),
-            Self::FewModes(tool) => tool.straighten(),
-            Self::MoreModes(tool) => tool.straighten(),
-            Self::Planar(tool) => tool.straighten(),
-            Self::LongPlanar(tool) => tool.straighten(),
-            Self::Spatial(tool) => tool.straighten(),
-            Self::Full(tool) => tool.straighten(),
+            Self::ConstantCurvature(tool) => tool,
+            Self::FewModes(tool) => tool,
+            Self::MoreModes(tool) => tool,
+            Self::Planar(tool) => tool,
+            Self::Spatial(tool) => tool,
+            Self::Full(tool) => tool,
         }
     }
 
-    /// Says how far a tool with an outer tube is out of it, m; 0 at first.
-    pub fn set_deployed(&mut self, deployed_m: f64) {
+    fn model_mut(&mut self) -> &mut dyn ManipulatorModel {
         match self {
-            // They take no such tool.
-            Self::ConstantCurvature(_) | Self::FewModes(_) | Self::MoreModes(_) => {}
-            Self::Planar(tool) => tool.set_deployed(deployed_m),
-            Self::LongPlanar(tool) => tool.set_deployed(deployed_m),
-            Self::Spatial(tool) => tool.set_deployed(deployed_m),
-            Self::Full(tool) => tool.set_deployed(deployed_m),
+            Self::ConstantCurvature(tool) => tool,
+            Self::FewModes(tool) => tool,
+            Self::MoreModes(tool) => tool,
+            Self::Planar(tool) => tool,
+            Self::Spatial(tool) => tool,
+            Self::Full(tool) => tool,
         }
     }
-
-    /// Says whether the burr turns in the next steps; one that stands still rubs like the tube. It turns at first.
-    pub fn set_burr_turns(&mut self, turns: bool) {
-        match self {
-            Self::ConstantCurvature(tool) => tool.set_burr_turns(turns),
-            Self::FewModes(tool) => tool.set_burr_turns(turns),
-            Self::MoreModes(tool) => tool.set_burr_turns(turns),
-            Self::Planar(tool) => tool.set_burr_turns(turns),
-            Self::LongPlanar(tool) => tool.set_burr_turns(turns),
-            Self::Spatial(tool) => tool.set_burr_turns(turns),
-            Self::Full(tool) => tool.set_burr_turns(turns),
-        }
-    }
-
-    /// Disables SIMD where it is used: slower, same bits.
-    pub fn use_plain_instructions(&mut self) {
-        match self {
-            Self::ConstantCurvature(tool) => tool.use_plain_instructions(),
-            Self::FewModes(tool) => tool.use_plain_instructions(),
-            Self::MoreModes(tool) => tool.use_plain_instructions(),
-            Self::Planar(tool) => tool.use_plain_instructions(),
-            Self::LongPlanar(tool) => tool.use_plain_instructions(),
-            Self::Spatial(tool) => tool.use_plain_instructions(),
-            Self::Full(tool) => tool.use_plain_instructions(),
-        }
-    }
-
-    /// Copies the complete dynamic state into one of the same model, without allocating.
-    pub(crate) fn save(&self, into: &mut AnyManipulatorState) {
-        match (self, into) {
-            (Self::ConstantCurvature(tool), AnyManipulatorState::ConstantCurvature(state)) => {
-                state.copy_from(tool.state());
-            }
-            (Self::FewModes(tool), AnyManipulatorState::Modes(state)) => state.copy_from(tool.state()),
-            (Self::MoreModes(tool), AnyManipulatorState::Modes(state)) => state.copy_from(tool.state()),
-            (Self::Planar(tool), AnyManipulatorState::Planar(state)) => state.copy_from(tool.state()),
-            (Self::LongPlanar(tool), AnyManipulatorState::Spatial(state)) => state.copy_from(tool.state()),
-            (Self::Spatial(tool), AnyManipulatorState::Spatial(state)) => state.copy_from(tool.state()),
-            (Self::Full(tool), AnyManipulatorState::Spatial(state)) => state.copy_from(tool.state()),
-            (_, into) => *into = self.snapshot(),
-        }
-    }
-
-    /// The complete dynamic state.
-    pub(crate) fn state(&self) -> AnyManipulatorStateRef<'_> {
-        match self {
-            Self::ConstantCurvature(tool) => AnyManipulatorStateRef::ConstantCurvature(tool.state()),
-            Self::FewModes(tool) => AnyManipulatorStateRef::Modes(tool.state()),
-            Self::MoreModes(tool) => AnyManipulatorStateRef::Modes(tool.state()),
-            Self::Planar(tool) => AnyManipulatorStateRef::Planar(tool.state()),
-            Self::LongPlanar(tool) => AnyManipulatorStateRef::Spatial(tool.state()),
-            Self::Spatial(tool) => AnyManipulatorStateRef::Spatial(tool.state()),
-            Self::Full(tool) => AnyManipulatorStateRef::Spatial(tool.state()),
-        }
-    }
-
-    /// True if a deserialised state belongs to this rung and size.
-    pub(crate) fn fits(&self, state: &AnyManipulatorState) -> bool {
-        match (self, state) {
-            (Self::ConstantCurvature(_), AnyManipulatorState::ConstantCurvature(_))
-            | (Self::FewModes(_) | Self::MoreModes(_), AnyManipulatorState::Modes(_))
-            | (Self::Planar(_), AnyManipulatorState::Planar(_)) => true,
-            (Self::LongPlanar(tool), AnyManipulatorState::Spatial(state)) => tool.fits(state),
-            (Self::Spatial(tool), AnyManipulatorState::Spatial(state)) => tool.fits(state),
-            (Self::Full(tool), AnyManipulatorState::Spatial(state)) => tool.fits(state),
-            _ => false,
-        }
-    }
-
-    /// The rung in use.
-    pub fn rung(&self) -> Rung {
-        match self {
-            Self::ConstantCurvature(_) => Rung::ConstantCurvature,
-            Self::FewModes(_) | Self::MoreModes(_) => Rung::Modal,
-            Self::Planar(_) | Self::LongPlanar(_) => Rung::Planar,
-            Self::Spatial(_) => Rung::Spatial,
-            Self::Full(_) => Rung::Full,
-        }
-    }
-
-    /// False while a flexure of a tool in moment modes is beyond its stop ([`MomentModes::is_valid`]); the other models hold there.
-    pub fn is_valid(&self) -> bool {
-        match self {
-            Self::FewModes(tool) => tool.is_valid(),
-            Self::MoreModes(tool) => tool.is_valid(),
-            _ => true,
-        }
-    }
-}
-
-macro_rules! each {
-    ($self:expr, $tool:ident => $what:expr) => {
-        match $self {
-            AnyManipulator::ConstantCurvature($tool) => $what,
-            AnyManipulator::FewModes($tool) => $what,
-            AnyManipulator::MoreModes($tool) => $what,
-            AnyManipulator::Planar($tool) => $what,
-            AnyManipulator::LongPlanar($tool) => $what,
-            AnyManipulator::Spatial($tool) => $what,
-            AnyManipulator::Full($tool) => $what,
-        }
-    };
-}
-
-macro_rules! forward {
-    ($($name:ident($($argument:ident: $type:ty),*) -> $out:ty;)*) => {
-        $(fn $name(&self, $($argument: $type),*) -> $out { each!(self, tool => tool.$name($($argument),*)) })*
-    };
 }
 
 impl ManipulatorModel for AnyManipulator {
-    type State = AnyManipulatorState;
+    fn common(&self) -> &Common {
+        self.model().common()
+    }
+
+    fn common_mut(&mut self) -> &mut Common {
+        self.model_mut().common_mut()
+    }
+
+    fn follow_state(&mut self) {
+        self.model_mut().follow_state();
+    }
 
     fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError> {
-        each!(self, tool => tool.step(dt_s, input))
+        self.model_mut().step(dt_s, input)
     }
 
-    fn snapshot(&self) -> AnyManipulatorState {
-        match self {
-            Self::ConstantCurvature(tool) => AnyManipulatorState::ConstantCurvature(tool.snapshot()),
-            Self::FewModes(tool) => AnyManipulatorState::Modes(tool.snapshot()),
-            Self::MoreModes(tool) => AnyManipulatorState::Modes(tool.snapshot()),
-            Self::Planar(tool) => AnyManipulatorState::Planar(Box::new(tool.snapshot())),
-            Self::LongPlanar(tool) => AnyManipulatorState::Spatial(tool.snapshot()),
-            Self::Spatial(tool) => AnyManipulatorState::Spatial(tool.snapshot()),
-            Self::Full(tool) => AnyManipulatorState::Spatial(tool.snapshot()),
-        }
+    fn straighten(&mut self) {
+        self.model_mut().straighten();
     }
 
-    /// Ignores a snapshot of another rung: it does not come from a tool with the same parameters.
-    fn restore(&mut self, state: &AnyManipulatorState) {
-        match (self, state) {
-            (Self::ConstantCurvature(tool), AnyManipulatorState::ConstantCurvature(state)) => {
-                tool.restore(state);
-            }
-            (Self::FewModes(tool), AnyManipulatorState::Modes(state)) => tool.restore(state),
-            (Self::MoreModes(tool), AnyManipulatorState::Modes(state)) => tool.restore(state),
-            (Self::Planar(tool), AnyManipulatorState::Planar(state)) => tool.restore(state),
-            (Self::LongPlanar(tool), AnyManipulatorState::Spatial(state)) => tool.restore(state),
-            (Self::Spatial(tool), AnyManipulatorState::Spatial(state)) => tool.restore(state),
-            (Self::Full(tool), AnyManipulatorState::Spatial(state)) => tool.restore(state),
-            _ => (),
-        }
+    fn set_deployed(&mut self, deployed_m: f64) {
+        self.model_mut().set_deployed(deployed_m);
     }
 
-    fn place_base(&mut self, base: &BaseMotion) -> Result<(), ManipulatorError> {
-        each!(self, tool => tool.place_base(base))
+    fn is_valid(&self) -> bool {
+        self.model().is_valid()
     }
 
-    forward! {
-        parameters() -> &ManipulatorParameters;
-        base() -> &BaseMotion;
-        joint_count() -> usize;
-        joint_positions_rad() -> &[f64];
-        rest_rad(joint: usize) -> f64;
-        joint_velocities_rad_per_s() -> &[f64];
-        proxy_spheres() -> &[ProxySphere];
-        contact_results() -> &[ContactResult];
-        last_report() -> &StepReport;
-        t_world_link(link: usize) -> Isometry3<f64>;
-        t_world_tip() -> Isometry3<f64>;
-        energy_j() -> f64;
-        first_natural_frequency_hz() -> f64;
+    fn rest_rad(&self, joint: usize) -> f64 {
+        self.model().rest_rad(joint)
+    }
+
+    fn t_world_point(&self, link: usize, along_m: f64) -> Isometry3<f64> {
+        self.model().t_world_point(link, along_m)
+    }
+
+    fn energy_j(&self) -> f64 {
+        self.model().energy_j()
     }
 }

@@ -10,9 +10,9 @@
 //! The outer tube bends only where flexures lie in it; the rest of it is rigid, as the tool's own shaft is. The tool slides and turns in
 //! it without friction, so stretch, shear and torsion are the tool's own.
 
-use super::geometry::{SphereKind, SphereLayout};
+use super::common::Common;
+use super::geometry::SphereKind;
 use super::parameters::ManipulatorParameters;
-use super::state::ProxySphere;
 
 /// A straight tube on the tool's base, out of which the tool slides.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -65,20 +65,18 @@ impl ManipulatorParameters {
             rest_rad: rest_rad * (out + (1.0 - out) * own / (own + added)),
         }
     }
+}
 
+impl Common {
     /// Gives every sphere of shaft and segments its radius with `deployed_m` of the tool out of its outer tube.
-    pub(super) fn cover_spheres(
-        &self,
-        layout: &mut [SphereLayout],
-        spheres: &mut [ProxySphere],
-        deployed_m: f64,
-    ) {
-        let Some(outer) = &self.outer_tube else { return };
-        for (sphere, shown) in layout.iter_mut().zip(spheres) {
+    pub(super) fn cover_spheres(&mut self, deployed_m: f64) {
+        let p = &self.parameters;
+        let Some(outer) = &p.outer_tube else { return };
+        for (sphere, shown) in self.sphere_layout.iter_mut().zip(&mut self.spheres) {
             let (own_m, link_m) = match sphere.kind {
-                SphereKind::Shaft => (self.shaft_sphere_radius_m, 0.0),
+                SphereKind::Shaft => (p.shaft_sphere_radius_m, 0.0),
                 SphereKind::Segment(joint) => {
-                    (self.segment_sphere_radius_m, self.joint_positions_m.get(joint).copied().unwrap_or(0.0))
+                    (p.segment_sphere_radius_m, p.joint_positions_m.get(joint).copied().unwrap_or(0.0))
                 }
                 SphereKind::Burr => continue,
             };

@@ -1,14 +1,15 @@
 //! Input and output of a step, and the state between steps.
 
 use nalgebra::{Isometry3, Vector3};
-use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
+use serde::{Deserialize, Serialize};
 
 use crate::contact_plane::ContactPlane;
 
+use super::MAX_TENDONS;
 use super::geometry::SphereKind;
+use super::model::Rung;
 use super::parameters::Integrator;
 use super::tendon::TendonMemory;
-use super::{MAX_CONTACTS, MAX_JOINTS, MAX_TENDONS};
 
 /// Prescribed motion of the flange.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -119,19 +120,6 @@ pub struct ContactResult {
     pub friction_force_n: Vector3<f64>,
 }
 
-impl ContactResult {
-    /// Fills unused entries.
-    pub(super) fn none() -> Self {
-        Self {
-            contact_index: 0,
-            sphere_index: 0,
-            normal: Vector3::zeros(),
-            normal_force_n: 0.0,
-            friction_force_n: Vector3::zeros(),
-        }
-    }
-}
-
 /// Summary of one step.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct StepReport {
@@ -185,115 +173,46 @@ impl StepReport {
     }
 }
 
-/// The complete dynamic state: [`super::Manipulator::restore`] continues from it bit for bit.
-#[derive(Debug, Clone, PartialEq)]
+/// The complete dynamic state of a tool: [`super::ManipulatorModel::restore`] continues from it bit for bit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ManipulatorState {
-    /// Joint angles, rad; entries past the last joint stay 0.
-    pub joint_position_rad: [f64; MAX_JOINTS],
-    /// Joint velocities, rad/s.
-    pub joint_velocity_rad_per_s: [f64; MAX_JOINTS],
-    /// Displacement of the tool relative to the base, base axes, m.
-    pub mount_displacement_m: [f64; 3],
-    /// Velocity of the tool relative to the base, base axes, m/s.
-    pub mount_velocity_m_per_s: [f64; 3],
+    pub(super) rung: Rung,
+    /// Displacement relative to the base along base x, y and z, m; then the coordinates in which the rung describes the
+    /// shape (flexure angles in rad for [`super::Manipulator`], whose entries past the last flexure stay 0).
+    pub position: Vec<f64>,
+    /// Velocities of the coordinates.
+    pub velocity: Vec<f64>,
     /// Base motion at the end of the last step.
     pub base: BaseMotion,
     pub(super) tendon: [TendonMemory; MAX_TENDONS],
     /// Torque of each joint stop in the last step, positive toward positive angles, N m. Warm-starts the next step.
-    pub(super) stop_torque_nm: [f64; MAX_JOINTS],
-    pub(super) result_count: usize,
+    pub(super) stop_torque_nm: Vec<f64>,
     /// Results of the last step, ordered by sphere. Output, and warm start of the next step.
-    pub(super) results: [ContactResult; MAX_CONTACTS],
+    pub(super) results: Vec<ContactResult>,
     pub(super) report: StepReport,
+    /// Limit of the energy in free motion (spatial rungs), J; infinite after a step that was not free.
+    pub(super) energy_ceiling_j: f64,
 }
 
 impl ManipulatorState {
-    /// The straight tool at rest on `base`.
-    pub(super) fn new(base: &BaseMotion) -> Self {
-        Self {
-            joint_position_rad: [0.0; MAX_JOINTS],
-            joint_velocity_rad_per_s: [0.0; MAX_JOINTS],
-            mount_displacement_m: [0.0; 3],
-            mount_velocity_m_per_s: [0.0; 3],
-            base: *base,
-            tendon: [TendonMemory::default(); MAX_TENDONS],
-            stop_torque_nm: [0.0; MAX_JOINTS],
-            result_count: 0,
-            results: [ContactResult::none(); MAX_CONTACTS],
-            report: StepReport::none(),
-        }
-    }
-
-    /// Copies a state, of the results only the used ones: all of them are 14 kB, which every tick would move.
+    /// Copies a state of the same tool without allocating.
     pub(super) fn copy_from(&mut self, other: &Self) {
-        let used = ..other.result_count;
-        self.results[used].copy_from_slice(&other.results[used]);
         let Self {
-            joint_position_rad,
-            joint_velocity_rad_per_s,
-            mount_displacement_m,
-            mount_velocity_m_per_s,
+            rung,
+            position,
+            velocity,
             base,
             tendon,
             stop_torque_nm,
-            result_count,
-            results: _,
-            report,
-        } = self;
-        *joint_position_rad = other.joint_position_rad;
-        *joint_velocity_rad_per_s = other.joint_velocity_rad_per_s;
-        *mount_displacement_m = other.mount_displacement_m;
-        *mount_velocity_m_per_s = other.mount_velocity_m_per_s;
-        (*base, *tendon, *stop_torque_nm) = (other.base, other.tendon, other.stop_torque_nm);
-        (*result_count, *report) = (other.result_count, other.report);
-    }
-}
-
-/// `count` result entries, the first ones from `used`; `None` if there is no room for that many.
-pub(super) fn places_from(used: &[ContactResult], count: usize) -> Option<Vec<ContactResult>> {
-    let mut places = vec![ContactResult::none(); count];
-    places.get_mut(..used.len())?.copy_from_slice(used);
-    Some(places)
-}
-
-/// Writes only the used results: entries past the count are left over from earlier steps.
-impl Serialize for ManipulatorState {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let motion = (&self.joint_position_rad, &self.joint_velocity_rad_per_s);
-        let mount = (&self.mount_displacement_m, &self.mount_velocity_m_per_s);
-        let results = &self.results[..self.result_count];
-        (motion, mount, &self.base, &self.tendon, &self.stop_torque_nm, results, &self.report)
-            .serialize(serializer)
-    }
-}
-
-impl<'de> Deserialize<'de> for ManipulatorState {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<ManipulatorState, D::Error> {
-        type Joints = [f64; MAX_JOINTS];
-        type Whole = (
-            (Joints, Joints),
-            ([f64; 3], [f64; 3]),
-            BaseMotion,
-            [TendonMemory; MAX_TENDONS],
-            Joints,
-            Vec<ContactResult>,
-            StepReport,
-        );
-        let (motion, mount, base, tendon, stop_torque_nm, used, report) = Whole::deserialize(deserializer)?;
-        let mut results = [ContactResult::none(); MAX_CONTACTS];
-        let place = results.get_mut(..used.len());
-        place.ok_or_else(|| D::Error::custom("more contacts than a step has"))?.copy_from_slice(&used);
-        Ok(ManipulatorState {
-            joint_position_rad: motion.0,
-            joint_velocity_rad_per_s: motion.1,
-            mount_displacement_m: mount.0,
-            mount_velocity_m_per_s: mount.1,
-            base,
-            tendon,
-            stop_torque_nm,
-            result_count: used.len(),
             results,
             report,
-        })
+            energy_ceiling_j,
+        } = self;
+        position.clone_from(&other.position);
+        velocity.clone_from(&other.velocity);
+        stop_torque_nm.clone_from(&other.stop_torque_nm);
+        results.clone_from(&other.results);
+        (*rung, *base, *tendon, *report) = (other.rung, other.base, other.tendon, other.report);
+        *energy_ceiling_j = other.energy_ceiling_j;
     }
 }

@@ -16,6 +16,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::articulated::Generalised;
+use super::coupling::TendonTerms;
 use super::geometry::{Configuration, Layout};
 use super::helix;
 use super::parameters::{ManipulatorParameters, TendonParameters};
@@ -138,9 +140,9 @@ pub(super) struct TendonLoad {
     /// -d torque_i / d q_i at constant tension and sliding state, N m/rad.
     pub stiffness: [f64; MAX_JOINTS],
     /// d take-up / d q_i of each tendon, m/rad.
-    pub slope: [[f64; MAX_JOINTS]; MAX_TENDONS],
+    pub slope: [Generalised; MAX_TENDONS],
     /// -d torque_i / d take-up of each tendon, N m/m.
-    pub gradient: [[f64; MAX_JOINTS]; MAX_TENDONS],
+    pub gradient: [Generalised; MAX_TENDONS],
     /// True for each tendon whose gradient is not zero.
     pub coupled: [bool; MAX_TENDONS],
     /// True if the step assumes that this tendon's friction does not change: it was sliding at the given velocity and keeps sliding.
@@ -155,12 +157,18 @@ impl TendonLoad {
             channels,
             torque: [0.0; MAX_JOINTS],
             stiffness: [0.0; MAX_JOINTS],
-            slope: [[0.0; MAX_JOINTS]; MAX_TENDONS],
-            gradient: [[0.0; MAX_JOINTS]; MAX_TENDONS],
+            slope: [Generalised::ZERO; MAX_TENDONS],
+            gradient: [Generalised::ZERO; MAX_TENDONS],
             coupled: [false; MAX_TENDONS],
             slides_on: [false; MAX_TENDONS],
             tension_n: [0.0; MAX_TENDONS],
         }
+    }
+
+    /// What couples the joints.
+    pub fn terms(&self) -> TendonTerms<'_, Generalised> {
+        let Self { channels, coupled, slope, gradient, .. } = self;
+        TendonTerms { count: channels.count, coupled, slope, gradient }
     }
 
     /// Evaluates all tendons. `rate`, the joint velocities, tells whether a saturated sliding state is about to reverse.
@@ -197,17 +205,17 @@ impl TendonLoad {
                     1.0
                 };
                 let local = tension * share;
-                let slope = self.slope[t][i];
+                let slope = self.slope[t].joint[i];
                 self.torque[i] += local * slope;
                 let curvature = 0.25 * parameters.gap_m * configuration.half_cos[i]
                     - 0.5 * self.channels.offset_m[t][0] * configuration.half_sin[i];
                 self.stiffness[i] -= local * curvature;
-                self.gradient[t][i] = elastic * share * slope;
+                self.gradient[t].joint[i] = elastic * share * slope;
                 if frictional {
                     let friction = local * parameters.friction_coefficient * slope;
                     self.stiffness[i] += 0.5 * friction * sliding * sign(q[i]);
                     if !saturated {
-                        self.gradient[t][i] += friction * wrap / parameters.presliding_m;
+                        self.gradient[t].joint[i] += friction * wrap / parameters.presliding_m;
                     }
                 }
                 wrap += 0.5 * q[i].abs();
@@ -222,7 +230,7 @@ impl TendonLoad {
         for i in self.channels.flexures(t) {
             let slope = self.channels.offset_m[t][0] * configuration.half_cos[i]
                 + 0.5 * gap_m * configuration.half_sin[i];
-            self.slope[t][i] = slope;
+            self.slope[t].joint[i] = slope;
             slope_rate += slope * rate[i];
         }
         slope_rate
@@ -237,22 +245,6 @@ impl TendonLoad {
                 + 2.0 * self.channels.offset_m[t][0] * configuration.half_sin[i];
         }
         sum - self.channels.rest_m[t]
-    }
-
-    /// Advances the sliding states to a new configuration; returns tension (N) and displacement (m) of each tendon there.
-    pub fn advance(
-        &self,
-        configuration: &Configuration,
-        command: &TendonCommand,
-        memory: &mut [TendonMemory; MAX_TENDONS],
-    ) -> ([f64; MAX_TENDONS], [f64; MAX_TENDONS]) {
-        let (mut tension_n, mut displacement_m) = ([0.0; MAX_TENDONS], [0.0; MAX_TENDONS]);
-        for t in 0..self.channels.count {
-            let take_up_m = self.take_up(configuration, t);
-            let cable = &self.channels.cable[t];
-            (tension_n[t], displacement_m[t]) = memory[t].advance(take_up_m, cable, command, t);
-        }
-        (tension_n, displacement_m)
     }
 }
 

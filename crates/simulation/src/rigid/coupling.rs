@@ -19,16 +19,6 @@ const TOLERANCE_M_PER_S: f64 = 1e-5;
 /// Maximum evaluations per tick.
 const MAX_EVALUATIONS: usize = 24;
 
-/// How tool and free bodies interact in a tick.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Coupling {
-    /// Iterated until their motions agree.
-    Iterated,
-    /// Baseline: the tool meets a body that continues its last motion, then the body receives the impulse. A body lighter than the tool
-    /// bounces off with more energy than the tool had.
-    Staggered,
-}
-
 /// Inputs of the tool in this tick.
 #[derive(Debug, Clone, Copy)]
 pub struct ToolDrive {
@@ -74,7 +64,6 @@ impl RigidScene {
     /// The planes' gaps are unchanged on return.
     ///
     /// # Errors
-    /// The manipulator refuses its input; nothing has changed.
     /// The manipulator refuses its input; nothing has changed.
     pub fn step(
         &mut self,
@@ -136,12 +125,11 @@ impl RigidScene {
         planes: &mut [ContactPlane],
     ) -> Result<StepReport, ManipulatorError> {
         let start = manipulator.snapshot();
-        let most = if self.coupling == Coupling::Iterated { MAX_EVALUATIONS } else { 1 };
         let mut evaluations = 1;
         let (mut report, mut residual) = self.evaluate(manipulator, drive, planes)?;
         let mut best = residual;
         self.descent.keep_best();
-        while residual > TOLERANCE_M_PER_S && evaluations < most {
+        while residual > TOLERANCE_M_PER_S && evaluations < MAX_EVALUATIONS {
             if evaluations == 1 {
                 self.descent.begin()
             } else {

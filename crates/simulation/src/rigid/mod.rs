@@ -11,8 +11,8 @@
 //! # The coupling and its error
 //!
 //! Staggering the two once per tick (the tool meets a body of infinite mass, then the body receives the impulse) makes a body of mass m
-//! bounce off a tool of effective mass M with restitution M / m. For one gram against the tool's axial 0.3 kg that is a gain of 300
-//! ([`Coupling::Staggered`], kept as a baseline). Instead, the two are iterated within the tick until the plane motion that the tool
+//! bounce off a tool of effective mass M with restitution M / m. For one gram against the tool's axial 0.3 kg that is a gain of 300.
+//! Instead, the two are iterated within the tick until the plane motion that the tool
 //! assumed agrees with the motion of the bodies (`coupling`, `descent`). Both see the same impulses, whatever the iteration's residual,
 //! so momentum is conserved to rounding. The remaining errors are:
 //!
@@ -37,6 +37,6 @@ mod scene;
 mod world;
 
 pub use body::{BodyMotion, BodyParameters, BodyShape};
-pub use coupling::{Coupling, CouplingReport, ToolDrive};
+pub use coupling::{CouplingReport, ToolDrive};
 pub use error::RigidError;
 pub use scene::{RigidScene, RigidSnapshot};

@@ -5,7 +5,7 @@ use rapier3d_f64::dynamics::RigidBodyHandle;
 use serde::{Deserialize, Serialize};
 
 use super::body::{BodyMotion, BodyParameters};
-use super::coupling::{Coupling, CouplingReport, Moving};
+use super::coupling::{CouplingReport, Moving};
 use super::descent::{Descent, Inertia, Motion, Pair};
 use super::error::RigidError;
 use super::query::QueryShape;
@@ -55,7 +55,6 @@ impl Serialize for Means<'_> {
 /// Free and fixed rigid bodies next to the manipulator; [the module](super) describes the method.
 pub struct RigidScene {
     pub(super) dt_s: f64,
-    pub(super) coupling: Coupling,
     pub(super) bodies: Vec<Body>,
     pub(super) stepper: Stepper,
     pub(super) world: World,
@@ -104,7 +103,6 @@ impl RigidScene {
         });
         Ok(RigidScene {
             dt_s,
-            coupling: Coupling::Iterated,
             bodies: bodies.collect(),
             stepper: Stepper::new(dt_s, gravity_m_per_s2),
             trial: world.clone(),
@@ -150,11 +148,6 @@ impl RigidScene {
         let smallest_m =
             |body: &Body| spheres.iter().map(|sphere| gap_m(body, sphere)).fold(f64::INFINITY, f64::min);
         self.bodies.iter().map(smallest_m).collect()
-    }
-
-    /// Selects the coupling between tool and free bodies; the default is iterated.
-    pub fn set_coupling(&mut self, coupling: Coupling) {
-        self.coupling = coupling;
     }
 
     /// Number of bodies.

@@ -18,7 +18,7 @@ use super::{
 };
 use crate::arm::{ArmSnapshot, Compliance, ComplianceState};
 use crate::bone::BoneSnapshot;
-use crate::manipulator::AnyManipulatorState;
+use crate::manipulator::{ManipulatorModel, ManipulatorState};
 use crate::rigid::{RigidScene, RigidSnapshot};
 
 /// Why a keyframe cannot be written or read.
@@ -104,7 +104,7 @@ impl Simulation<'_> {
         type Whole<'b> = (
             &'b [u8],
             (ArmSnapshot, Option<ComplianceState>),
-            AnyManipulatorState,
+            ManipulatorState,
             Option<BoneSnapshot>,
             Option<RigidSnapshot>,
             TendonDriveState,

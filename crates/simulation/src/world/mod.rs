@@ -45,7 +45,7 @@ use crate::bone::{
     VoxelIndex, Work,
 };
 use crate::contact_plane::ContactPlane;
-use crate::manipulator::{AnyManipulator, AnyManipulatorState, BaseMotion, ManipulatorModel, StepReport};
+use crate::manipulator::{AnyManipulator, BaseMotion, ManipulatorModel, ManipulatorState, StepReport};
 use crate::rigid::{RigidScene, RigidSnapshot, ToolDrive};
 use arm_in_bone::ArmWatch;
 use burr_drive::{BurrDrive, BurrDriveState};
@@ -107,7 +107,7 @@ impl core::ops::Deref for Hounsfield<'_> {
 pub struct SimulationSnapshot {
     arm: ArmSnapshot,
     compliance: Option<ComplianceState>,
-    manipulator: AnyManipulatorState,
+    manipulator: ManipulatorState,
     bone: Option<BoneSnapshot>,
     rigid: Option<RigidSnapshot>,
     tendon: TendonDriveState,
@@ -147,7 +147,7 @@ pub struct Simulation<'v> {
     /// One per proxy sphere.
     reach: Vec<Reach>,
     /// Workspace: the tool before the tick.
-    before: AnyManipulatorState,
+    before: ManipulatorState,
     tendon: TendonDrive,
     /// Of a tool that slides out of an outer tube.
     tube: Option<TubeDrive>,

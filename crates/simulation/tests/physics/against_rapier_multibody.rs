@@ -10,7 +10,7 @@ use rapier3d_f64::prelude::{
     RigidBodyHandle, Vector,
 };
 use simulation::manipulator::{
-    BaseMotion, Manipulator, ManipulatorParameters, StepInput, TendonCommand, Wrench,
+    BaseMotion, Manipulator, ManipulatorModel, ManipulatorParameters, StepInput, TendonCommand, Wrench,
 };
 
 const JOINTS: usize = 26;

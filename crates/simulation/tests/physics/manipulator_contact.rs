@@ -5,8 +5,8 @@
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 use simulation::contact_plane::ContactPlane;
 use simulation::manipulator::{
-    BaseMotion, Integrator, Manipulator, ManipulatorParameters, SphereKind, StepInput, StepReport,
-    TendonCommand, Wrench,
+    BaseMotion, Integrator, Manipulator, ManipulatorModel, ManipulatorParameters, SphereKind, StepInput,
+    StepReport, TendonCommand, Wrench,
 };
 
 const DT_S: f64 = 1e-3;

@@ -48,8 +48,8 @@ fn pure_end_moment_bends_every_rung_to_the_arc() {
     for rung in Rung::ALL {
         let mut last = f64::MAX;
         for links in [8, 16, 32, 64] {
-            if rung == Rung::Modal && links > 32 {
-                // As many as this rung takes.
+            if matches!(rung, Rung::Modal | Rung::Planar) && links > 32 {
+                // As many as these rungs take.
                 continue;
             }
             let mut m = new(rung, beam(links));
@@ -65,7 +65,7 @@ fn pure_end_moment_bends_every_rung_to_the_arc() {
             }
             last = error;
         }
-        assert!(last < if rung == Rung::Modal { 8e-6 } else { 2e-6 });
+        assert!(last < if matches!(rung, Rung::Modal | Rung::Planar) { 8e-6 } else { 2e-6 });
     }
 }
 
@@ -114,16 +114,18 @@ fn tip_force_follows_the_elastica() {
         let exact = Vector3::new(x, 0.0, z) * LENGTH_M;
         let force_n = Vector3::x() * (a * RIGIDITY_NM2 / (LENGTH_M * LENGTH_M));
         for rung in [Rung::Planar, Rung::Spatial, Rung::Full] {
-            let errors = [16, 32, 64].map(|links| {
+            // The planar rung takes 32 links.
+            let coarser = if rung == Rung::Planar { 2 } else { 1 };
+            let errors = [16, 32, 64].map(|links| links / coarser).map(|links| {
                 let mut m = new(rung, beam(links));
                 settle(&mut m, SLACK, Wrench { force_n, ..Wrench::zero() }, 700);
                 (tip(&m) - exact).norm()
             });
             let um = errors.map(|e| e * 1e6);
-            println!("{} a={a}: {um:.3?} um at 16, 32, 64 links", rung.name());
+            println!("{} a={a}: {um:.3?} um, the links doubled each time", rung.name());
             // Second order; a prototype with 26 hinges was off by 21 um at a = 10.
             assert!(errors[1] < errors[0] / 3.0 && errors[2] < errors[1] / 3.0, "{um:?}");
-            assert!(errors[2] < 5e-6, "{um:?}");
+            assert!(errors[2] < 5e-6 * (coarser * coarser) as f64, "{um:?}");
         }
     }
 }
@@ -264,7 +266,8 @@ fn natural_frequencies_are_the_cantilevers() {
         for (mode, root) in ROOTS.iter().enumerate() {
             let exact = root * root / (2.0 * std::f64::consts::PI) * (RIGIDITY_NM2 / density).sqrt()
                 / (LENGTH_M * LENGTH_M);
-            let mut p = beam(40);
+            // The planar rung takes 32 links.
+            let mut p = beam(if rung == Rung::Planar { 32 } else { 40 });
             p.damping_ratio = 0.0;
             p.tube_radii_m = [1e-5, 0.0];
             let hz = ringing_hz(new(rung, static_shape_load(p)), mode, exact);
@@ -419,7 +422,7 @@ fn resampled_tool_keeps_its_compliance() {
 
 fn pulled(p: &ManipulatorParameters) -> Vector3<f64> {
     let p = ManipulatorParameters { damping_ratio: 1.0, joint_limit_rad: 3.0, ..p.clone() };
-    let mut m = new(Rung::Planar, p);
+    let mut m = new(Rung::Spatial, p);
     settle(&mut m, TendonCommand::Force([8.0, 0.0]), Wrench::zero(), 500);
     tip(&m)
 }

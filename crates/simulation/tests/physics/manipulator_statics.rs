@@ -4,7 +4,7 @@
 
 use nalgebra::{Isometry3, Vector3};
 use simulation::manipulator::{
-    BaseMotion, Manipulator, ManipulatorParameters, StepInput, TendonCommand, Wrench,
+    BaseMotion, Manipulator, ManipulatorModel, ManipulatorParameters, StepInput, TendonCommand, Wrench,
 };
 
 const LENGTH_M: f64 = 0.035;

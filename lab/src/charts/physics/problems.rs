@@ -1,11 +1,11 @@
 //! The chart's problems. Each gives an error against a solution outside the method, and the cost of a millisecond.
 
 use crate::effort::Effort;
+use physics_lab::Wall;
 use std::sync::OnceLock;
 use std::time::Instant;
 
 use nalgebra::{Isometry3, Vector3};
-use simulation::baselines::Wall;
 use simulation::manipulator::{
     BaseMotion, Integrator, ManipulatorError, ManipulatorParameters, Rung, Wrench,
 };
@@ -205,8 +205,10 @@ fn settings(problem: Problem, method: Method, effort: Effort) -> Vec<(usize, f64
         (false, _) if arc => vec![(16, 1.0)],
         (false, _) if quick => vec![(8, 1.0)],
         (false, _) if slow => vec![(4, 1.0), (8, 1.0), (16, 1.0), (26, 1.0)],
-        // The rung has no more.
-        (false, Method::Rung(Rung::Modal, _)) => [4, 6, 8, 13, 26, 32].map(|links| (links, 1.0)).to_vec(),
+        // These rungs take no more.
+        (false, Method::Rung(Rung::Modal | Rung::Planar, _)) => {
+            [4, 6, 8, 13, 26, 32].map(|links| (links, 1.0)).to_vec()
+        }
         (false, _) => [4, 6, 8, 13, 26, 32, 64].map(|links| (links, 1.0)).to_vec(),
         (true, _) if quick => vec![(8, 0.5)],
         (true, _) if slow => [1.0, 0.5, 0.25].map(|dt| (26, dt)).to_vec(),
@@ -383,7 +385,7 @@ pub(super) fn wall(method: Method, links: usize, dt_ms: f64) -> Measured {
     let reference = match CONVERGED_WALL.get() {
         Some(path) => path,
         None => {
-            let converged = Method::Rung(Rung::Planar, Integrator::LinearlyImplicitEuler);
+            let converged = Method::Rung(Rung::Spatial, Integrator::LinearlyImplicitEuler);
             let (_, path) = pull(converged, 64, 0.05, &walls)?;
             CONVERGED_WALL.get_or_init(|| path)
         }

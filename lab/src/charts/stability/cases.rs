@@ -1,7 +1,7 @@
 //! The hard cases of the stability map.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use simulation::baselines::Wall;
+use physics_lab::Wall;
 use simulation::manipulator::{
     BaseMotion, Integrator, ManipulatorError, ManipulatorParameters, Rung, Wrench,
 };

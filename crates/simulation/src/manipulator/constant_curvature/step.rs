@@ -3,15 +3,12 @@
 use nalgebra::{Matrix4, Vector3, Vector4};
 
 use super::{ConstantCurvature, mass_matrix};
-use crate::manipulator::contact::{BaseDrive, ContactStep, Place};
+use crate::manipulator::ManipulatorModel;
+use crate::manipulator::contact::{BaseDrive, Place};
 use crate::manipulator::error::ManipulatorError;
-use crate::manipulator::geometry::SphereKind;
 use crate::manipulator::loads::Frame;
-use crate::manipulator::row::StopLaw;
-use crate::manipulator::state::{StepInput, StepReport, TendonCommand, Wrench};
-use crate::manipulator::step::base_motion;
+use crate::manipulator::state::{StepInput, StepReport, TendonCommand};
 use crate::manipulator::tendon::{base_tension, sign};
-use crate::manipulator::validation::validate;
 
 /// Index of the bending coordinate.
 const BEND: usize = 3;
@@ -25,16 +22,10 @@ struct TendonTorque {
 }
 
 impl ConstantCurvature {
-    /// Advances by `dt_s` (1e-7 to 0.1 s). Unusable contacts are skipped and counted in the report.
-    ///
-    /// # Errors
-    /// The input is not finite or out of range. A refused step changes nothing.
-    pub fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError> {
-        validate(dt_s, input)?;
-        let gravity = &self.parameters.gravity_m_per_s2;
-        let (drive, frame) = base_motion(&self.state.base, gravity, dt_s, input)?;
-        let dt = dt_s;
-        let (q, before) = (self.state.position, self.state.velocity);
+    /// See [`ManipulatorModel::step`].
+    pub(super) fn take_step(&mut self, dt: f64, input: &StepInput) -> Result<StepReport, ManipulatorError> {
+        let (drive, frame) = self.common.begin(dt, input)?;
+        let (q, before) = (self.position(), self.velocity());
         let (loads, mut moment) = self.loads(&frame);
         let tendon = self.tendon_torque(before[3], &input.tendon);
         let (free, operator) = self.free_velocity(dt, &loads, &tendon);
@@ -47,9 +38,14 @@ impl ConstantCurvature {
             after = self.with_contacts(dt, input, &drive, &operator, free, &mut report);
         }
         self.store(dt, &drive, &mut moment, &mut report);
-        self.state.position = q + after * dt;
         moment -= self.momentum_moment(&q, &(after - before)) / dt;
-        self.finish(input, &after, moment, &mut report);
+        let state = &mut self.common.state;
+        state.position.copy_from_slice((q + after * dt).as_slice());
+        state.velocity.copy_from_slice(after.as_slice());
+        self.common.react(input, &moment, &mut report);
+        self.follow_state();
+        let from_rest = self.deflection()[3];
+        self.common.end(input, &self.channels, |t| self.channels.offset_m[t][0] * from_rest, &mut report);
         Ok(report)
     }
 
@@ -60,7 +56,7 @@ impl ConstantCurvature {
         loads: &Vector4<f64>,
         tendon: &TendonTorque,
     ) -> (Vector4<f64>, (Matrix4<f64>, Matrix4<f64>)) {
-        let (q, before) = (&self.state.position, &self.state.velocity);
+        let (q, before) = (self.position(), self.velocity());
         let mut stiffness = self.stiffness;
         stiffness[3] = (stiffness[3] + tendon.stiffness_nm_per_rad).max(0.0);
         let mut operator = mass_matrix(&self.lumps, &self.arc, q[3]);
@@ -70,7 +66,7 @@ impl ConstantCurvature {
         // Positive definite, because all masses are positive and no stiffness is negative.
         let inverse = operator.try_inverse().unwrap_or_else(Matrix4::zeros);
         let elastic = -self.stiffness.component_mul(&self.deflection())
-            - self.damping.component_mul(before)
+            - self.damping.component_mul(&before)
             - stiffness.component_mul(&(before * dt))
             + Vector4::new(0.0, 0.0, 0.0, tendon.torque_nm);
         (before + inverse * (loads + elastic) * dt, (operator, inverse))
@@ -80,7 +76,7 @@ impl ConstantCurvature {
     /// its mean, `(1 - exp(-x)) / x` with `x = mu s |bend|`. `rate`, the bend rate, tells whether a saturated sliding state is about to
     /// reverse.
     fn tendon_torque(&self, rate: f64, command: &TendonCommand) -> TendonTorque {
-        let bend = self.state.position[3];
+        let bend = self.position()[3];
         let mut sum = TendonTorque { torque_nm: 0.0, stiffness_nm_per_rad: 0.0, slides_on: false };
         for t in 0..self.channels.count {
             let p = &self.channels.cable[t];
@@ -90,7 +86,7 @@ impl ConstantCurvature {
             if tension <= 0.0 {
                 continue;
             }
-            let sliding = self.state.tendon[t].sliding_at(take_up, p);
+            let sliding = self.common.state.tendon[t].sliding_at(take_up, p);
             let x = p.friction_coefficient * sliding * bend.abs();
             sum.torque_nm += tension * mean_share(x) * slope;
             if command.is_displacement() {
@@ -109,7 +105,7 @@ impl ConstantCurvature {
 
     /// Generalised loads, and the moment of all loads about the base origin.
     fn loads(&self, frame: &Frame) -> (Vector4<f64>, Vector3<f64>) {
-        let (q, v) = (&self.state.position, &self.state.velocity);
+        let (q, v) = (self.position(), self.velocity());
         let (mut loads, mut moment) = (Vector4::zeros(), Vector3::zeros());
         let w = &frame.angular_velocity;
         for lump in &self.lumps {
@@ -128,7 +124,7 @@ impl ConstantCurvature {
             loads += Vector4::new(force.x, force.y, force.z, force.x * x + force.z * z + place.share * spin);
             moment += position.cross(&force) + Vector3::new(0.0, spin, 0.0);
         }
-        let tip = self.arc.place(self.parameters.burr_centre_m(), q[3]);
+        let tip = self.arc.place(self.common.parameters.burr_centre_m(), q[3]);
         let (force, torque) = (&frame.tip_wrench.force_n, &frame.tip_wrench.torque_nm);
         let bend = force.x * tip.first[0] + force.z * tip.first[1] + torque.y;
         loads += Vector4::new(force.x, force.y, force.z, bend);
@@ -159,18 +155,15 @@ impl ConstantCurvature {
         free: Vector4<f64>,
         report: &mut StepReport,
     ) -> Vector4<f64> {
-        let parameters = self.parameters.contact;
-        let step = ContactStep { dt, drive, planes: input.contacts, parameters: &parameters };
-        let (arc, spheres, q) = (&self.arc, &self.sphere_layout, &self.state.position);
-        let results = &self.state.results[..self.state.result_count];
+        let step = self.common.contact_step(dt, drive, input);
+        let (arc, q) = (&self.arc, self.position());
         let solver = &mut self.contact;
         solver.collect(
             &step,
-            spheres,
-            results,
-            |_, _| true,
+            report,
+            |_| true,
             |sphere, direction| {
-                let lever = direction[0] * -spheres[sphere].radius_m;
+                let lever = direction[0] * -step.spheres[sphere].radius_m;
                 let place = arc.place(self.sphere_z_m[sphere], q[3]);
                 let point = Vector3::new(q[0] + place.point[0], q[1], q[2] + place.point[1]) + lever;
                 let per_bend = Vector3::new(place.first[0], 0.0, place.first[1])
@@ -178,12 +171,9 @@ impl ConstantCurvature {
                 Place { link: 0, point, force: direction.map(|d| [d.x, d.y, d.z, d.dot(&per_bend)]) }
             },
         );
-        let law = StopLaw { limit_rad: self.limit_rad, stiffness_nm_per_rad: self.stop_stiffness_nm_per_rad };
         let from_rest = q[BEND] - self.rest_rad;
-        solver.collect_stop((dt, &law), BEND, (from_rest, free[BEND]), self.state.stop_torque_nm);
-        report.refused_contact_count = solver.refused;
-        report.contact_count = solver.contact.len();
-        report.max_overlap_m = solver.max_overlap_m;
+        let last_nm = self.common.state.stop_torque_nm[0];
+        solver.collect_stop((dt, &self.stop), BEND, (from_rest, free[BEND]), last_nm);
         if solver.is_empty() {
             return free;
         }
@@ -192,9 +182,7 @@ impl ConstantCurvature {
             solver.chain.axis[k] = core::array::from_fn(|j| f64::from(u8::from(j == k)));
             solver.chain.body[0][k] = core::array::from_fn(|j| operator[(k, j)]);
         }
-        let outcome = solver.solve(free.as_slice(), &parameters);
-        report.contact_iterations = outcome.iterations;
-        report.contact_residual_m_per_s = outcome.residual;
+        solver.solve(free.as_slice(), &step, report);
         let (mut impulse, mut stop) = (Vector4::zeros(), 0.0);
         solver.impulses(
             |_, size, force| impulse += Vector4::from_column_slice(force) * size,
@@ -205,45 +193,11 @@ impl ConstantCurvature {
     }
 
     fn store(&mut self, dt: f64, drive: &BaseDrive, moment: &mut Vector3<f64>, report: &mut StepReport) {
-        let solver = &self.contact;
-        self.state.result_count = solver.contact.len();
-        for (k, slot) in self.state.results.iter_mut().enumerate().take(solver.contact.len()) {
-            let result = solver.result(k, dt, &drive.rotation);
-            let normal_force = result.normal * result.normal_force_n;
-            let force = drive.rotation.inverse_transform_vector(&(normal_force + result.friction_force_n));
-            *moment += solver.contact[k].point.cross(&force);
-            report.active_contact_count += usize::from(result.normal_force_n > 0.0);
-            if self.sphere_layout[result.sphere_index].kind == SphereKind::Burr {
-                report.burr_normal_force_n += normal_force;
-            }
-            *slot = result;
-        }
+        self.common.store_contacts(&self.contact, dt, drive, moment, report);
         let mut torque = 0.0;
-        solver.stop_torques(dt, |_, value| torque = value);
-        self.state.stop_torque_nm = torque;
-        report.stopped_joint_count = usize::from(torque != 0.0) * self.bend[0].len();
-    }
-
-    /// Computes the flange reaction, then updates everything that depends on the new state.
-    fn finish(
-        &mut self,
-        input: &StepInput,
-        after: &Vector4<f64>,
-        moment: Vector3<f64>,
-        report: &mut StepReport,
-    ) {
-        self.state.velocity = *after;
-        let force = self.stiffness.component_mul(&self.state.position) + self.damping.component_mul(after);
-        let rotation = input.base.t_world_base.rotation;
-        report.flange_wrench = Wrench { force_n: rotation * force.xyz(), torque_nm: rotation * moment };
-        self.state.base = input.base;
-        self.update_configuration();
-        for t in 0..self.channels.count {
-            let (take_up_m, cable) = (self.take_up_m(t), &self.channels.cable[t]);
-            (report.tendon_tension_n[t], report.tendon_displacement_m[t]) =
-                self.state.tendon[t].advance(take_up_m, cable, &input.tendon, t);
-        }
-        self.state.report = *report;
+        self.contact.stop_torques(dt, |_, value| torque = value);
+        self.common.state.stop_torque_nm[0] = torque;
+        report.stopped_joint_count = usize::from(torque != 0.0) * self.joint_count();
     }
 }
 

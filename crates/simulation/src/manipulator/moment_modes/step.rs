@@ -1,19 +1,19 @@
 //! One step of the modes, as in [`crate::manipulator::step`]: linearly implicit Euler, or ROS2 in smooth free motion.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
 
 use super::operator::OnFlexures;
-use super::tendons::Bent;
-use super::{MAX_FREEDOMS, MOUNT, MomentModes};
+use super::tendons::{Bent, Tendons};
+use super::{MOUNT, MomentModes};
+use crate::manipulator::common::Common;
 use crate::manipulator::contact::BaseDrive;
 use crate::manipulator::error::ManipulatorError;
 use crate::manipulator::loads::Frame;
 use crate::manipulator::parameters::Integrator;
-use crate::manipulator::state::{StepInput, StepReport, Wrench};
-use crate::manipulator::step::{FREE_SHARE, GAMMA, MAX_ROUNDS, Stage, base_motion, contacts_far};
+use crate::manipulator::state::{StepInput, StepReport};
+use crate::manipulator::step::{FREE_SHARE, GAMMA, MAX_ROUNDS, Stage};
 use crate::manipulator::tendon::turns;
-use crate::manipulator::validation::validate;
-use crate::manipulator::{MAX_JOINTS, MAX_TENDONS};
+use crate::manipulator::{MAX_JOINTS, MAX_TENDONS, ManipulatorModel};
 
 /// a + scale b.
 #[inline(always)]
@@ -73,16 +73,12 @@ impl<const N: usize> pulp::WithSimd for Rosenbrock<'_, N> {
 }
 
 impl<const N: usize> MomentModes<N> {
-    /// Advances by `dt_s` (1e-7 to 0.1 s). Unusable contacts are skipped and counted in the report.
-    ///
-    /// # Errors
-    /// The input is not finite or out of range. A refused step changes nothing.
-    pub fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError> {
-        validate(dt_s, input)?;
-        let (drive, frame) = base_motion(&self.state.base, &self.parameters.gravity_m_per_s2, dt_s, input)?;
-        let before = Self::freedoms(&self.state.velocity);
-        let rosenbrock = if self.parameters.integrator == Integrator::Hybrid {
-            self.contact.arch.dispatch(Rosenbrock { tool: self, dt: dt_s, input, frame: &frame })
+    /// See [`ManipulatorModel::step`].
+    pub(super) fn take_step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError> {
+        let (drive, frame) = self.common.begin(dt_s, input)?;
+        let [_, before] = self.freedoms();
+        let rosenbrock = if self.common.parameters.integrator == Integrator::Hybrid {
+            self.common.arch.dispatch(Rosenbrock { tool: self, dt: dt_s, input, frame: &frame })
         } else {
             Err(0.0)
         };
@@ -91,7 +87,7 @@ impl<const N: usize> MomentModes<N> {
             Ok((after, error)) => {
                 report.integrator = Integrator::Hybrid;
                 report.error_estimate_rad = error;
-                self.state.result_count = 0;
+                self.common.state.results.clear();
                 after
             }
             Err(error) => {
@@ -110,8 +106,8 @@ impl<const N: usize> MomentModes<N> {
         (drive, frame): (&BaseDrive, &Frame),
         report: &mut StepReport,
     ) -> [f64; N] {
-        let (x, v) = (Self::freedoms(&self.state.position), Self::freedoms(&self.state.velocity));
-        let arch = self.contact.arch;
+        let [x, v] = self.freedoms();
+        let arch = self.common.arch;
         let (mut round, mut expected) = (1, v);
         let after = loop {
             let y = scaled(dt, &v);
@@ -124,13 +120,13 @@ impl<const N: usize> MomentModes<N> {
             expected = after;
             round += 1;
         };
-        self.store_results(dt, drive, report);
+        self.common.store_contacts(&self.contact, dt, drive, &mut self.dynamics.moment, report);
         self.set_position(&plus(&x, dt, &after));
         after
     }
 
     fn set_position(&mut self, x: &[f64; N]) {
-        self.state.position[..N].copy_from_slice(x);
+        self.common.state.position.copy_from_slice(x);
     }
 
     #[inline(always)]
@@ -166,10 +162,10 @@ impl<const N: usize> MomentModes<N> {
             &self.basis,
             (shape, &bent, &q, at.expected),
             &input.tendon,
-            &self.state.tendon,
+            &self.common.state.tendon,
         );
-        let (limit, stop) =
-            (self.parameters.joint_limit_rad, self.parameters.joint_stop_stiffness_nm_per_rad);
+        let parameters = &self.common.parameters;
+        let (limit, stop) = (parameters.joint_limit_rad, parameters.joint_stop_stiffness_nm_per_rad);
         let (mut torque, mut stiffness) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
         for i in 0..MAX_JOINTS {
             // The stiffness of a flexure with its tendons is never below zero.
@@ -196,7 +192,7 @@ impl<const N: usize> MomentModes<N> {
     /// Adds the springs and dampers of modes and mount.
     #[inline(always)]
     fn add_springs(&mut self, at: &At<'_, N>) {
-        let Self { dynamics, parameters, mount_damping, damping_s, basis, .. } = self;
+        let Self { dynamics, common: Common { parameters, mount_damping, .. }, damping_s, basis, .. } = self;
         let (h, squared) = (at.h, at.h * at.h);
         for k in 0..MOUNT {
             let (stiffness, damping) = (parameters.mount_stiffness_n_per_m[k], mount_damping[k]);
@@ -242,10 +238,10 @@ impl<const N: usize> MomentModes<N> {
         input: &StepInput,
         frame: &Frame,
     ) -> Result<([f64; N], f64), f64> {
-        if !contacts_far(&self.spheres, dt, input) {
+        if !self.common.contacts_far(dt, input) {
             return Err(0.0);
         }
-        let (x, v) = (Self::freedoms(&self.state.position), Self::freedoms(&self.state.velocity));
+        let [x, v] = self.freedoms();
         if self.near_stop(&x) {
             return Err(0.0);
         }
@@ -277,14 +273,14 @@ impl<const N: usize> MomentModes<N> {
             return Err(0.0);
         }
         for k in 0..MOUNT + self.basis.modes {
-            let damping = if k < MOUNT { self.mount_damping[k] } else { self.damping_s };
+            let damping = if k < MOUNT { self.common.mount_damping[k] } else { self.damping_s };
             self.dynamics.force[k] += 2.0 * h * damping * kv1[k];
         }
         let kv2 = plus(&self.factor.solve(&self.dynamics.force), -2.0, &kv1);
         let kx2 = plus(&plus(&v2, -2.0, &kx1), h, &kv2);
         let next = plus(&plus(&x, 1.5 * dt, &kx1), 0.5 * dt, &kx2);
         let error = self.largest_bend(&plus(&scaled(0.5 * dt, &kx1), 0.5 * dt, &kx2));
-        let accurate = error <= self.parameters.hybrid_tolerance_rad;
+        let accurate = error <= self.common.parameters.hybrid_tolerance_rad;
         if !accurate || self.near_stop(&next) || !self.contacts_clear(&next, input) {
             return Err(if error.is_finite() { error } else { f64::MAX });
         }
@@ -301,7 +297,7 @@ impl<const N: usize> MomentModes<N> {
 
     #[inline(always)]
     fn near_stop(&self, x: &[f64; N]) -> bool {
-        self.largest_bend(x) > FREE_SHARE * self.parameters.joint_limit_rad
+        self.largest_bend(x) > FREE_SHARE * self.common.parameters.joint_limit_rad
     }
 
     /// True if every sphere still clears its plane at `next`. Leaves `next` in the trial shape.
@@ -312,12 +308,9 @@ impl<const N: usize> MomentModes<N> {
         }
         let q = self.angles(next);
         self.trial.0.update(&self.links, &q, &Self::mount_of(next));
-        input.contacts.iter().all(|c| {
-            let fixed = &self.layout.spheres[c.sphere_index];
+        self.common.contacts_clear(input, |fixed| {
             let point = self.trial.0.point(fixed.link, fixed.along_m);
-            let local = Point3::new(point[0], next[1], point[1]);
-            let moved = (input.base.t_world_base * local).coords - self.spheres[c.sphere_index].centre_m;
-            c.gap_m + moved.dot(&c.normal) > 0.0
+            Vector3::new(point[0], next[1], point[1])
         })
     }
 
@@ -330,21 +323,12 @@ impl<const N: usize> MomentModes<N> {
         report: &mut StepReport,
     ) {
         let change = plus(after, -1.0, before);
-        let x = &self.state.position;
-        let momentum = self.dynamics.momentum_moment(&change, x[1]);
-        let moment = self.dynamics.moment - momentum / dt;
-        let spring =
-            |k: usize| self.parameters.mount_stiffness_n_per_m[k] * x[k] + self.mount_damping[k] * after[k];
-        let rotation = input.base.t_world_base.rotation;
-        let force = Vector3::new(spring(0), spring(1), spring(2));
-        report.flange_wrench = Wrench { force_n: rotation * force, torque_nm: rotation * moment };
-        self.state.velocity = [0.0; MAX_FREEDOMS];
-        self.state.velocity[..N].copy_from_slice(after);
-        self.state.base = input.base;
-        self.update_shape();
+        let momentum = self.dynamics.momentum_moment(&change, self.common.state.position[1]);
+        self.common.state.velocity.copy_from_slice(after);
+        self.common.react(input, &(self.dynamics.moment - momentum / dt), report);
+        self.follow_state();
         report.stopped_joint_count = self.stopped;
-        (report.tendon_tension_n, report.tendon_displacement_m) =
-            self.tendons.advance(&self.bent, &input.tendon, &mut self.state.tendon);
-        self.state.report = *report;
+        let Self { common, tendons: Tendons { channels, .. }, bent, .. } = self;
+        common.end(input, channels, |t| bent.take_up_m(channels, t), report);
     }
 }

@@ -153,21 +153,4 @@ impl<const N: usize> Tendons<N> {
         }
         self.gradient[t] = basis.project(&gradient);
     }
-
-    /// Advances the sliding states to a new shape; returns tension (N) and displacement (m) of each tendon there.
-    #[inline(always)]
-    pub fn advance(
-        &self,
-        bent: &Bent,
-        command: &TendonCommand,
-        memory: &mut [TendonMemory; MAX_TENDONS],
-    ) -> ([f64; MAX_TENDONS], [f64; MAX_TENDONS]) {
-        let (mut tension_n, mut displacement_m) = ([0.0; MAX_TENDONS], [0.0; MAX_TENDONS]);
-        for t in 0..self.channels.count {
-            let cable = &self.channels.cable[t];
-            let take_up_m = bent.take_up_m(&self.channels, t);
-            (tension_n[t], displacement_m[t]) = memory[t].advance(take_up_m, cable, command, t);
-        }
-        (tension_n, displacement_m)
-    }
 }

@@ -8,7 +8,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::algebra::{Moments, Spatial, ZERO, add_body, shift_along, turn_about};
 use crate::manipulator::contact::Chain;
-use crate::manipulator::geometry::{BurrBody, LinkBody, SphereLayout, link_bodies, link_lengths_m, spheres};
+use crate::manipulator::geometry::{BurrBody, LinkBody, link_bodies, link_lengths_m};
 use crate::manipulator::parameters::ManipulatorParameters;
 
 /// Degrees of freedom of the mount.
@@ -25,7 +25,6 @@ pub(super) struct SpatialLayout<const D: usize> {
     pub body: Vec<LinkBody>,
     /// Moments of inertia along the axis, kg m^2.
     pub axial_inertia_kg_m2: Vec<f64>,
-    pub spheres: Vec<SphereLayout>,
     pub total_mass_kg: f64,
 }
 
@@ -57,7 +56,6 @@ impl<const D: usize> SpatialLayout<D> {
         Self {
             joints: length_m.len(),
             first_joint_m: p.joint_positions_m[0],
-            spheres: spheres(p, &length_m),
             total_mass_kg: body.iter().map(|b| b.mass_kg).sum(),
             length_m,
             body,

@@ -7,15 +7,15 @@ use super::algebra::{Spatial, ZERO, add_scaled, force_at};
 use super::energy::{FRAME_SHARE, LoadWork, tendon_share};
 use super::layout::SpatialLayout;
 use super::tendon::Motion;
-use crate::manipulator::contact::{BaseDrive, ContactStep, Place};
+use crate::manipulator::ManipulatorModel;
+use crate::manipulator::contact::{BaseDrive, Place};
 use crate::manipulator::error::ManipulatorError;
-use crate::manipulator::geometry::{SphereKind, SphereLayout};
+use crate::manipulator::geometry::SphereLayout;
 use crate::manipulator::loads::Frame;
 use crate::manipulator::parameters::Integrator;
-use crate::manipulator::state::{StepInput, StepReport, Wrench};
-use crate::manipulator::step::{FREE_SHARE, GAMMA, MAX_ROUNDS, Stage, base_motion, contacts_far};
+use crate::manipulator::state::{StepInput, StepReport};
+use crate::manipulator::step::{FREE_SHARE, GAMMA, MAX_ROUNDS, Stage};
 use crate::manipulator::tendon::turns;
-use crate::manipulator::validation::validate;
 
 /// Work vectors of a step, one entry per degree of freedom.
 #[derive(Debug, Clone, Default)]
@@ -82,24 +82,19 @@ fn fill(out: &mut [f64], f: impl Fn(usize) -> f64) {
 }
 
 impl<const D: usize> SpatialChain<D> {
-    /// Advances by `dt_s` (1e-7 to 0.1 s). Unusable contacts are skipped and counted in the report.
-    ///
-    /// # Errors
-    /// The input is not finite or out of range. A refused step changes nothing.
-    pub fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError> {
-        validate(dt_s, input)?;
-        let gravity = &self.parameters.gravity_m_per_s2;
-        let (drive, frame) = base_motion(&self.state.base, gravity, dt_s, input)?;
+    /// See [`ManipulatorModel::step`].
+    pub(super) fn take_step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError> {
+        let (drive, frame) = self.common.begin(dt_s, input)?;
         // Moved out and back so that the step does not allocate.
         let mut work = core::mem::take(&mut self.work);
-        work.before.copy_from_slice(&self.state.velocity);
+        work.before.copy_from_slice(&self.common.state.velocity);
         let mut report = StepReport::none();
         match self.rosenbrock(dt_s, input, &frame, &mut work) {
             Ok(error) => {
                 report.integrator = Integrator::Hybrid;
                 report.error_estimate_rad = error;
-                self.state.result_count = 0;
-                self.state.stop_torque.fill(0.0);
+                self.common.state.results.clear();
+                self.common.state.stop_torque_nm.fill(0.0);
             }
             Err(error) => {
                 report.error_estimate_rad = error;
@@ -137,16 +132,17 @@ impl<const D: usize> SpatialChain<D> {
     ) {
         let Diagonals { stiffness, diagonal } = operator;
         let configuration = at.of(&self.configuration, &self.trial);
-        self.tendon.evaluate(&self.layout, motion, &input.tendon, &self.state.tendon);
+        self.tendon.evaluate(&self.layout, motion, &input.tendon, &self.common.state.tendon);
         let stops = self.pressed.stiffness();
         fill(stiffness, |i| (self.stiffness[i] + self.tendon.stiffness[i]).max(0.0) + stops[i]);
         fill(diagonal, |i| h * self.damping[i] + h * h * stiffness[i]);
         self.articulated.factor(&self.layout, configuration, diagonal);
-        self.coupling.update(&self.layout, &mut self.articulated, &self.tendon, h * h);
+        let solve = |rhs: &Vec<f64>, out: &mut Vec<f64>| self.articulated.solve(&self.layout, None, rhs, out);
+        self.coupling.update(&self.tendon.terms(), h * h, solve);
     }
 
     /// Forces of springs, dampers and tendons at `q`, `v`, minus `K y`.
-    fn elastic_forces(&self, motion: Motion<'_>, y: &[f64], stiffness: &[f64], out: &mut [f64]) {
+    fn elastic_forces(&self, motion: Motion<'_>, y: &Vec<f64>, stiffness: &[f64], out: &mut Vec<f64>) {
         let Motion { q, v } = motion;
         let stops = self.pressed.drive();
         fill(out, |i| {
@@ -159,7 +155,7 @@ impl<const D: usize> SpatialChain<D> {
     }
 
     /// out = A^-1 (f + loads).
-    fn solve_loads(&mut self, f: &[f64], out: &mut [f64]) {
+    fn solve_loads(&mut self, f: &[f64], out: &mut Vec<f64>) {
         self.articulated.solve(&self.layout, Some(&self.loads.force), f, out);
         self.coupling.correct(out);
     }
@@ -173,18 +169,18 @@ impl<const D: usize> SpatialChain<D> {
         work: &mut Work,
         report: &mut StepReport,
     ) {
-        let q = core::mem::take(&mut self.state.position);
+        let q = core::mem::take(&mut self.common.state.position);
         let h = if self.explicit { 0.0 } else { dt };
         self.pressed.clear();
         if !self.explicit {
             fill(&mut work.next, |i| q[i] - self.rest[i]);
-            self.pressed.collect(&self.parameters, dt, &work.next, &self.state.stop_torque);
+            self.pressed.collect(&self.common.parameters, dt, &work.next, &self.common.state.stop_torque_nm);
         }
         let Work { before, expected, stiffness, diagonal, .. } = &mut *work;
         let motion = Motion { q: &q, v: before };
         self.stage(motion, h, input, frame, Stage::Start, Diagonals { stiffness, diagonal });
         expected.copy_from_slice(before);
-        self.state.position = q;
+        self.common.state.position = q;
         let mut round = 1;
         loop {
             self.free_velocity(dt, h, work);
@@ -192,29 +188,29 @@ impl<const D: usize> SpatialChain<D> {
             let Work { after, expected, stiffness, diagonal, .. } = &mut *work;
             let turned =
                 !self.explicit && turns(&self.tendon.slides_on, &self.tendon.slope, [expected, after]);
-            let released = self.pressed.release(dt, after, &self.state.stop_torque);
+            let released = self.pressed.release(dt, after, &self.common.state.stop_torque_nm);
             if round == MAX_ROUNDS || !(turned || released) {
                 break;
             }
             if turned {
                 expected.copy_from_slice(after);
             }
-            let q = core::mem::take(&mut self.state.position);
+            let q = core::mem::take(&mut self.common.state.position);
             let motion = Motion { q: &q, v: expected };
             self.factor_with_tendons(motion, h, input, Stage::Start, Diagonals { stiffness, diagonal });
-            self.state.position = q;
+            self.common.state.position = q;
             round += 1;
         }
         self.store_results(dt, drive, &work.after, report);
         let Work { after, next, .. } = work;
-        fill(next, |i| self.state.position[i] + dt * after[i]);
+        fill(next, |i| self.common.state.position[i] + dt * after[i]);
     }
 
     /// `work.after`: velocities after the step without contacts.
     fn free_velocity(&mut self, dt: f64, h: f64, work: &mut Work) {
         let Work { before, after, stiffness, rhs, y, .. } = work;
         fill(y, |i| h * before[i]);
-        self.elastic_forces(Motion { q: &self.state.position, v: before }, y, stiffness, rhs);
+        self.elastic_forces(Motion { q: &self.common.state.position, v: before }, y, stiffness, rhs);
         self.solve_loads(rhs, after);
         for (after, before) in after.iter_mut().zip(before) {
             *after = *before + dt * *after;
@@ -230,41 +226,33 @@ impl<const D: usize> SpatialChain<D> {
         work: &mut Work,
         report: &mut StepReport,
     ) {
-        let parameters = &self.parameters.contact;
-        let step = ContactStep { dt, drive, planes: input.contacts, parameters };
-        let (layout, configuration, state) = (&self.layout, &self.configuration, &self.state);
-        let results = &state.results[..state.result_count];
+        let step = self.common.contact_step(dt, drive, input);
+        let (layout, configuration, state) = (&self.layout, &self.configuration, &self.common.state);
         let solver = &mut self.contact;
         solver.collect(
             &step,
-            &layout.spheres,
-            results,
-            |_, _| true,
+            report,
+            |_| true,
             |sphere, direction| {
-                let SphereLayout { link, along_m, radius_m, .. } = layout.spheres[sphere];
+                let SphereLayout { link, along_m, radius_m, .. } = step.spheres[sphere];
                 let point = configuration.point(link, along_m) - direction[0] * radius_m;
                 Place { link, point, force: direction.map(|d| force_at(&point, &Vector3::zeros(), &d)) }
             },
         );
-        let law = self.parameters.stop_law();
+        let law = self.common.parameters.stop_law();
         for joint in 0..layout.joints {
             let bend = layout.bend(joint);
             for k in (bend..=if D > 1 { bend + 1 } else { bend }).filter(|k| !self.pressed.has(*k)) {
                 let moving = (state.position[k] - self.rest[k], work.after[k]);
-                solver.collect_stop((dt, &law), k, moving, state.stop_torque[k]);
+                solver.collect_stop((dt, &law), k, moving, state.stop_torque_nm[k]);
             }
         }
-        report.refused_contact_count = solver.refused;
-        report.contact_count = solver.contact.len();
-        report.max_overlap_m = solver.max_overlap_m;
         if solver.is_empty() {
             return;
         }
         layout.describe(configuration, &work.diagonal, &mut solver.chain);
         self.coupling.describe(&mut solver.chain);
-        let outcome = solver.solve(&work.after, parameters);
-        report.contact_iterations = outcome.iterations;
-        report.contact_residual_m_per_s = outcome.residual;
+        solver.solve(&work.after, &step, report);
         let Work { after, motions, rhs, y, .. } = work;
         motions.fill(ZERO);
         rhs.fill(0.0);
@@ -281,32 +269,21 @@ impl<const D: usize> SpatialChain<D> {
 
     /// Stores the impulses for the next step and adds the contact moments to the loads.
     fn store_results(&mut self, dt: f64, drive: &BaseDrive, after: &[f64], report: &mut StepReport) {
-        let torque = &mut self.state.stop_torque;
+        let torque = &mut self.common.state.stop_torque_nm;
         torque.fill(0.0);
         report.stopped_joint_count = self.contact.stop_torques(dt, |freedom, value| torque[freedom] = value);
         report.stopped_joint_count += self.pressed.store(dt, after, torque);
-        self.state.result_count = self.contact.contact.len();
-        for k in 0..self.contact.contact.len() {
-            let result = self.contact.result(k, dt, &drive.rotation);
-            let normal_force = result.normal * result.normal_force_n;
-            let force = drive.rotation.inverse_transform_vector(&(normal_force + result.friction_force_n));
-            self.loads.moment += self.contact.contact[k].point.cross(&force);
-            report.active_contact_count += usize::from(result.normal_force_n > 0.0);
-            if self.layout.spheres[result.sphere_index].kind == SphereKind::Burr {
-                report.burr_normal_force_n += normal_force;
-            }
-            self.state.results[k] = result;
-        }
+        self.common.store_contacts(&self.contact, dt, drive, &mut self.loads.moment, report);
     }
 
     /// Takes a ROS2 step in free motion into `work.next` and `work.after`; returns its error estimate. `Err`: ROS2 is off, or the motion
     /// is not smooth (estimate 0), not free, or above the tolerance.
     fn rosenbrock(&mut self, dt: f64, input: &StepInput, frame: &Frame, work: &mut Work) -> Result<f64, f64> {
         // Known again behind the next free step.
-        let ceiling_j = core::mem::replace(&mut self.state.energy_ceiling_j, f64::INFINITY);
+        let ceiling_j = core::mem::replace(&mut self.common.state.energy_ceiling_j, f64::INFINITY);
         let wanted =
-            self.parameters.integrator == Integrator::Hybrid && contacts_far(&self.spheres, dt, input);
-        if !wanted || self.near_stop(&self.state.position) {
+            self.common.parameters.integrator == Integrator::Hybrid && self.common.contacts_far(dt, input);
+        if !wanted || self.near_stop(&self.common.state.position) {
             return Err(0.0);
         }
         self.pressed.clear();
@@ -315,11 +292,11 @@ impl<const D: usize> SpatialChain<D> {
         if D > 1 {
             self.frame_forces(frame, &mut work.frame_force);
         }
-        let q = core::mem::take(&mut self.state.position);
+        let q = core::mem::take(&mut self.common.state.position);
         let stages = self.rosenbrock_stages(&q, dt, input, frame, work);
-        self.state.position = q;
+        self.common.state.position = q;
         let error = stages.ok_or(0.0)?;
-        let accurate = error <= self.parameters.hybrid_tolerance_rad;
+        let accurate = error <= self.common.parameters.hybrid_tolerance_rad;
         if !accurate || self.near_stop(&work.next) || !self.contacts_clear(&work.next, input) {
             return Err(if error.is_finite() { error } else { f64::MAX });
         }
@@ -336,13 +313,13 @@ impl<const D: usize> SpatialChain<D> {
         let after_j = self.energy_of(&self.trial, next, after);
         let (mut loads, share) = (LoadWork::default(), tendon_share(&input.tendon));
         for (k, next) in next.iter().enumerate() {
-            let moved = next - self.state.position[k];
+            let moved = next - self.common.state.position[k];
             loads.add([first_pull[k], self.tendon.torque[k]], moved, share);
             loads.add([frame_force[k]; 2], moved, FRAME_SHARE);
         }
-        self.state.energy_ceiling_j = loads.ceiling_j(ceiling_j, before_j);
+        self.common.state.energy_ceiling_j = loads.ceiling_j(ceiling_j, before_j);
         // NaN marks a failed step.
-        after_j > self.state.energy_ceiling_j || after_j.is_nan()
+        after_j > self.common.state.energy_ceiling_j || after_j.is_nan()
     }
 
     /// The error estimate; `None` if a tendon binds, or starts or stops sliding within the step.
@@ -407,7 +384,7 @@ impl<const D: usize> SpatialChain<D> {
     }
 
     fn near_stop(&self, q: &[f64]) -> bool {
-        let reach = FREE_SHARE * self.parameters.joint_limit_rad;
+        let reach = FREE_SHARE * self.common.parameters.joint_limit_rad;
         (0..self.layout.joints).any(|joint| {
             let bend = self.layout.bend(joint);
             (q[bend] - self.rest[bend]).abs() > reach || (D > 1 && q[bend + 1].abs() > reach)
@@ -420,13 +397,7 @@ impl<const D: usize> SpatialChain<D> {
             return true;
         }
         self.trial.update(&self.layout, next);
-        input.contacts.iter().all(|c| {
-            let fixed = &self.layout.spheres[c.sphere_index];
-            let point = self.trial.point(fixed.link, fixed.along_m);
-            let world = input.base.t_world_base * nalgebra::Point3::from(point);
-            let moved = world.coords - self.spheres[c.sphere_index].centre_m;
-            c.gap_m + moved.dot(&c.normal) > 0.0
-        })
+        self.common.contacts_clear(input, |fixed| self.trial.point(fixed.link, fixed.along_m))
     }
 
     /// Computes the flange reaction, then updates everything that depends on the new state.
@@ -435,18 +406,11 @@ impl<const D: usize> SpatialChain<D> {
         fill(y, |i| after[i] - before[i]);
         self.articulated.link_motions(&self.layout, y, motions);
         let moment = self.loads.moment - self.loads.momentum_moment(motions) / dt;
-        self.state.position.copy_from_slice(next);
-        self.state.velocity.copy_from_slice(after);
-        let mount =
-            |k: usize| self.stiffness[k] * self.state.position[k] + self.damping[k] * self.state.velocity[k];
-        let force = Vector3::new(mount(0), mount(1), mount(2));
-        let rotation = input.base.t_world_base.rotation;
-        report.flange_wrench = Wrench { force_n: rotation * force, torque_nm: rotation * moment };
-        self.state.base = input.base;
-        self.update_configuration();
-        let memory = &mut self.state.tendon;
-        (report.tendon_tension_n, report.tendon_displacement_m) =
-            self.tendon.advance(&self.layout, &self.state.position, &input.tendon, memory);
-        self.state.report = *report;
+        self.common.state.position.copy_from_slice(next);
+        self.common.state.velocity.copy_from_slice(after);
+        self.common.react(input, &moment, report);
+        self.follow_state();
+        let Self { common, tendon, layout, .. } = self;
+        common.end(input, &tendon.channels, |t| tendon.take_up(layout, next, t), report);
     }
 }

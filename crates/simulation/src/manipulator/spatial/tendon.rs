@@ -8,6 +8,7 @@
 
 use super::layout::SpatialLayout;
 use crate::manipulator::MAX_TENDONS;
+use crate::manipulator::coupling::TendonTerms;
 use crate::manipulator::helix::{Chord, Crossing, crossings};
 use crate::manipulator::parameters::{ManipulatorParameters, TendonParameters};
 use crate::manipulator::state::TendonCommand;
@@ -107,6 +108,12 @@ impl TendonLoad {
             tension_n: [0.0; MAX_TENDONS],
             slides_on: [false; MAX_TENDONS],
         }
+    }
+
+    /// What couples the joints.
+    pub fn terms(&self) -> TendonTerms<'_, Vec<f64>> {
+        let Self { channels, coupled, slope, gradient, .. } = self;
+        TendonTerms { count: channels.count, coupled, slope, gradient }
     }
 
     /// Evaluates all tendons. The velocities tell whether a saturated sliding state is about to reverse.
@@ -228,22 +235,5 @@ impl TendonLoad {
         };
         let bent_m: f64 = flexures.map(each_m).sum();
         bent_m - self.channels.rest_m[t]
-    }
-
-    /// Advances the sliding states to `q`; returns tension (N) and displacement (m) of each tendon there.
-    pub fn advance<const D: usize>(
-        &self,
-        layout: &SpatialLayout<D>,
-        q: &[f64],
-        command: &TendonCommand,
-        memory: &mut [TendonMemory; MAX_TENDONS],
-    ) -> ([f64; MAX_TENDONS], [f64; MAX_TENDONS]) {
-        let (mut tension_n, mut displacement_m) = ([0.0; MAX_TENDONS], [0.0; MAX_TENDONS]);
-        for t in 0..self.channels.count {
-            let take_up_m = self.take_up(layout, q, t);
-            let cable = &self.channels.cable[t];
-            (tension_n[t], displacement_m[t]) = memory[t].advance(take_up_m, cable, command, t);
-        }
-        (tension_n, displacement_m)
     }
 }

@@ -4,7 +4,6 @@
 pub mod arm;
 pub mod block;
 pub mod feed;
-pub mod tool;
 pub mod tunnel;
 
 use std::path::Path;

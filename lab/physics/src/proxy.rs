@@ -2,10 +2,11 @@
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 
-use super::wall::Wall;
-use crate::manipulator::{
-    BaseMotion, Manipulator, ManipulatorError, ManipulatorParameters, StepInput, StepReport,
+use simulation::manipulator::{
+    BaseMotion, Manipulator, ManipulatorError, ManipulatorModel, ManipulatorParameters, StepInput, StepReport,
 };
+
+use super::wall::Wall;
 
 /// Iterations of the projection onto the walls, and of setting the joints.
 const ROUNDS: usize = 8;
@@ -107,7 +108,8 @@ impl ProxyTool {
         let Some(inverse) = mobility.try_inverse() else { return };
         let push = inverse * Vector2::new(offset.x, offset.z);
         let mut state = self.tool.snapshot();
-        for (angle, column) in state.joint_position_rad.iter_mut().zip(&columns) {
+        // Behind the mount's three.
+        for (angle, column) in state.position[3..].iter_mut().zip(&columns) {
             *angle += column.dot(&push);
         }
         self.tool.restore(&state);

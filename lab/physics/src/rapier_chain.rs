@@ -7,9 +7,9 @@ use rapier3d_f64::prelude::{
     PhysicsWorld, Pose, RevoluteJointBuilder, RigidBodyBuilder, RigidBodyHandle, Rotation,
     SpringCoefficients, Vector,
 };
+use simulation::manipulator::{ManipulatorParameters, StepInput, TendonCommand};
 
 use super::wall::Wall;
-use crate::manipulator::{ManipulatorParameters, StepInput, TendonCommand};
 
 /// Joint model of the flexures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -12,7 +12,7 @@ pub mod published;
 mod rapier_chain;
 mod wall;
 
-use crate::manipulator::{BaseMotion, ManipulatorError, ManipulatorParameters, SpatialChain};
+use simulation::manipulator::{BaseMotion, ManipulatorError, ManipulatorParameters, SpatialChain};
 
 pub use proxy::{ProxyDrive, ProxyTool, proxy_of};
 pub use rapier_chain::{RapierChain, RapierJoints};

@@ -1,24 +1,26 @@
 //! Ten defects of the published simulator (read in its source), and its position-set method: each test shows the published rule
 //! fail and ours hold.
 
-#![allow(clippy::unwrap_used, reason = "a test that cannot build its tool has failed")]
+use std::path::Path;
 
 use messages::{Command, Latched, LatchedCommand, SOURCE_FRESH, SOURCE_HELD, TENDON_MOVE_JP};
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
-use simulation::Simulation;
-use simulation::baselines::explicit_chain;
-use simulation::baselines::published::{
+use physics_lab::explicit_chain;
+use physics_lab::published::{
     PenaltyContact, hardness_through_integers, penetration_with_absolute_arm_m, spring_that_runs,
     through_eight_bits,
 };
+use scene::Scene;
+use simulation::Simulation;
 use simulation::bone::{BoneField, BoneParameters, BurrState, GridGeometry};
 use simulation::contact_plane::ContactPlane;
 use simulation::manipulator::{
-    BaseMotion, Manipulator, ManipulatorParameters, SphereKind, StepInput, Wrench,
+    BaseMotion, Manipulator, ManipulatorModel, ManipulatorParameters, SphereKind, StepInput, Wrench,
 };
 
-use crate::common::scene;
-use crate::common::tool::{DT_S, pressed, pull, rest};
+use test_support::scenes::TOOL;
+
+use crate::tool::{DT_S, pressed, pull, rest};
 
 fn tool(change: impl Fn(&mut ManipulatorParameters)) -> Manipulator {
     let mut p = ManipulatorParameters { damping_ratio: 1.0, ..ManipulatorParameters::jhu_27() };
@@ -184,7 +186,8 @@ fn s5_a_tendon_pulls_only_rubs_and_bends_along_its_whole_length() {
 /// Pull of tendon 0 after 0.4 s of a motion to 4 mm, m.
 fn pulled_after_0_4_s(dt_ms: f64) -> f64 {
     let run = format!("{{ mode = \"lockstep\", duration_s = 3.0, dt_ms = {dt_ms:?} }}");
-    let scene = scene(&format!("name = \"free_tool\"\nrun = {run}\n"));
+    let text = format!("name = \"free_tool\"\nrun = {run}\n{TOOL}");
+    let scene = Scene::parse(&text, Path::new("free_tool.toml")).unwrap();
     let mut simulation = Simulation::new(&scene, None).unwrap();
     let command = Command {
         sequence: 1,

@@ -1,6 +1,6 @@
 //! Prints the time of one manipulator step in free motion and with contacts.
 //!
-//! `cargo run --release -p simulation --example manipulator_step_time [-- CASE [STEPS]]` runs all cases, or those whose name
+//! `cargo run --release -p physics_lab --example manipulator_step_time [-- CASE [STEPS]]` runs all cases, or those whose name
 //! contains CASE.
 //!
 //! `... manipulator_step_time -- --instructions [CASE]` also counts the instructions of a step, which no other program's load

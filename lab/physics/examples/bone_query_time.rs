@@ -2,7 +2,7 @@
 //! tracked while they move on by 1.5 um a tick; in a small volume and in one of 512 x 512 x 400 voxels; with voxels as parts of
 //! a surface and as balls. And the time of a tick of drilling.
 //!
-//! `cargo run --release -p simulation --example bone_query_time [-- SCENE fresh|tracked]`
+//! `cargo run --release -p physics_lab --example bone_query_time [-- SCENE fresh|tracked]`
 
 use std::time::Instant;
 

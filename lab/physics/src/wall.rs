@@ -1,9 +1,8 @@
 //! Half-spaces: the obstacles that every method supports.
 
 use nalgebra::{Isometry3, Unit, Vector3};
-
-use crate::contact_plane::ContactPlane;
-use crate::manipulator::ProxySphere;
+use simulation::contact_plane::ContactPlane;
+use simulation::manipulator::ProxySphere;
 
 /// A plane with a solid half-space behind it.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,11 +1,9 @@
 //! The baselines are what they are said to be: exact, or wrong, or unstable, where the reference says so.
 
-#![allow(clippy::unwrap_used, reason = "a test that cannot build its tool has failed")]
-
 use nalgebra::{Isometry3, Vector3};
-use simulation::baselines::{RapierChain, RapierJoints, Wall, explicit_chain};
+use physics_lab::{RapierChain, RapierJoints, Wall, explicit_chain};
 use simulation::manipulator::{
-    BaseMotion, Manipulator, ManipulatorParameters, StepInput, TendonCommand, Wrench,
+    BaseMotion, Manipulator, ManipulatorModel, ManipulatorParameters, StepInput, TendonCommand, Wrench,
 };
 
 fn rest() -> BaseMotion {

@@ -1,10 +1,10 @@
 //! The published tool in free space and pressed against a wall.
 
 use nalgebra::{Isometry3, Vector3};
-use simulation::baselines::Wall;
+use physics_lab::Wall;
 use simulation::contact_plane::ContactPlane;
 use simulation::manipulator::{
-    BaseMotion, Manipulator, ManipulatorParameters, StepInput, TendonCommand, Wrench,
+    BaseMotion, Manipulator, ManipulatorModel, ManipulatorParameters, StepInput, TendonCommand, Wrench,
 };
 
 pub const DT_S: f64 = 1e-3;
