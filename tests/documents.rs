@@ -85,7 +85,7 @@ fn every_scene_that_the_documents_name_is_there() {
 /// They said half a second in one place and four in another.
 #[test]
 fn the_documents_say_how_much_the_recorders_queues_hold() {
-    use ipc_types::services::{FRAME, LATCHED, RECORDER_QUEUE_TICKS, REMOVED, STATE, TICK_TIMING};
+    use ipc_types::messages::services::{FRAME, LATCHED, RECORDER_QUEUE_TICKS, REMOVED, STATE, TICK_TIMING};
     for once_a_tick in [STATE, LATCHED, REMOVED, TICK_TIMING] {
         assert_eq!(once_a_tick.lossless_length as u64, RECORDER_QUEUE_TICKS, "{}", once_a_tick.name);
     }
@@ -239,7 +239,7 @@ const NO_CAPACITIES: &[(&str, &str)] = &[
     ("MAX_STEP", "crates/xray/src/slice_ordered/plan.rs"),
     ("MAX_STRAY_PIXELS", "crates/controllers/src/tip_finder.rs"),
     ("MAX_TENDONS", "crates/simulation/src/manipulator/mod.rs"),
-    ("MAX_WAITING", "crates/hub/src/x_ray/schedule.rs"),
+    ("MAX_WAITING", "crates/delivery/src/x_ray/schedule.rs"),
     ("MAX_WAITING", "crates/run_log/src/order.rs"),
     ("MOST", "crates/viewer_proc/src/log/marks.rs"),
     ("MOST", "crates/xray/src/slice_ordered/splat.rs"),

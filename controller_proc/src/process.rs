@@ -3,17 +3,16 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use hub::x_ray::{ControllerFrames, FrameMark, FrameStep, NoFrame};
+use delivery::x_ray::{ControllerFrames, FrameMark, FrameStep, NoFrame};
 use ipc_types::clock::now_ns;
-use ipc_types::layout::Message;
+use ipc_types::messages::layout::Message;
+use ipc_types::messages::services;
 use ipc_types::messages::{
-    Command, EventCode, Frame, ImagePrefix, Participant, Phase, RunStatus, SensorReading, Severity, State,
-    Tick,
+    Command, EventCode, Frame, ImagePrefix, Participant, Phase, RunStatus, SensorReading, State, Tick,
 };
 use ipc_types::ports::{PortError, Publisher, Received, Subscriber};
 use ipc_types::process::{EndRequest, EventSender, Role, prioritise, session_scene};
 use ipc_types::scene::{Mode, Policy, Scene, SceneError};
-use ipc_types::services;
 use ipc_types::session::{Reader, Session, SessionError};
 use ipc_types::wake::{Waiter, Waker};
 use thiserror::Error;
@@ -169,7 +168,7 @@ impl Ports {
         }
         if let lost @ 1.. = frames.decide.take_lost() {
             let text = format!("{lost} frames passed while this controller was busy");
-            self.events.send(tick, Severity::Warning, EventCode::MessagesLost, &text)?;
+            self.events.warn(tick, EventCode::MessagesLost, &text)?;
         }
         self.frames = Some(frames);
         Ok(())
@@ -198,7 +197,7 @@ impl Ports {
         let missed = tick.since(last).saturating_sub(1);
         if last > Tick::START && missed > services::STATE.queue_length as u64 {
             let text = format!("this controller was busy and missed {missed} states");
-            self.events.send(tick, Severity::Warning, EventCode::MessagesLost, &text)?;
+            self.events.warn(tick, EventCode::MessagesLost, &text)?;
         }
         Ok(tick)
     }

@@ -20,9 +20,6 @@ const SOURCES: [&str; 9] = [
     "../../Cargo.lock",
 ];
 
-/// Of these, what decides none: what a viewer's clients get.
-const LEFT_OUT: [&str; 1] = ["../hub/src/viewer"];
-
 fn main() {
     let target = std::env::var("TARGET").unwrap_or_default();
     let compiler = std::env::var("RUSTC").unwrap_or_else(|_| "rustc".to_string());
@@ -49,9 +46,6 @@ fn source_hash() -> String {
 }
 
 fn collect(path: &Path, files: &mut Vec<PathBuf>) {
-    if LEFT_OUT.iter().any(|left_out| path == Path::new(left_out)) {
-        return;
-    }
     match fs::read_dir(path) {
         Ok(entries) => entries.flatten().for_each(|entry| collect(&entry.path(), files)),
         Err(_) => files.push(path.to_owned()),

@@ -3,10 +3,10 @@
 use std::cell::RefCell;
 use std::path::Path;
 
-use hub::latch::{Latch, Reset};
+use hub::latch::Latch;
 use ipc_types::messages::{
     self, ARM_HOLD, ARM_INSERT, ARM_MOVE_CP, ARM_MOVE_JP, ARM_RCM, ARM_SERVO_CP, ARM_SERVO_JV, BURR_SPEED,
-    Command, ControllerIndex, DrrRequest, State, TENDON_MOVE_JP, TENDON_SERVO_JF, Tick,
+    Command, ControllerIndex, DrrRequest, Reset, State, TENDON_MOVE_JP, TENDON_SERVO_JF, Tick,
 };
 use ipc_types::scene::Scene;
 use simulation::{Simulation, SimulationSnapshot};

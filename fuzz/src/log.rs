@@ -5,9 +5,8 @@ use std::path::Path;
 
 use recorder_proc::build_info;
 use run_log::repair::survey;
-use run_log::{
-    FrameReader, LogBytes, LogError, LogReader, MessageStream, ReadOptions, SegmentOptions, verify_segments,
-};
+use run_log::segments::{SegmentOptions, verify_segments};
+use run_log::{FrameReader, LogBytes, LogError, LogReader, MessageStream, ReadOptions};
 
 use crate::seeds::Toy;
 

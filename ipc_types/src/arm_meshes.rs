@@ -23,37 +23,31 @@ pub struct LoadedMesh<'a> {
 
 /// Why a mesh of the arm is refused.
 #[derive(Debug, thiserror::Error)]
-pub enum ArmMeshError {
+#[error("`arm.mesh.file` {}, {fault}", of(.joint, .file))]
+pub struct ArmMeshError {
+    /// Joint with which it moves; none: the arm's base.
+    pub joint: Option<String>,
+    /// The file.
+    pub file: PathBuf,
+    /// What is wrong with it.
+    pub fault: ArmMeshFault,
+}
+
+/// What is wrong with a mesh of the arm.
+#[derive(Debug, thiserror::Error)]
+pub enum ArmMeshFault {
     /// The system's reason.
-    #[error("`arm.mesh.file` {}, which cannot be read ({cause}); expected an STL or OBJ file of at most {MAX_MESH_BYTES} bytes", of(.joint, .file))]
-    Unreadable {
-        /// Joint with which it moves; none: the arm's base.
-        joint: Option<String>,
-        /// The file.
-        file: PathBuf,
-        /// Reason.
-        cause: std::io::Error,
-    },
-    /// It is no mesh, or holds what none may.
-    #[error("`arm.mesh.file` {}, which {cause}", of(.joint, .file))]
-    Refused {
-        /// Joint with which it moves; none: the arm's base.
-        joint: Option<String>,
-        /// The file.
-        file: PathBuf,
-        /// What is wrong with it.
-        cause: MeshError,
-    },
+    #[error("which cannot be read ({0}); expected an STL or OBJ file of at most {MAX_MESH_BYTES} bytes")]
+    Unreadable(std::io::Error),
+    /// Not a mesh, or an invalid one.
+    #[error("which {0}")]
+    Refused(MeshError),
     /// X-ray frames were rendered with another file of this name.
     #[error(
-        "`arm.mesh.file` {}, whose content has the XXH3-128 {found}, expected {expected} (`arm.mesh.file_xxh3`): X-ray frames show it, so \
-         put the file of that time there, or leave the key out", of(.joint, .file)
+        "whose content has the XXH3-128 {found}, expected {expected} (`arm.mesh.file_xxh3`): X-ray frames show it, so put the file of \
+         that time there, or leave the key out"
     )]
     Changed {
-        /// Joint with which it moves; none: the arm's base.
-        joint: Option<String>,
-        /// The file.
-        file: PathBuf,
         /// Of the file that is there.
         found: String,
         /// Of the file that was there.
@@ -61,30 +55,19 @@ pub enum ArmMeshError {
     },
     /// A ray through it has no length in it.
     #[error(
-        "`arm.mesh.file` {}, which {fault}: X-ray frames need closed meshes; repair the file, or leave `arm.xray_density_g_per_cm3` out, which \
-         shows no arm there", of(.joint, .file)
+        "which {0}: X-ray frames need closed meshes; repair the file, or leave `arm.xray_density_g_per_cm3` out, which shows no arm there"
     )]
-    NotSolid {
-        /// Joint with which it moves; none: the arm's base.
-        joint: Option<String>,
-        /// The file.
-        file: PathBuf,
-        /// What is wrong with it.
-        fault: MeshFault,
-    },
-    /// Most likely in millimetres.
+    NotSolid(MeshFault),
+    /// Most likely in millimetres; holds its largest coordinate, m.
     #[error(
-        "`arm.mesh.file` {}, which reaches {reach_m:.1} m from its own frame, expected {FARTHEST_M} m at most: `arm.mesh.scale` (URDF: `scale` of \
-         the mesh) is 0.001 for a file in millimetres", of(.joint, .file)
+        "which reaches {0:.1} m from its own frame, expected {FARTHEST_M} m at most: `arm.mesh.scale` (URDF: `scale` of the mesh) is \
+         0.001 for a file in millimetres"
     )]
-    Far {
-        /// Joint with which it moves; none: the arm's base.
-        joint: Option<String>,
-        /// The file.
-        file: PathBuf,
-        /// Largest coordinate, m.
-        reach_m: f64,
-    },
+    Far(f64),
+}
+
+fn refuse(mesh: &ArmMesh, fault: ArmMeshFault) -> ArmMeshError {
+    ArmMeshError { joint: mesh.joint.clone(), file: mesh.file.clone(), fault }
 }
 
 fn of(joint: &Option<String>, file: &std::path::Path) -> String {
@@ -104,27 +87,22 @@ pub fn load(arm: &Arm) -> Result<Vec<LoadedMesh<'_>>, ArmMeshError> {
     let mut loaded = Vec::new();
     for mesh in arm.mesh.iter().flatten() {
         let Some(format) = MeshFormat::of(&mesh.file) else { continue };
-        let (joint, file) = (mesh.joint.clone(), mesh.file.clone());
-        let content = match text_file::read_bytes(&mesh.file, MAX_MESH_BYTES) {
-            Ok(content) => content,
-            Err(cause) => return Err(ArmMeshError::Unreadable { joint, file, cause }),
-        };
+        let content = text_file::read_bytes(&mesh.file, MAX_MESH_BYTES);
+        let content = content.map_err(|cause| refuse(mesh, ArmMeshFault::Unreadable(cause)))?;
         if let Some(expected) = mesh.file_xxh3.clone() {
             let found = digest(&content);
             if !found.eq_ignore_ascii_case(&expected) {
-                return Err(ArmMeshError::Changed { joint, file, found, expected });
+                return Err(refuse(mesh, ArmMeshFault::Changed { found, expected }));
             }
         }
-        let triangles = match triangles(&content, format, left) {
-            Ok(triangles) => triangles,
-            Err(cause) => return Err(ArmMeshError::Refused { joint, file, cause }),
-        };
+        let triangles = triangles(&content, format, left);
+        let triangles = triangles.map_err(|cause| refuse(mesh, ArmMeshFault::Refused(cause)))?;
         let corners = triangles.iter().flatten();
         let reach_m = corners
             .flat_map(|corner| (0..3).map(move |axis| (f64::from(corner[axis]) * mesh.scale[axis]).abs()))
             .fold(0.0, f64::max);
         if reach_m > FARTHEST_M {
-            return Err(ArmMeshError::Far { joint, file, reach_m });
+            return Err(refuse(mesh, ArmMeshFault::Far(reach_m)));
         }
         left -= triangles.len();
         loaded.push(LoadedMesh { mesh, triangles });
@@ -142,10 +120,7 @@ pub fn solids(arm: &Arm) -> Result<Vec<(&ArmMesh, ClosedMesh)>, ArmMeshError> {
     }
     let solid = |LoadedMesh { mesh, triangles }| match ClosedMesh::new(&triangles) {
         Ok(solid) => Ok((mesh, solid)),
-        Err(fault) => {
-            let (joint, file) = (mesh.joint.clone(), mesh.file.clone());
-            Err(ArmMeshError::NotSolid { joint, file, fault })
-        }
+        Err(fault) => Err(refuse(mesh, ArmMeshFault::NotSolid(fault))),
     };
     load(arm)?.into_iter().map(solid).collect()
 }

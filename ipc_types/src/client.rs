@@ -14,15 +14,15 @@ use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 use rustix::fs::{Access, AtFlags};
 
 use crate::identity::Guard;
-use crate::layout::Message;
-use crate::messages::{Command, ControllerIndex, Part};
+use crate::messages::layout::Message;
+use crate::messages::services::{self, CONNECTIONS_BYTES, Service};
+use crate::messages::{Blame, Command, ControllerIndex, Part};
 use crate::own::Own;
 use crate::ports::{Publisher, Subscriber};
-use crate::services::{self, CONNECTIONS_BYTES, Service};
 use crate::session::{
-    ANNOUNCEMENT_FILE, Announcement, Blame, ByteService, CONTROLLER_VARIABLE, PAGE_FILE, Reader, Remains,
+    ANNOUNCEMENT_FILE, Announcement, ByteService, CONTROLLER_VARIABLE, PAGE_FILE, Reader, Remains,
     SESSION_VARIABLE, Session, SessionError, SessionId, await_announcement, check_layouts, create_node,
-    file_error, is_locked, open_folder, short_memory, transported,
+    file_error, is_locked, open_folder, read_blame, short_memory, transported, write_blame,
 };
 use crate::shared_memory::{SharedMemory, require_free};
 use crate::shared_page::SharedPage;
@@ -77,12 +77,12 @@ impl Session {
     /// # Errors
     /// Any system error.
     pub fn leave_blame(&self, blame: &Blame) -> std::io::Result<()> {
-        blame.write(&self.handle)
+        write_blame(&self.handle, blame)
     }
 
     /// Why the physics ended the run early; `None` if it did not.
     pub fn blame(&self) -> Option<Blame> {
-        Blame::read(&self.handle)
+        read_blame(&self.handle)
     }
 
     /// The session's name, which is also its folder's.
@@ -225,11 +225,6 @@ impl Session {
         let (spared, listeners) = (Cell::new(0), Cell::new(0));
         let notifier = Own::new(notifier);
         Ok(Waker { notifier, page: self.page.clone(), reader: reader.slot(), service, spared, listeners })
-    }
-
-    /// Frees what killed processes have left in this session.
-    pub fn clean_up_dead_nodes(&self) {
-        self.node.try_cleanup_dead_nodes();
     }
 
     pub(crate) fn open<M: Message>(&self, name: &str) -> Result<ByteService, SessionError> {

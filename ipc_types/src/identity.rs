@@ -7,10 +7,10 @@ use iceoryx2::identifiers::UniquePublisherId;
 use iceoryx2::prelude::{CallbackProgression, PortFactory};
 use iceoryx2::service::dynamic_config::publish_subscribe::PublisherDetails;
 
-use crate::layout::Message;
+use crate::messages::layout::Message;
+use crate::messages::services;
 use crate::messages::{Command, ControllerIndex, DrrRequest, Part};
 use crate::ports::Received;
-use crate::services;
 use crate::session::{ByteService, Session, SessionError};
 use crate::shared_page::SharedPage;
 

@@ -12,7 +12,8 @@
 //! use std::path::Path;
 //!
 //! use ipc_types::messages::State;
-//! use ipc_types::{services, session::Session};
+//! use ipc_types::messages::services;
+//! use ipc_types::session::Session;
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let folder = std::env::var(ipc_types::session::SESSION_VARIABLE)?;
@@ -27,21 +28,21 @@
 //!
 //! | module | what it holds |
 //! |---|---|
-//! | [`messages`], [`layout`], [`services`] | the crate `messages` |
+//! | [`messages`] | the crate `messages` |
 //! | [`session`], [`ports`], [`wake`] | creating and joining a session, sending and receiving, waiting and waking |
 //! | [`own`] | resources that a `fork` child inherits but must not clean up |
 //! | [`identity`] | which controller or part sent a message, according to the transport |
 //! | [`scene`], [`scene_file`] | the crate `scene`; scenes from files |
 //! | [`arm_meshes`] | the meshes of an arm, from files |
 //! | [`text_file`] | reading text files that a user names |
-//! | [`process`] | exit codes, priorities, events: what all processes share |
-//! | [`clock`], [`signals`], [`family`] | the monotonic clock; requests to end; parents and children |
+//! | [`process`] | exit codes, priorities, events, requests to end, parents and children: what all processes share |
+//! | [`clock`] | the monotonic clock |
 //! | [`reference`](mod@reference) | docs/messages.md, generated |
 
 pub mod arm_meshes;
 mod client;
 pub mod clock;
-pub mod family;
+mod family;
 mod half_made;
 pub mod identity;
 pub mod own;
@@ -52,10 +53,9 @@ pub mod scene_file;
 pub mod session;
 mod shared_memory;
 mod shared_page;
-pub mod signals;
+mod signals;
 pub mod text_file;
 mod transport_reference;
 pub mod wake;
 
-pub use ::messages::{self, layout, services};
-pub use ::scene;
+pub use ::{messages, scene};

@@ -11,10 +11,10 @@ use iceoryx2::sample::Sample;
 use thiserror::Error;
 
 use crate::identity::Guard;
-use crate::layout::Message;
 use crate::messages::Part;
+use crate::messages::layout::Message;
+use crate::messages::services;
 use crate::own::Own;
-use crate::services;
 
 /// Messages of the wrong length that one call takes off a queue, so that a flood of them cannot stall the reader.
 const REFUSED_AT_ONCE: usize = 64;
@@ -35,6 +35,12 @@ const _: () = {
 /// Why a message could not be sent or received.
 #[derive(Debug, Error)]
 pub enum PortError {
+    /// The volume did not arrive.
+    #[error("the volume did not arrive within {limit_s} s; is the launcher running?")]
+    NoVolume {
+        /// Seconds waited.
+        limit_s: u64,
+    },
     /// The publisher could not get a free sample.
     #[error(
         "service `{service}`: no sample to write {bytes} bytes into ({cause}); a message may have at most {limit} bytes"

@@ -5,14 +5,16 @@ use std::time::{Duration, Instant};
 
 use zerocopy::IntoBytes;
 
+use crate::messages::services::{self, MAX_EVENT_TEXT};
 use crate::messages::{Event, EventCode, Participant, Severity, Tick, Volume};
 use crate::ports::{PortError, Publisher, Received, Subscriber};
 use crate::scene::{Policy, Scene, SceneError};
-use crate::services::{self, MAX_EVENT_TEXT};
 use crate::session::{Session, SessionError};
 
-pub use crate::family::{bind_to_parent, end_with_parent};
-pub use crate::signals::EndRequest;
+pub use crate::family::{
+    bind_to_parent, bind_to_parent_with, children, descendants, end_with_parent, is_alive,
+};
+pub use crate::signals::{Continued, EndRequest, EndSignal};
 
 /// Exit code of a run that failed.
 pub const EXIT_FAILED: u8 = 1;
@@ -22,25 +24,21 @@ pub const EXIT_BAD_INPUT: u8 = 2;
 pub const EXIT_GAP: u8 = 3;
 
 /// How long a process waits for the volume.
-pub const VOLUME_LIMIT: Duration = Duration::from_secs(60);
+const VOLUME_LIMIT: Duration = Duration::from_secs(60);
 
-/// Waits for the volume, which stays in shared memory as long as the return value lives. `None` if it did not arrive within
-/// [`VOLUME_LIMIT`] or the process was asked to end first.
+/// Waits for the volume, which stays in shared memory as long as the return value lives.
 ///
 /// # Errors
-/// The transport's.
-pub fn await_volume(
-    volumes: &Subscriber<Volume>,
-    end: &EndRequest,
-) -> Result<Option<Received<Volume>>, PortError> {
+/// [`PortError::NoVolume`] if it did not arrive before the process was asked to end; the transport's.
+pub fn await_volume(volumes: &Subscriber<Volume>, end: &EndRequest) -> Result<Received<Volume>, PortError> {
     let limit = Instant::now() + VOLUME_LIMIT;
     while Instant::now() < limit && !end.is_set() {
         if let Some(volume) = volumes.receive()? {
-            return Ok(Some(volume));
+            return Ok(volume);
         }
         std::thread::sleep(Duration::from_millis(2));
     }
-    Ok(None)
+    Err(PortError::NoVolume { limit_s: VOLUME_LIMIT.as_secs() })
 }
 
 /// CPU time that a process has used, user and system.
@@ -71,7 +69,7 @@ pub enum Role {
     Physics,
     /// Commands for the next tick.
     Controller,
-    /// May be delayed, but must never starve: its queues hold [`RECORDER_QUEUE_TICKS`](crate::services::RECORDER_QUEUE_TICKS).
+    /// May be delayed, but must never starve: its queues hold [`RECORDER_QUEUE_TICKS`](crate::messages::services::RECORDER_QUEUE_TICKS).
     Recorder,
     /// Renders frames; the frame rate may drop.
     Drr,
@@ -223,6 +221,14 @@ impl EventSender {
             text_length: end as u32 + 1,
         };
         self.publisher.send_parts(&[event.as_bytes(), &text.as_bytes()[..end], &[0]])
+    }
+
+    /// Sends a warning.
+    ///
+    /// # Errors
+    /// The transport's.
+    pub fn warn(&mut self, tick: Tick, code: EventCode, text: &str) -> Result<(), PortError> {
+        self.send(tick, Severity::Warning, code, text)
     }
 
     /// Sends an informational event.

@@ -1,8 +1,8 @@
 //! Generates the message reference: `docs/messages.md` is the output of [`message_reference`].
 
-use crate::layout::{Description, Element, Field, Message};
+use crate::messages::layout::{Description, Element, Field, Message};
+use crate::messages::services::{self, Lane, Service};
 use crate::messages::{self, Frame, ImagePrefix};
-use crate::services::{self, Lane, Service};
 use crate::transport_reference::transport_reference;
 
 const INTRODUCTION: &str = "\

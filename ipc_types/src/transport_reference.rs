@@ -1,7 +1,7 @@
 //! The part of docs/messages.md that explains how to join a session with iceoryx2 alone.
 
+use crate::messages::services::{self, SAMPLES_HELD};
 use crate::messages::{ControllerIndex, PHASE_ENDED};
-use crate::services::{self, SAMPLES_HELD};
 use crate::session::{CONTROLLER_VARIABLE, ICEORYX2_VERSION, PAGE_FILE, Reader, SESSION_VARIABLE, prefix_of};
 use crate::shared_page::FLAG_STRIDE;
 

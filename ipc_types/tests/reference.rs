@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use ipc_types::layout::Description;
 use ipc_types::messages;
+use ipc_types::messages::layout::Description;
 use ipc_types::reference::{every_message, message_reference};
 use ipc_types::scene::reference::scene_reference;
 

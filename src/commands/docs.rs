@@ -6,7 +6,7 @@ use clap::Subcommand;
 use clap_complete::Shell;
 use ipc_types::reference::{every_message, message_reference};
 use ipc_types::scene::reference::scene_reference;
-use run_log::topics::schema_of;
+use run_log::schema_of;
 
 use crate::cli::command_line;
 use crate::failure::Failure;

@@ -5,9 +5,9 @@ use std::time::Instant;
 
 use clap::Args;
 use recorder_proc::exit_code::exit_code;
-use run_log::{
-    ReplayReport, SegmentOptions, SegmentReport, Verdict, keyframe_before, segments::Passed, verify_segments,
-};
+use run_log::Verdict;
+use run_log::segments::{Passed, SegmentOptions, SegmentReport, keyframe_before, verify_segments};
+use run_log::verify::ReplayReport;
 use serde_json::json;
 
 use ipc_types::messages::{Tick, TickRange};
@@ -255,7 +255,7 @@ impl ReplayOutcome {
             "first_tick": self.first.0,
             "ticks": report.identical_ticks,
             "last_tick": report.last_tick.0,
-            "hash": run_log::end::hash_text(report.hash),
+            "hash": run_log::hash_text(report.hash),
             "simulated_s": report.simulated_ns as f64 * 1e-9,
             "wall_s": self.wall_s,
             "identical_keyframes": self.keyframes,
@@ -268,7 +268,7 @@ impl ReplayOutcome {
     /// Says what came of it, but with `--json`, whose one document is written at the end.
     fn tell(&self, report: &ReplayReport) -> Result<(), Failure> {
         let simulated_s = report.simulated_ns as f64 * 1e-9;
-        let hash = run_log::end::hash_text(report.hash);
+        let hash = run_log::hash_text(report.hash);
         let label = &self.label;
         if let Some(error) = &report.log_error {
             return Err(Failure::failed(format!(

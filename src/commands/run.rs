@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use clap::{Args, ValueEnum};
+use ipc_types::messages::services::RECORDER_QUEUE_TICKS;
 use ipc_types::process::{EXIT_GAP, Role, prioritise};
 use ipc_types::scene::{Images, LONGEST_RUN_S, Mode, Policy, Scene, Wait};
-use ipc_types::services::RECORDER_QUEUE_TICKS;
 use output_file::OutputError;
 use voxel_grid::Ct;
 

@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 use clap::{Args, Subcommand};
 use foreign_text::foreign_path;
-use ipc_types::signals::EndRequest;
+use ipc_types::process::EndRequest;
 use serde_json::json;
 
 use crate::failure::{EXIT_INTERRUPTED, Failure};

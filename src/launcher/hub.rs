@@ -4,16 +4,16 @@ use std::cell::Cell;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use ipc_types::layout::Message;
+use ipc_types::messages::layout::Message;
+use ipc_types::messages::services;
 use ipc_types::messages::{CArmGeometry, Part as HubPart, Volume as VolumeMessage};
 use ipc_types::ports::{PortError, Publisher};
 use ipc_types::scene::{Mode, Scene, Wait};
-use ipc_types::services;
 use ipc_types::session::{
     CONTROLLER_VARIABLE, SESSION_VARIABLE, SessionError, SessionHost, SessionPlan, passed_over,
 };
+use run_log::CALIBRATION_ATTACHMENT;
 use run_log::cat::whole;
-use run_log::header::CALIBRATION_ATTACHMENT;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use voxel_grid::Ct;
 use xray::from_scene::scene_c_arm;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use ipc_types::signals::{EndRequest, EndSignal};
+use ipc_types::process::{EndRequest, EndSignal};
 
 use super::part;
 use crate::failure::EXIT_INTERRUPTED;

@@ -10,8 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use ipc_types::family::{children, descendants};
-use ipc_types::process::{ProcessorTime, bind_to_parent};
+use ipc_types::process::{ProcessorTime, bind_to_parent, children, descendants};
 use rustix::process::{
     Pid, Signal, WaitId, WaitIdOptions, WaitOptions, getpid, kill_process, kill_process_group,
     set_child_subreaper, waitid, waitpid,

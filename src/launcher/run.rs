@@ -5,11 +5,11 @@ use std::time::{Duration, Instant};
 
 use foreign_text::foreign_line;
 use ipc_types::clock::now_ns;
-use ipc_types::messages::{EventCode, Phase, RunStatus, State, Tick, TickTiming};
+use ipc_types::messages::{Blame, EventCode, Phase, RunStatus, State, Tick, TickTiming};
 use ipc_types::ports::PortError;
 use ipc_types::process::{EXIT_GAP, EndRequest, ProcessorTime};
 use ipc_types::scene::{Controller, Scene};
-use ipc_types::session::{Blame, SessionError};
+use ipc_types::session::SessionError;
 use recorder_proc::process::OUTPUT_FILE;
 use voxel_grid::Ct;
 

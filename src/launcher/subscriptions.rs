@@ -5,11 +5,11 @@ use std::time::{Duration, Instant};
 
 use foreign_text::foreign_line;
 use ipc_types::clock::now_ns;
+use ipc_types::messages::services;
 use ipc_types::messages::{
     Event, EventCode, Frame, Part as HubPart, Participant, Phase, RunStatus, State, TickTiming,
 };
 use ipc_types::ports::{PortError, Subscriber};
-use ipc_types::services;
 use ipc_types::session::{Session, SessionError};
 
 use super::part::Part;

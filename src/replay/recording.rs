@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use hub::Outputs;
 use hub::run_lane::{LaneError, RunLane};
-use ipc_types::layout::{Message, hex};
+use ipc_types::messages::layout::{Message, hex};
 use ipc_types::messages::{
     DrrReply, Frame, ImagePrefix, Keyframe, Latched, Part, Removed, SensorReading, State,
 };

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::path::PathBuf;
 
-use ipc_types::layout::Message;
+use ipc_types::messages::layout::Message;
 use ipc_types::messages::{CArmGeometry, DrrReply, DrrRequest, DrrStatus, Frame, GeometryChoice, Tick};
 use ipc_types::scene::Drr;
 use recorder_proc::log_file::LogFile;

@@ -4,11 +4,9 @@ use std::path::Path;
 use std::time::Instant;
 
 use ipc_types::messages::Tick;
-use run_log::segments::Passed;
-use run_log::{
-    LogError, ReplayReport, SavedState, SegmentOptions, SegmentReport, Verdict, step_segments,
-    verify_segments,
-};
+use run_log::segments::{Passed, SegmentOptions, SegmentReport, step_segments, verify_segments};
+use run_log::verify::ReplayReport;
+use run_log::{LogError, SavedState, Verdict};
 
 use super::{OpenedLog, Overrides};
 use crate::failure::Failure;

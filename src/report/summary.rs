@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use run_log::end::hash_text;
-use run_log::{Cause, Misses, RunMode};
+use run_log::misses::{Cause, Misses};
+use run_log::{RunMode, hash_text};
 use serde::{Deserialize, Serialize};
 
 use super::RunFacts;

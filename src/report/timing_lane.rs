@@ -3,10 +3,11 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 
-use ipc_types::layout::Message;
+use ipc_types::messages::layout::Message;
 use ipc_types::messages::{Command, Event, FrameTiming, Part, Participant, RunStatus, Severity, TickTiming};
 use recorder_proc::log_file::LogFile;
-use run_log::{LogError, LogHeader, LogMessage, MessageStream, Misses, ReadOptions, Topic};
+use run_log::misses::Misses;
+use run_log::{LogError, LogHeader, LogMessage, MessageStream, ReadOptions, Topic};
 use zerocopy::FromBytes;
 
 use super::ReportError;

@@ -1,7 +1,7 @@
 //! The figures of a stress test.
 
 use plotters::style::RGBColor;
-use run_log::Cause;
+use run_log::misses::Cause;
 
 use super::measure::{Curves, DRAWN_MISSES, Measured};
 use super::plan::{Combination, policy_name, wait_name};

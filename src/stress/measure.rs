@@ -5,7 +5,8 @@ use std::path::Path;
 
 use ipc_types::messages::{FrameTiming, Latched, MAX_CONTROLLERS, TickTiming};
 use recorder_proc::log_file::LogFile;
-use run_log::{Cause, MessageStream, Misses, ReadOptions, Topic};
+use run_log::misses::{Cause, Misses};
+use run_log::{MessageStream, ReadOptions, Topic};
 use serde::{Deserialize, Serialize};
 use zerocopy::FromBytes;
 

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use run_log::Cause;
+use run_log::misses::Cause;
 
 use super::report::{COLUMNS, StressReport, Tested, causes, comparison, yes_or_no};
 use crate::machine::{Finding, Grade};

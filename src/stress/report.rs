@@ -3,7 +3,7 @@
 use std::fmt;
 use std::path::Path;
 
-use run_log::Cause;
+use run_log::misses::Cause;
 use serde::{Deserialize, Serialize};
 
 use super::measure::Measured;

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use run_log::end::hash_text;
+use run_log::hash_text;
 use sim::{Drive, SharedScene, Sim, SimError};
 
 use super::row::{Ending, Row};

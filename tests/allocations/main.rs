@@ -15,9 +15,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command as Program, Stdio};
 use test_support::limited::{Limited, end_within};
 
-use hub::latch::{Latch, Reset};
+use hub::latch::Latch;
 use ipc_types::messages::{
-    ARM_MOVE_CP, BURR_SPEED, CONTROL_STOP, Command, ControllerIndex, State, TENDON_SERVO_JF, Tick,
+    ARM_MOVE_CP, BURR_SPEED, CONTROL_STOP, Command, ControllerIndex, Reset, State, TENDON_SERVO_JF, Tick,
 };
 use ipc_types::scene::Scene;
 use recorder_proc::log_file::LogFile;

@@ -6,8 +6,8 @@ use std::process::{Child, Command as Program, Stdio};
 use std::time::Duration;
 
 use fastrand::Rng;
+use ipc_types::messages::services;
 use ipc_types::messages::{Command, DrrRequest, Event, Progress, RunControl, State};
-use ipc_types::services;
 use ipc_types::session::{Reader, SESSION_VARIABLE, Session, SessionError};
 use rustix::process::Signal;
 use trabecula_client::{Client, Connection};

@@ -3,10 +3,10 @@
 use std::fs;
 
 use ipc_types::messages::Tick;
+use ipc_types::messages::services;
 use ipc_types::messages::{
     ARM_HOLD, ARM_INSERT, BURR_SPEED, Command, EVENT_COMMAND_REFUSED, State, TENDON_SERVO_JF,
 };
-use ipc_types::services;
 use ipc_types::session::SessionError;
 
 use crate::common::client::{Client, Pilot};

@@ -9,8 +9,8 @@ use std::time::Duration;
 use ipc_types::messages::{
     ARM_HOLD, Command, EVENT_REQUEST_REFUSED, Progress, SENDER_RECORDER, SOURCE_FRESH, TENDON_SERVO_JF,
 };
+use ipc_types::messages::{Part, services};
 use ipc_types::session::{Reader, Session, SessionError, SessionId};
-use ipc_types::{messages::Part, services};
 use rustix::process::Signal;
 use zerocopy::IntoBytes;
 

@@ -6,8 +6,8 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use fastrand::Rng;
-use ipc_types::family::is_alive;
 use ipc_types::messages::PHASE_ENDED;
+use ipc_types::process::is_alive;
 use run_log::EndReason;
 use rustix::process::Signal;
 use test_support::limited::{COMMAND_LIMIT, Watchdog};

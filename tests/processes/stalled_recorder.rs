@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
+use ipc_types::messages::services::RECORDER_QUEUE_TICKS;
 use ipc_types::messages::{CONTROL_STOP, EVENT_MESSAGES_LOST};
 use ipc_types::process::EXIT_GAP;
-use ipc_types::services::RECORDER_QUEUE_TICKS;
 use rustix::process::Signal;
 use serde_json::Value;
 

@@ -3,11 +3,11 @@
 use std::process::Command;
 use std::time::Duration;
 
+use ipc_types::messages::services;
 use ipc_types::messages::{
     CONTROL_STOP, DRR_REFUSED, DrrReply, DrrRequest, EVENT_REQUEST_REFUSED, Pose, SOURCE_FRESH,
     TENDON_SERVO_JF,
 };
-use ipc_types::services;
 use ipc_types::session::{SESSION_VARIABLE, Session};
 use run_log::EndReason;
 use trabecula_client::{Client, ClientError, Connection};

@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use ipc_types::messages::services;
 use ipc_types::messages::{CONTROL_PAUSE, CONTROL_STOP, Progress, SENDER_RECORDER};
-use ipc_types::services;
 use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
 
 use crate::common::client::Client;

@@ -266,7 +266,7 @@ fn single(place: &Place, study: &Path) -> Vec<(String, Value)> {
 
 /// A worker of an engine that makes a run: the parent of a process of ours below the engine's.
 fn worker_below(root: u32) -> Option<u32> {
-    let below = ipc_types::family::descendants(Pid::from_raw(root as i32)?);
+    let below = ipc_types::process::descendants(Pid::from_raw(root as i32)?);
     below.into_iter().map(|pid| pid.as_raw_nonzero()).find_map(|pid| {
         let line = fs::read(format!("/proc/{pid}/cmdline")).ok()?;
         let words: Vec<&[u8]> = line.split(|byte| *byte == 0).collect();

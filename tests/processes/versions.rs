@@ -3,7 +3,7 @@
 use std::fs;
 
 use ipc_types::messages::State;
-use ipc_types::services;
+use ipc_types::messages::services;
 use ipc_types::session::{Session, SessionError};
 use trabecula_client::{Client, ClientError, Connection};
 

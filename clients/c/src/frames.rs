@@ -2,13 +2,13 @@
 
 use std::time::{Duration, Instant};
 
-use ipc_types::layout::Message;
+use ipc_types::messages::layout::Message;
+use ipc_types::messages::services;
 use ipc_types::messages::{
     CArmGeometry, DrrRequest, DrrStatus, Frame, GeometryChoice, ImagePrefix, Pose, Volume,
 };
 use ipc_types::ports::{Received, Subscriber};
 use ipc_types::scene::Drr;
-use ipc_types::services;
 use ipc_types::session::Reader;
 use zerocopy::FromBytes;
 

@@ -1,11 +1,10 @@
 //! What the hub needs from outside: ports, a clock, and the request to end the run.
 
 use messages::{
-    Command, ControllerIndex, EventCode, Keyframe, Latched, Part, Removed, RunControl, RunControlReply,
-    RunStatus, SensorReading, Severity, State, Tick, TickTiming,
+    Blame, Command, ControllerIndex, EventCode, Keyframe, Latched, Part, Removed, RunControl,
+    RunControlReply, RunStatus, SensorReading, Severity, State, Tick, TickTiming,
 };
 
-use crate::machine::Blame;
 use crate::pacing::Start;
 use crate::rate_limit::Connection;
 

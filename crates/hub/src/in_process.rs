@@ -1,11 +1,11 @@
 //! Lockstep in one thread, without processes: controllers answer each state as function calls, and the plant steps.
 
-use messages::{Command, ControllerIndex, Latched, Plant, State, Tick};
+use messages::{Command, CommandSource, ControllerIndex, Latched, LatchedCommand, Plant, Reset, State, Tick};
 use scene::{Mode, Scene};
 use thiserror::Error;
 
 use crate::command_check::CommandRefusal;
-use crate::latch::{Latch, Reset};
+use crate::latch::Latch;
 
 /// How a controller answers a state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -76,22 +76,54 @@ pub enum InProcessError<P> {
 #[derive(Debug)]
 pub struct InProcess<P> {
     plant: P,
+    commands: Commands,
+}
+
+/// What the controllers have sent: all of a run's state but the plant's.
+#[derive(Debug, Clone)]
+pub struct Commands {
     latch: Latch,
-    controllers: usize,
+    /// Each controller's last sequence number.
+    sequences: Vec<u64>,
 }
 
 impl<P: Plant> InProcess<P> {
     /// A run of the scene's controllers with this plant. Always lockstep, whatever mode the scene sets.
     pub fn new(scene: &Scene, plant: P) -> InProcess<P> {
-        let controllers = scene.controller.len();
+        let sequences = vec![0; scene.controller.len()];
         let mut scene = scene.clone();
         scene.run.mode = Mode::Lockstep;
-        InProcess { plant, latch: Latch::new(&scene), controllers }
+        InProcess { plant, commands: Commands { latch: Latch::new(&scene), sequences } }
     }
 
     /// The plant.
     pub fn plant(&self) -> &P {
         &self.plant
+    }
+
+    /// The plant, to publish its steps or to move it to another state.
+    pub fn plant_mut(&mut self) -> &mut P {
+        &mut self.plant
+    }
+
+    /// The controllers' commands; a copy and the plant's state bring the run back here.
+    pub fn commands(&self) -> &Commands {
+        &self.commands
+    }
+
+    /// Continues from these commands, of a run of the same scene.
+    pub fn restore_commands(&mut self, commands: &Commands) {
+        self.commands.clone_from(commands);
+    }
+
+    /// Checks a controller's command as [`InProcess::latch`] would, and changes nothing.
+    ///
+    /// # Errors
+    /// Why it would be refused.
+    pub fn check(&self, controller: ControllerIndex, command: &Command) -> Result<(), CommandRefusal> {
+        let tick = self.plant.state().tick;
+        let command = Command { sequence: self.commands.next(controller), state_tick: tick, ..*command };
+        self.commands.latch.check(controller, &command, Tick(tick))
     }
 
     /// Latches u_k. Calls `answer` once per controller of the scene, with the controller's index, x_k, and a command that has `sequence`
@@ -105,14 +137,24 @@ impl<P: Plant> InProcess<P> {
     ) -> Result<Latched, InProcessError<P::Error>> {
         let state = self.plant.state();
         let tick = Tick(state.tick);
-        for controller in ControllerIndex::first(self.controllers) {
-            let mut command = Command { sequence: tick.0 + 1, state_tick: tick.0, ..Command::zeroed() };
+        for controller in ControllerIndex::first(self.commands.sequences.len()) {
+            let sequence = self.commands.next(controller);
+            let mut command = Command { sequence, state_tick: tick.0, ..Command::zeroed() };
             if answer(controller, state, &mut command) == Answer::Command {
-                let offered = self.latch.offer(controller, &command, tick);
+                let offered = self.commands.offer(controller, &command, tick);
                 offered.map_err(|cause| InProcessError::Refused { controller, tick, cause })?;
             }
         }
-        Ok(self.latch.latch(tick, Reset::No))
+        Ok(self.commands.latch.latch(tick, Reset::No))
+    }
+
+    /// Takes the commands that a log's tick latched, so that the run can go on after it; the caller steps the plant with them.
+    pub fn follow(&mut self, latched: &Latched) {
+        for (controller, entry) in
+            ControllerIndex::first(self.commands.sequences.len()).zip(&latched.commands)
+        {
+            self.commands.follow(controller, entry);
+        }
     }
 
     /// Steps the plant from x_k to x_{k+1} under u_k.
@@ -136,5 +178,35 @@ impl<P: Plant> InProcess<P> {
     ) -> Result<(), InProcessError<P::Error>> {
         let latched = self.latch(answer)?;
         self.step(&latched)
+    }
+}
+
+impl Commands {
+    fn next(&self, controller: ControllerIndex) -> u64 {
+        self.sequences[controller.slot()] + 1
+    }
+
+    fn offer(
+        &mut self,
+        controller: ControllerIndex,
+        command: &Command,
+        tick: Tick,
+    ) -> Result<(), CommandRefusal> {
+        self.latch.offer(controller, command, tick)?;
+        self.sequences[controller.slot()] = command.sequence;
+        Ok(())
+    }
+
+    fn follow(&mut self, controller: ControllerIndex, entry: &LatchedCommand) {
+        let (command, sequence) = (&entry.command, &mut self.sequences[controller.slot()]);
+        *sequence = command.sequence.max(*sequence);
+        let tick = Tick(command.state_tick);
+        if entry.source() == Ok(CommandSource::Fresh) && self.latch.offer(controller, command, tick).is_err()
+        {
+            // A controller that came back began its numbers again.
+            self.latch.connect(controller);
+            // The log's own commands are valid; otherwise its states differ, which is found.
+            let _ = self.offer(controller, command, tick);
+        }
     }
 }

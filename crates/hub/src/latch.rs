@@ -5,13 +5,11 @@
 
 use messages::{
     ArmMode, BurrMode, Command, CommandSource, ControllerIndex, Latched, LatchedCommand, MAX_CONTROLLERS,
-    Tick, TubeMode,
+    Reset, Tick, TubeMode,
 };
 use scene::{Drives, Mode, Scene};
 
 use crate::command_check::{CommandRefusal, check};
-
-pub use messages::Reset;
 
 /// All controllers' newest commands, and the decision of the last latch.
 #[derive(Debug, Clone)]
@@ -62,18 +60,32 @@ impl Latch {
         command: &Command,
         tick: Tick,
     ) -> Result<(), CommandRefusal> {
+        self.check(controller, command, tick)?;
         let slot = &mut self.slots[controller.slot()];
-        let (state_tick, last) = (Tick(command.state_tick), slot.last_state_tick);
-        if state_tick < last {
-            return Err(CommandRefusal::PastState { state_tick, last });
-        }
-        check(command, &slot.drives, slot.last_sequence, tick)?;
         slot.last_sequence = command.sequence;
-        slot.last_state_tick = state_tick;
+        slot.last_state_tick = Tick(command.state_tick);
         slot.newest = Some(*command);
         slot.fresh = true;
         slot.released = false;
         Ok(())
+    }
+
+    /// Checks a controller's command; `tick` is that of the newest state.
+    ///
+    /// # Errors
+    /// Why [`Latch::offer`] would refuse it.
+    pub fn check(
+        &self,
+        controller: ControllerIndex,
+        command: &Command,
+        tick: Tick,
+    ) -> Result<(), CommandRefusal> {
+        let slot = &self.slots[controller.slot()];
+        let (state_tick, last) = (Tick(command.state_tick), slot.last_state_tick);
+        if state_tick < last {
+            return Err(CommandRefusal::PastState { state_tick, last });
+        }
+        check(command, &slot.drives, slot.last_sequence, tick)
     }
 
     /// A controller has reconnected and restarts its sequence numbers. Its last command stays in force until its next one.

@@ -33,9 +33,9 @@
 //! ```
 //! use std::path::Path;
 //!
-//! use hub::latch::{Latch, Reset};
+//! use hub::latch::Latch;
 //! use messages::CommandSource::{Fresh, Held, Safe};
-//! use messages::{Command, ControllerIndex, TendonMode, Tick};
+//! use messages::{Command, ControllerIndex, Reset, TendonMode, Tick};
 //! use scene::Scene;
 //!
 //! let text = r#"
@@ -76,8 +76,6 @@
 //! | [`in_process`] | the same tick with controllers in the same thread: benches, calibration, tests |
 //! | [`latch`], [`command_check`] | u_k from the commands received |
 //! | [`rate_limit`], [`patience`] | rate limits per sender; timeouts |
-//! | [`x_ray`] | which X-ray frames are due at which tick, and seen by controllers; used by their processes, not by [`Hub`] |
-//! | [`viewer`] | what the clients of a viewer get and miss; used by the viewer, not by [`Hub`] |
 
 pub mod command_check;
 mod consumers;
@@ -91,9 +89,7 @@ mod pacing;
 pub mod patience;
 pub mod rate_limit;
 pub mod run_lane;
-pub mod viewer;
-pub mod x_ray;
 
 pub use environment::{Environment, Incoming, Note, Outputs, Report};
-pub use machine::{Awaited, Blame, ControllerFault, Hub, HubError, Next, Settings, Wait};
+pub use machine::{Awaited, ControllerFault, Hub, HubError, Next, Settings, Wait};
 pub use pacing::Start;

@@ -3,12 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use foreign_text::foreign;
-use ipc_types::layout::hex;
+use ipc_types::messages::layout::hex;
 use ipc_types::scene::Scene;
 use recorder_proc::build_info;
 use recorder_proc::log_file::{LogFile, log_path};
-use run_log::header::layout_hashes;
-use run_log::{BuildInfo, LogReader, ReadOptions};
+use run_log::{BuildInfo, LogReader, ReadOptions, layout_hashes};
 use simulation::{CtView, Simulation};
 use voxel_grid::Ct;
 

@@ -392,9 +392,9 @@ pub const CLIENT_CODES: &[CodeSet] = &[
     EventCode::SET,
 ];
 
-/// Declares the conversion of a message's code fields.
+/// Declares the conversion of the fields of messages that hold a code.
 macro_rules! fields {
-    ($( $message:ident { $( $(#[doc = $doc:literal])* $field:ident: $codes:ident, )* } )*) => {
+    ($( $message:ident { $( $field:ident: $codes:ident ),* } )*) => {
         /// Every field of a message that holds a code.
         pub const CODE_FIELDS: &[CodeField] = &[$($(
             CodeField {
@@ -405,7 +405,7 @@ macro_rules! fields {
         )*)*];
 
         $( impl $message { $(
-            $(#[doc = $doc])*
+            #[doc = concat!("The code in `", stringify!($field), "`.")]
             ///
             /// # Errors
             /// The field holds a number that is no code of it.
@@ -417,68 +417,18 @@ macro_rules! fields {
 }
 
 fields! {
-    Command {
-        /// What is asked of the tendons.
-        tendon_mode: TendonMode,
-        /// What is asked of the arm.
-        arm_mode: ArmMode,
-        /// What is asked of the burr.
-        burr_mode: BurrMode,
-        /// What is asked of the tube.
-        tube_mode: TubeMode,
-    }
-    LatchedCommand {
-        /// Where the command comes from.
-        source: CommandSource,
-    }
-    AppliedCommand {
-        /// Where the command came from.
-        source: CommandSource,
-    }
-    Contact {
-        /// The part of the tool that touches.
-        part: ContactPart,
-    }
-    State {
-        /// What the arm follows.
-        arm_mode: ArmMode,
-        /// How far the arm's motion has come.
-        arm_status: ArmStatus,
-        /// Whether it stopped because the tool pressed too hard on its flange.
-        arm_protective_stop: ArmProtectiveStop,
-    }
-    RunControl {
-        /// What is asked.
-        action: ControlAction,
-    }
-    RunControlReply {
-        /// What was asked.
-        action: ControlAction,
-        /// What came of it.
-        status: ControlStatus,
-    }
-    SensorReading {
-        /// What measured.
-        kind: SensorKind,
-    }
-    RunStatus {
-        /// Where the run stands.
-        phase: Phase,
-    }
-    DrrRequest {
-        /// Whose C-arm the frame shows.
-        use_geometry: GeometryChoice,
-    }
-    DrrReply {
-        /// What came of the request.
-        status: DrrStatus,
-    }
-    Event {
-        /// How serious it is.
-        severity: Severity,
-        /// What kind of event it is.
-        code: EventCode,
-    }
+    Command { tendon_mode: TendonMode, arm_mode: ArmMode, burr_mode: BurrMode, tube_mode: TubeMode }
+    LatchedCommand { source: CommandSource }
+    AppliedCommand { source: CommandSource }
+    Contact { part: ContactPart }
+    State { arm_mode: ArmMode, arm_status: ArmStatus, arm_protective_stop: ArmProtectiveStop }
+    RunControl { action: ControlAction }
+    RunControlReply { action: ControlAction, status: ControlStatus }
+    SensorReading { kind: SensorKind }
+    RunStatus { phase: Phase }
+    DrrRequest { use_geometry: GeometryChoice }
+    DrrReply { status: DrrStatus }
+    Event { severity: Severity, code: EventCode }
 }
 
 impl Event {

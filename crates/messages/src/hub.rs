@@ -1,4 +1,4 @@
-use crate::message;
+use crate::{EventCode, message};
 
 message! {
     /// Controls the run. Sent by the launcher, a viewer or a client.
@@ -80,4 +80,15 @@ message! {
         /// Always 0.
         reserved: u32,
     }
+}
+
+/// Why the physics ends a run early.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Blame {
+    /// The kind of event: a controller is missing or late, or the simulation failed.
+    pub code: EventCode,
+    /// The controller's name; `None`: the simulation failed.
+    pub controller: Option<String>,
+    /// The event's text.
+    pub text: String,
 }

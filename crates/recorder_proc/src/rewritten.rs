@@ -6,9 +6,9 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use output_file::{OutputError, OutputFile, WholeFile, keep_all};
-use run_log::join::{self, RunOutputs};
-use run_log::repair::Repair;
-use run_log::{LogError, LogSource, Packing, RepairReport};
+use run_log::join::RunOutputs;
+use run_log::repair::{Repair, RepairReport};
+use run_log::{LogError, LogSource, Packing, join};
 
 use crate::log_file::LogFile;
 

@@ -145,8 +145,12 @@ impl Commander {
             *speed = 0.0;
             ran_out = Some("servo_jv of the burr");
         }
-        self.put_arm(command);
-        self.put_tendon(command);
+        match self.arm {
+            None => {}
+            Some(Arm::Hold) => command.arm_mode = ArmMode::Hold.code(),
+            Some(Arm::Goes(motion) | Arm::Turns(motion, _)) => motion.put_in(command),
+        }
+        self.tendon.iter().for_each(|motion| motion.put_in(command));
         if let Some((speed, _)) = self.burr {
             command.burr_mode = BurrMode::Speed.code();
             command.burr_speed_rad_per_s = speed;
@@ -161,55 +165,30 @@ impl Commander {
         }
         ran_out
     }
+}
 
-    fn put_arm(&self, command: &mut Command) {
-        let mode = match self.arm {
-            None => ArmMode::None,
-            Some(Arm::Hold) => ArmMode::Hold,
-            Some(Arm::Goes(motion) | Arm::Turns(motion, _)) => match motion {
-                Motion::ArmServoJp(joints) => {
-                    command.arm_joint_position_rad = joints;
-                    ArmMode::ServoJp
-                }
-                Motion::ArmMoveJp(joints) => {
-                    command.arm_joint_position_rad = joints;
-                    ArmMode::MoveJp
-                }
-                Motion::ArmServoJv(rates) => {
-                    command.arm_joint_velocity_rad_per_s = rates;
-                    ArmMode::ServoJv
-                }
-                Motion::ArmServoCp(pose) => {
-                    command.t_world_base = pose;
-                    ArmMode::ServoCp
-                }
-                Motion::ArmMoveCp(pose) => {
-                    command.t_world_base = pose;
-                    ArmMode::MoveCp
-                }
-                _ => ArmMode::None,
-            },
-        };
-        command.arm_mode = mode.code();
-    }
-
-    fn put_tendon(&self, command: &mut Command) {
-        let mode = match self.tendon {
-            Some(Motion::TendonServoJf(forces)) => {
-                command.tendon_force_n = forces;
-                TendonMode::ServoJf
-            }
-            Some(Motion::TendonServoJp(displacements)) => {
-                command.tendon_displacement_m = displacements;
-                TendonMode::ServoJp
-            }
-            Some(Motion::TendonMoveJp(displacements)) => {
-                command.tendon_displacement_m = displacements;
-                TendonMode::MoveJp
-            }
-            _ => TendonMode::None,
-        };
-        command.tendon_mode = mode.code();
+impl Motion {
+    /// Asks for an arm's or a tendon's motion in a command.
+    fn put_in(self, command: &mut Command) {
+        match self {
+            Motion::ArmServoJp(joints) | Motion::ArmMoveJp(joints) => command.arm_joint_position_rad = joints,
+            Motion::ArmServoJv(rates) => command.arm_joint_velocity_rad_per_s = rates,
+            Motion::ArmServoCp(pose) | Motion::ArmMoveCp(pose) => command.t_world_base = pose,
+            Motion::TendonServoJf(forces) => command.tendon_force_n = forces,
+            Motion::TendonServoJp(goal) | Motion::TendonMoveJp(goal) => command.tendon_displacement_m = goal,
+            Motion::BurrServoJv(_) | Motion::TubeMoveJp(_) => {}
+        }
+        match self {
+            Motion::ArmServoJp(_) => command.arm_mode = ArmMode::ServoJp.code(),
+            Motion::ArmServoJv(_) => command.arm_mode = ArmMode::ServoJv.code(),
+            Motion::ArmMoveJp(_) => command.arm_mode = ArmMode::MoveJp.code(),
+            Motion::ArmServoCp(_) => command.arm_mode = ArmMode::ServoCp.code(),
+            Motion::ArmMoveCp(_) => command.arm_mode = ArmMode::MoveCp.code(),
+            Motion::TendonServoJf(_) => command.tendon_mode = TendonMode::ServoJf.code(),
+            Motion::TendonServoJp(_) => command.tendon_mode = TendonMode::ServoJp.code(),
+            Motion::TendonMoveJp(_) => command.tendon_mode = TendonMode::MoveJp.code(),
+            Motion::BurrServoJv(_) | Motion::TubeMoveJp(_) => {}
+        }
     }
 }
 

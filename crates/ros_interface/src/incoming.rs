@@ -1,8 +1,8 @@
 //! What comes in: bytes of a topic, checked and turned into a request.
 
 use messages::{
-    MAX_ARM_JOINTS, MAX_BURR_SPEED_RAD_PER_S, MAX_DEPLOYED_M, MAX_DISPLACEMENT_M, MAX_POSITION_M,
-    MAX_ROLL_RAD, MAX_TENDONS, MAX_TENSION_N, Pose,
+    MAX_BURR_SPEED_RAD_PER_S, MAX_DEPLOYED_M, MAX_DISPLACEMENT_M, MAX_POSITION_M, MAX_ROLL_RAD, MAX_TENDONS,
+    MAX_TENSION_N, Pose,
 };
 use thiserror::Error;
 
@@ -141,24 +141,21 @@ pub fn read(topic: Input, bytes: &[u8], order: Order, commanded: Commanded) -> R
     }
     let joints = || decode::<JointState>(bytes, order);
     let pose = || decode::<PoseStamped>(bytes, order).and_then(|message| pose_of(&message));
+    let of_arm = |field, most: f64| values(&joints()?, field, arm, -most, most);
+    let names = joint_names("tendon", tendons.min(MAX_TENDONS));
+    let of_tendons = |field, lowest, highest| values(&joints()?, field, &names, lowest, highest);
     let motion = match topic {
-        Input::ArmServoJp => Motion::ArmServoJp(arm_values(&joints()?, arm, Field::Position, MAX_JOINT_RAD)?),
-        Input::ArmMoveJp => Motion::ArmMoveJp(arm_values(&joints()?, arm, Field::Position, MAX_JOINT_RAD)?),
-        Input::ArmServoJv => {
-            Motion::ArmServoJv(arm_values(&joints()?, arm, Field::Velocity, MAX_JOINT_RATE_RAD_PER_S)?)
-        }
+        Input::ArmServoJp => Motion::ArmServoJp(of_arm(Field::Position, MAX_JOINT_RAD)?),
+        Input::ArmMoveJp => Motion::ArmMoveJp(of_arm(Field::Position, MAX_JOINT_RAD)?),
+        Input::ArmServoJv => Motion::ArmServoJv(of_arm(Field::Velocity, MAX_JOINT_RATE_RAD_PER_S)?),
         Input::ArmServoCp => Motion::ArmServoCp(pose()?),
         Input::ArmMoveCp => Motion::ArmMoveCp(pose()?),
-        Input::TendonServoJf => {
-            Motion::TendonServoJf(tendon_values(&joints()?, Field::Effort, tendons, 0.0, MAX_TENSION_N)?)
+        Input::TendonServoJf => Motion::TendonServoJf(of_tendons(Field::Effort, 0.0, MAX_TENSION_N)?),
+        Input::TendonServoJp => {
+            Motion::TendonServoJp(of_tendons(Field::Position, -MAX_DISPLACEMENT_M, MAX_DISPLACEMENT_M)?)
         }
-        Input::TendonServoJp | Input::TendonMoveJp => {
-            let (lowest, highest) = (-MAX_DISPLACEMENT_M, MAX_DISPLACEMENT_M);
-            let values = tendon_values(&joints()?, Field::Position, tendons, lowest, highest)?;
-            match topic {
-                Input::TendonServoJp => Motion::TendonServoJp(values),
-                _ => Motion::TendonMoveJp(values),
-            }
+        Input::TendonMoveJp => {
+            Motion::TendonMoveJp(of_tendons(Field::Position, -MAX_DISPLACEMENT_M, MAX_DISPLACEMENT_M)?)
         }
         Input::BurrServoJv => {
             let names = ["burr".to_owned()];
@@ -206,26 +203,6 @@ impl Field {
             Field::Effort => ("effort", &message.effort),
         }
     }
-}
-
-fn arm_values(
-    message: &JointState,
-    names: &[String],
-    field: Field,
-    most: f64,
-) -> Result<[f64; MAX_ARM_JOINTS], Refused> {
-    values(message, field, names, -most, most)
-}
-
-fn tendon_values(
-    message: &JointState,
-    field: Field,
-    tendons: usize,
-    lowest: f64,
-    highest: f64,
-) -> Result<[f64; MAX_TENDONS], Refused> {
-    let names = joint_names("tendon", tendons.min(MAX_TENDONS));
-    values(message, field, &names, lowest, highest)
 }
 
 /// The field's numbers in the order of `names`, which the message has in any order, or, as many CRTK programs send it, not at all.

@@ -218,7 +218,8 @@ pub(crate) fn used(count: u32, most: usize) -> usize {
     usize::try_from(count).unwrap_or(most).min(most)
 }
 
-pub(crate) fn isometry(pose: &Pose) -> Isometry3<f64> {
+/// A message's pose as a transform.
+pub fn isometry(pose: &Pose) -> Isometry3<f64> {
     let [x, y, z, w] = pose.orientation_xyzw;
     let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
     Isometry3::from_parts(Translation3::from(Vector3::from(pose.position_m)), rotation)

@@ -89,46 +89,86 @@ impl<T> Row<T> {
     }
 }
 
-/// What the bridge publishes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-#[allow(missing_docs, reason = "the table says what each is")]
-pub enum Output {
-    Clock,
-    Tf,
-    TfStatic,
-    RobotDescription,
-    ArmMeasuredJs,
-    ArmSetpointJs,
-    ArmMeasuredCp,
-    ArmMeasuredCv,
-    ArmMeasuredCf,
-    OperatingState,
-    TendonMeasuredJs,
-    FlexureMeasuredJs,
-    TipMeasuredCp,
-    BurrMeasuredJs,
-    TubeMeasuredJs,
-    BurrForce,
-    RemovedVoxels,
-    CArmImage,
-    CArmInfo,
+/// Declares topics: an enum of them, and their rows, each `TOPIC "name" "type" QOS "meaning"`.
+macro_rules! topics {
+    ($(#[doc = $doc:literal])* $topic:ident, $rows:ident;
+     $($name:ident $template:literal $kind:literal $qos:ident $meaning:literal;)*) => {
+        $(#[doc = $doc])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+        pub enum $topic {
+            $(#[doc = $meaning] $name,)*
+        }
+
+        $(#[doc = $doc])*
+        pub const $rows: &[Row<$topic>] = &[$(
+            Row { topic: $topic::$name, template: $template, kind: $kind, qos: Qos::$qos, meaning: $meaning },
+        )*];
+    };
 }
 
-/// What a message that comes in asks for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-#[allow(missing_docs, reason = "the table says what each is")]
-pub enum Input {
-    ArmServoJp,
-    ArmServoJv,
-    ArmMoveJp,
-    ArmServoCp,
-    ArmMoveCp,
-    StateCommand,
-    TendonServoJf,
-    TendonServoJp,
-    TendonMoveJp,
-    BurrServoJv,
-    TubeMoveJp,
+topics! {
+    /// What the bridge publishes.
+    Output, OUTPUTS;
+    Clock "/clock" "rosgraph_msgs/Clock" State "simulated time, for `use_sim_time`; every stamp is in it";
+    Tf "/tf" "tf2_msgs/TFMessage" State
+        "the arm's links, the tool's base, links, burr and tip, the C-arm's camera";
+    TfStatic "/tf_static" "tf2_msgs/TFMessage" Latched "`world` to the arm's base";
+    RobotDescription "/robot_description" "std_msgs/String" Latched
+        "URDF of arm and tool as the scene has them";
+    ArmMeasuredJs "/<arm>/measured_js" "sensor_msgs/JointState" State
+        "joint angles and velocities, elastic deflection included";
+    ArmSetpointJs "/<arm>/setpoint_js" "sensor_msgs/JointState" State
+        "joint angles that the arm's drives are at: those of the planned motion, without the deflection";
+    ArmMeasuredCp "/<arm>/measured_cp" "geometry_msgs/PoseStamped" State
+        "the tool's base in `world`, its mount's deflection included";
+    ArmMeasuredCv "/<arm>/measured_cv" "geometry_msgs/TwistStamped" State
+        "velocity of the tool's base along the axes of `world`, from the joints' velocities";
+    ArmMeasuredCf "/<arm>/measured_cf" "geometry_msgs/WrenchStamped" State
+        "wrench of the tool on the flange, in the frame of the tool's base";
+    OperatingState "/<arm>/operating_state" "crtk_msgs/OperatingState" Latched
+        "`ENABLED`, `DISABLED`, `PAUSED` or `FAULT`, and whether a `move_*` is under way; on each change";
+    TendonMeasuredJs "/<cm>/bend_motor/measured_js" "sensor_msgs/JointState" State
+        "tendons: displacement in m, positive when pulled, and tension in N as effort";
+    FlexureMeasuredJs "/<cm>/measured_js" "sensor_msgs/JointState" State
+        "flexure angles and their rates, base to tip";
+    TipMeasuredCp "/<cm>/measured_cp" "geometry_msgs/PoseStamped" State
+        "the tip, the front of the burr, in `world`";
+    BurrMeasuredJs "/<cm>/burr/measured_js" "sensor_msgs/JointState" State
+        "angular speed of the burr in rad/s";
+    TubeMeasuredJs "/<cm>/tube/measured_js" "sensor_msgs/JointState" State
+        "how far the tube is out of its outer tube, m, and its roll, rad, with their speeds; of a tool with an outer tube";
+    BurrForce "/<cm>/burr/force" "std_msgs/Float64" State "normal force between burr and bone in N";
+    RemovedVoxels "/removed_voxels" "std_msgs/UInt64" State
+        "voxels removed since the start or the last reset";
+    CArmImage "/c_arm/image_raw" "sensor_msgs/Image" Image
+        "the X-ray, `mono16`, or `mono8` where that would be too large";
+    CArmInfo "/c_arm/camera_info" "sensor_msgs/CameraInfo" Image
+        "the C-arm as a camera: K, P, size; beside each image";
+}
+
+topics! {
+    /// What the bridge understands, as one of the scene's controllers.
+    Input, INPUTS;
+    ArmServoJp "/<arm>/servo_jp" "sensor_msgs/JointState" Command "follows joint angles (`position`)";
+    ArmServoJv "/<arm>/servo_jv" "sensor_msgs/JointState" Command "turns the joints at rates (`velocity`)";
+    ArmMoveJp "/<arm>/move_jp" "sensor_msgs/JointState" Command
+        "moves to joint angles (`position`), jerk-limited";
+    ArmServoCp "/<arm>/servo_cp" "geometry_msgs/PoseStamped" Command
+        "follows a pose of the tool's base in `world`";
+    ArmMoveCp "/<arm>/move_cp" "geometry_msgs/PoseStamped" Command
+        "moves the tool's base to a pose along a straight line, jerk-limited";
+    StateCommand "/<arm>/state_command" "crtk_msgs/StringStamped" Command
+        "`enable`, `disable`, `pause`, `resume`, `home`: see below";
+    TendonServoJf "/<cm>/bend_motor/servo_jf" "sensor_msgs/JointState" Command
+        "tensions (`effort`, N, 0 to 60)";
+    TendonServoJp "/<cm>/bend_motor/servo_jp" "sensor_msgs/JointState" Command
+        "tendon displacements (`position`, m)";
+    TendonMoveJp "/<cm>/bend_motor/move_jp" "sensor_msgs/JointState" Command
+        "tendon displacements (`position`, m), jerk-limited";
+    BurrServoJv "/<cm>/burr/servo_jv" "sensor_msgs/JointState" Command
+        "speed of the burr (`velocity`, rad/s, 0 to 6283.2)";
+    TubeMoveJp "/<cm>/tube/move_jp" "sensor_msgs/JointState" Command
+        "length of the tube out of its outer tube and its roll (`position`, m and rad), jerk-limited";
 }
 
 impl Input {
@@ -147,209 +187,6 @@ impl Input {
         }
     }
 }
-
-const JOINTS: &str = "sensor_msgs/JointState";
-const POSE: &str = "geometry_msgs/PoseStamped";
-
-macro_rules! row {
-    ($topic:expr, $template:literal, $kind:expr, $qos:ident, $meaning:literal) => {
-        Row { topic: $topic, template: $template, kind: $kind, qos: Qos::$qos, meaning: $meaning }
-    };
-}
-
-/// What the bridge publishes.
-pub const OUTPUTS: [Row<Output>; 19] = [
-    row!(
-        Output::Clock,
-        "/clock",
-        "rosgraph_msgs/Clock",
-        State,
-        "simulated time, for `use_sim_time`; every stamp is in it"
-    ),
-    row!(
-        Output::Tf,
-        "/tf",
-        "tf2_msgs/TFMessage",
-        State,
-        "the arm's links, the tool's base, links, burr and tip, the C-arm's camera"
-    ),
-    row!(Output::TfStatic, "/tf_static", "tf2_msgs/TFMessage", Latched, "`world` to the arm's base"),
-    row!(
-        Output::RobotDescription,
-        "/robot_description",
-        "std_msgs/String",
-        Latched,
-        "URDF of arm and tool as the scene has them"
-    ),
-    row!(
-        Output::ArmMeasuredJs,
-        "/<arm>/measured_js",
-        JOINTS,
-        State,
-        "joint angles and velocities, elastic deflection included"
-    ),
-    row!(
-        Output::ArmSetpointJs,
-        "/<arm>/setpoint_js",
-        JOINTS,
-        State,
-        "joint angles that the arm's drives are at: those of the planned motion, without the deflection"
-    ),
-    row!(
-        Output::ArmMeasuredCp,
-        "/<arm>/measured_cp",
-        POSE,
-        State,
-        "the tool's base in `world`, its mount's deflection included"
-    ),
-    row!(
-        Output::ArmMeasuredCv,
-        "/<arm>/measured_cv",
-        "geometry_msgs/TwistStamped",
-        State,
-        "velocity of the tool's base along the axes of `world`, from the joints' velocities"
-    ),
-    row!(
-        Output::ArmMeasuredCf,
-        "/<arm>/measured_cf",
-        "geometry_msgs/WrenchStamped",
-        State,
-        "wrench of the tool on the flange, in the frame of the tool's base"
-    ),
-    row!(
-        Output::OperatingState,
-        "/<arm>/operating_state",
-        "crtk_msgs/OperatingState",
-        Latched,
-        "`ENABLED`, `DISABLED`, `PAUSED` or `FAULT`, and whether a `move_*` is under way; on each change"
-    ),
-    row!(
-        Output::TendonMeasuredJs,
-        "/<cm>/bend_motor/measured_js",
-        JOINTS,
-        State,
-        "tendons: displacement in m, positive when pulled, and tension in N as effort"
-    ),
-    row!(
-        Output::FlexureMeasuredJs,
-        "/<cm>/measured_js",
-        JOINTS,
-        State,
-        "flexure angles and their rates, base to tip"
-    ),
-    row!(
-        Output::TipMeasuredCp,
-        "/<cm>/measured_cp",
-        POSE,
-        State,
-        "the tip, the front of the burr, in `world`"
-    ),
-    row!(
-        Output::BurrMeasuredJs,
-        "/<cm>/burr/measured_js",
-        JOINTS,
-        State,
-        "angular speed of the burr in rad/s"
-    ),
-    row!(
-        Output::TubeMeasuredJs,
-        "/<cm>/tube/measured_js",
-        JOINTS,
-        State,
-        "how far the tube is out of its outer tube, m, and its roll, rad, with their speeds; of a tool with an outer tube"
-    ),
-    row!(
-        Output::BurrForce,
-        "/<cm>/burr/force",
-        "std_msgs/Float64",
-        State,
-        "normal force between burr and bone in N"
-    ),
-    row!(
-        Output::RemovedVoxels,
-        "/removed_voxels",
-        "std_msgs/UInt64",
-        State,
-        "voxels removed since the start or the last reset"
-    ),
-    row!(
-        Output::CArmImage,
-        "/c_arm/image_raw",
-        "sensor_msgs/Image",
-        Image,
-        "the X-ray, `mono16`, or `mono8` where that would be too large"
-    ),
-    row!(
-        Output::CArmInfo,
-        "/c_arm/camera_info",
-        "sensor_msgs/CameraInfo",
-        Image,
-        "the C-arm as a camera: K, P, size; beside each image"
-    ),
-];
-
-/// What the bridge understands, as one of the scene's controllers.
-pub const INPUTS: [Row<Input>; 11] = [
-    row!(Input::ArmServoJp, "/<arm>/servo_jp", JOINTS, Command, "follows joint angles (`position`)"),
-    row!(Input::ArmServoJv, "/<arm>/servo_jv", JOINTS, Command, "turns the joints at rates (`velocity`)"),
-    row!(
-        Input::ArmMoveJp,
-        "/<arm>/move_jp",
-        JOINTS,
-        Command,
-        "moves to joint angles (`position`), jerk-limited"
-    ),
-    row!(Input::ArmServoCp, "/<arm>/servo_cp", POSE, Command, "follows a pose of the tool's base in `world`"),
-    row!(
-        Input::ArmMoveCp,
-        "/<arm>/move_cp",
-        POSE,
-        Command,
-        "moves the tool's base to a pose along a straight line, jerk-limited"
-    ),
-    row!(
-        Input::StateCommand,
-        "/<arm>/state_command",
-        "crtk_msgs/StringStamped",
-        Command,
-        "`enable`, `disable`, `pause`, `resume`, `home`: see below"
-    ),
-    row!(
-        Input::TendonServoJf,
-        "/<cm>/bend_motor/servo_jf",
-        JOINTS,
-        Command,
-        "tensions (`effort`, N, 0 to 60)"
-    ),
-    row!(
-        Input::TendonServoJp,
-        "/<cm>/bend_motor/servo_jp",
-        JOINTS,
-        Command,
-        "tendon displacements (`position`, m)"
-    ),
-    row!(
-        Input::TendonMoveJp,
-        "/<cm>/bend_motor/move_jp",
-        JOINTS,
-        Command,
-        "tendon displacements (`position`, m), jerk-limited"
-    ),
-    row!(
-        Input::BurrServoJv,
-        "/<cm>/burr/servo_jv",
-        JOINTS,
-        Command,
-        "speed of the burr (`velocity`, rad/s, 0 to 6283.2)"
-    ),
-    row!(
-        Input::TubeMoveJp,
-        "/<cm>/tube/move_jp",
-        JOINTS,
-        Command,
-        "length of the tube out of its outer tube and its roll (`position`, m and rad), jerk-limited"
-    ),
-];
 
 /// The names of the tube's joints in an outer tube.
 pub const TUBE_JOINT_NAMES: [&str; 2] = ["deployed", "roll"];

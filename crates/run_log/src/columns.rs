@@ -102,7 +102,7 @@ pub trait Rows {
 pub fn description_of_topic(log: &dyn LogSource, topic: &str) -> Result<&'static Description, LogError> {
     let mut stream = MessageStream::open_topics(log, &[topic.to_owned()], ReadOptions::default())?;
     let first = stream.next_message()?.map(|message| message.description);
-    let known = Topic::of_name(topic).filter(|known| topics::RUN.contains(known));
+    let known = Topic::of_name(topic).filter(|known| topics::RUN_TOPICS.contains(known));
     let of_run_lane = || known.map(Topic::description);
     match first.or_else(of_run_lane) {
         Some(description) => Ok(description),

@@ -71,7 +71,7 @@ impl Summary {
     /// What this build's writer declares in a run lane: schemas and channels numbered from 1 in topic order.
     pub fn of_run_lane() -> Summary {
         let mut summary = Summary::default();
-        for (id, topic) in (1..).zip(topics::RUN) {
+        for (id, topic) in (1..).zip(topics::RUN_TOPICS) {
             let (name, text) = topics::schema_of(topic.description());
             let header = SchemaHeader { id, name: name.to_string(), encoding: "ros2msg".to_string() };
             summary.schemas.insert(id, (header, text.into_bytes()));

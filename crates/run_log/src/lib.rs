@@ -52,84 +52,75 @@
 //! # }
 //! ```
 //!
+//! Beside the items of the crate itself (writers, readers and verdicts of logs):
+//!
 //! | module | what it holds |
 //! |---|---|
-//! | [`run_lane`], [`timing_lane`] | the writers |
-//! | [`source`] | where a log's bytes come from |
-//! | [`reader`], [`frames`](mod@frames), [`stream`] | ticks, frames, single messages of a log |
-//! | [`verdict`](mod@verdict), [`continuity`], [`opening`] | what is wrong with a log: one answer for every command |
-//! | [`verify`](mod@verify), [`segments`] | replaying a log and comparing tick by tick, in one pass or in parallel |
-//! | [`info`](mod@info), [`cat`](mod@cat), [`diff`](mod@diff) | summarising, printing and comparing logs as text |
+//! | [`verify`], [`segments`] | replaying a log and comparing tick by tick, in one pass or in parallel |
+//! | [`cat`], [`diff`], [`difference`] | printing and comparing logs and messages as text |
 //! | [`misses`], [`gaps`] | why ticks began late; messages that never arrived |
-//! | [`repair`](mod@repair), [`join`] | logs made from logs: repaired, recompressed, joined, split |
-//! | [`columns`], [`csv`] | a topic as a table |
+//! | [`repair`], [`join`] | logs made from logs: repaired, recompressed, joined, split |
+//! | [`columns`], [`csv`], [`fields`], [`timeline`] | a topic as a table, a field over time |
 //! | [`foxglove`] | what 3D panels draw, as a log of its own |
 
 mod bare;
 pub mod cat;
 pub mod columns;
-pub mod continuity;
+mod continuity;
 pub mod csv;
 pub mod diff;
 pub mod difference;
-pub mod end;
-pub mod error;
+mod end;
+mod error;
 pub mod fields;
 pub mod foxglove;
 mod frame_order;
-pub mod frames;
+mod frames;
 pub mod gaps;
-pub mod header;
+mod header;
 mod index;
-pub mod info;
+mod info;
 pub mod join;
 mod lengths;
 mod library;
 mod limits;
 mod mcap_writer;
 pub mod misses;
-pub mod opening;
+mod opening;
 mod order;
 mod pending;
-pub mod reader;
+mod reader;
 mod records;
 pub mod repair;
-pub mod rewrite;
-pub mod run_lane;
+mod rewrite;
+mod run_lane;
 mod seal;
 pub mod segments;
 mod sink;
-pub mod source;
-pub mod stream;
+mod source;
+mod stream;
 pub mod timeline;
-pub mod timing_lane;
-pub mod topics;
+mod timing_lane;
+mod topics;
 mod unpack;
-pub mod verdict;
+mod verdict;
 pub mod verify;
 mod walk;
 
-pub use cat::{CatOptions, Written, cat};
 pub use continuity::{Gap, Stretch};
-pub use diff::{DiffReport, HeaderDifference, diff};
-pub use difference::{Divergence, FieldDifference};
-pub use end::{EndMarker, EndReason, Ending};
+pub use end::{Cut, END_RECORD, EndMarker, EndReason, Ending, hash_text};
 pub use error::LogError;
 pub use frames::{FrameReader, FrameRecord, frames};
-pub use header::{BuildInfo, LogHeader, RunMode};
+pub use header::{BuildInfo, CALIBRATION_ATTACHMENT, LogHeader, RunMode, layout_hashes};
 pub use info::{LogInfo, info};
 pub use mcap_writer::IndexStore;
-pub use misses::{Cause, LostTime, Misses};
 pub use opening::HeaderCopy;
-pub use reader::{LogReader, SavedState, TickRecord};
+pub use reader::{LogReader, RecordedFailure, Resumption, SavedState, TickRecord, voxel_indices, voxels_of};
 pub use records::PADDING_BYTES;
-pub use repair::RepairReport;
 pub use rewrite::Packing;
 pub use run_lane::RunLog;
-pub use segments::{SegmentOptions, SegmentReport, keyframe_before, step_segments, verify_segments};
 pub use source::{LogBytes, LogSource, ReadSeek};
-pub use stream::{LogMessage, MessageStream, ReadOptions};
+pub use stream::{LogMessage, MessageStream, ReadOptions, TopicCount};
 pub use timing_lane::TimingLog;
-pub use topics::Topic;
+pub use topics::{Logged, RUN_TOPICS, Topic, command_topic, schema_of};
 pub use verdict::{Fault, Verdict, verdict};
-pub use verify::{ReplayReport, VerifyOptions, verify};

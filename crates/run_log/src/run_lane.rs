@@ -95,7 +95,8 @@ impl<W: Write> RunLog<W> {
         header: &LogHeader,
     ) -> Result<RunLog<W>, LogError> {
         let mut sink = Sink::create(w, path, index, header, "run")?;
-        let mut channel = |i: usize| sink.channel(topics::RUN[i].name(), topics::RUN[i].description());
+        let mut channel =
+            |i: usize| sink.channel(topics::RUN_TOPICS[i].name(), topics::RUN_TOPICS[i].description());
         let channels = Channels {
             latched: channel(0)?,
             state: channel(1)?,

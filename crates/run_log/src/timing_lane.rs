@@ -43,7 +43,7 @@ impl<W: Write> TimingLog<W> {
         self.write(topic.name(), topic.description(), tick, message)
     }
 
-    /// As [`message`](Self::message), for a command on its controller's topic ([`command`](crate::topics::command)).
+    /// As [`message`](Self::message), for a command on its controller's topic ([`command_topic`](crate::command_topic)).
     pub fn command(&mut self, topic: &str, tick: Tick, message: &[u8]) -> Result<(), LogError> {
         self.write(topic, Command::DESCRIPTION, tick, message)
     }

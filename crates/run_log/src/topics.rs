@@ -96,7 +96,7 @@ impl Display for Topic {
 }
 
 /// `Command` of one controller in the timing lane.
-pub fn command(controller: &str) -> String {
+pub fn command_topic(controller: &str) -> String {
     format!("/command/{controller}")
 }
 
@@ -104,7 +104,7 @@ pub fn command(controller: &str) -> String {
 pub const IMAGE_SCHEMA_NAME: &str = "sensor_msgs/msg/Image";
 
 /// The topics of `run.mcap`, in the order in which their channels are declared. [`Topic::Sensor`] follows with the first reading.
-pub const RUN: [Topic; 7] = [
+pub const RUN_TOPICS: [Topic; 7] = [
     Topic::Latched,
     Topic::State,
     Topic::Removed,
@@ -197,11 +197,11 @@ mod tests {
             "/sensor",
         ];
         assert_eq!(Topic::ALL.iter().map(|topic| topic.name()).collect::<Vec<_>>(), names);
-        assert_eq!(RUN.map(Topic::name), names[..RUN.len()]);
+        assert_eq!(RUN_TOPICS.map(Topic::name), names[..RUN_TOPICS.len()]);
         for topic in Topic::ALL {
             assert_eq!(Topic::of_name(topic.name()), Some(*topic));
         }
-        assert_eq!(Topic::of_name(&command("drill")), None);
+        assert_eq!(Topic::of_name(&command_topic("drill")), None);
         assert_eq!(Frame::TOPIC.name(), "/drr/frame");
     }
 }

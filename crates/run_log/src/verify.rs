@@ -1,4 +1,4 @@
-//! Replay: steps a simulation through a log's latched commands and compares every tick.
+//! What a replay found, and where its ticks differ from the log's.
 
 use messages::layout::Message;
 use messages::{Keyframe, Plant, SensorReading, State, Tick};
@@ -7,15 +7,8 @@ use zerocopy::IntoBytes;
 use crate::difference::{Divergence, compare, compare_removed};
 use crate::end::Ending;
 use crate::error::LogError;
-use crate::reader::{LogReader, SavedState, TickRecord};
+use crate::reader::{SavedState, TickRecord};
 use crate::topics::Topic;
-
-/// How far to replay.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct VerifyOptions {
-    /// Maximum number of ticks to replay; none for all.
-    pub max_ticks: Option<u64>,
-}
 
 /// What a replay found.
 #[derive(Debug)]
@@ -45,54 +38,6 @@ impl ReplayReport {
     pub fn is_identical(&self) -> bool {
         self.divergence.is_none() && self.simulation_error.is_none() && self.log_error.is_none()
     }
-}
-
-/// Replays a log and compares the hash, every byte of the state, the removed voxels and the sensors' readings at every tick, up to the first
-/// difference. Does no timing; that is the caller's job.
-pub fn verify(reader: &mut LogReader, simulation: &mut impl Plant, options: VerifyOptions) -> ReplayReport {
-    let mut report = ReplayReport {
-        identical_ticks: 0,
-        last_tick: Tick::START,
-        simulated_ns: 0,
-        hash: reader.initial().hash,
-        divergence: compare_state(reader.initial(), simulation.state()),
-        simulation_error: None,
-        failure: None,
-        log_error: None,
-        ending: Ending::default(),
-    };
-    while report.divergence.is_none() && options.max_ticks.is_none_or(|most| report.identical_ticks < most) {
-        match reader.next() {
-            None => {
-                report.ending = reader.ending().clone();
-                if let Some(failure) = reader.failure() {
-                    match failure.reproduce(simulation) {
-                        Ok(()) => report.failure = Some(failure.text),
-                        Err(other) => report.simulation_error = Some((Tick(failure.latched.tick), other)),
-                    }
-                }
-                break;
-            }
-            Some(Err(error)) => {
-                report.log_error = Some(error);
-                break;
-            }
-            Some(Ok(tick)) => {
-                if let Err(cause) = simulation.step(&tick.latched) {
-                    report.simulation_error = Some((Tick(tick.state.tick), cause.to_string()));
-                    break;
-                }
-                report.divergence = compare_tick(&tick, simulation);
-                if report.divergence.is_none() {
-                    report.identical_ticks += 1;
-                    report.last_tick = Tick(tick.state.tick);
-                    report.hash = tick.state.hash;
-                }
-            }
-        }
-    }
-    report.simulated_ns = report.identical_ticks.saturating_mul(reader.header().dt_ns);
-    report
 }
 
 /// Where a simulation's last tick differs from the recorded one.

@@ -6,8 +6,8 @@
 
 use std::time::Instant;
 
-use hub::latch::{Latch, Reset};
-use messages::{ArmMode, BurrMode, Command, ControllerIndex, TendonMode, Tick};
+use hub::latch::Latch;
+use messages::{ArmMode, BurrMode, Command, ControllerIndex, Reset, TendonMode, Tick};
 use sim::{Drive, SharedScene, Sim};
 use simulation::Simulation;
 

@@ -4,16 +4,15 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use controllers::Controller;
-use hub::latch::Latch;
 use inputs::log::{OpenedLog, Overrides};
-use messages::{Command, CommandSource, ControllerIndex, Latched, Reset, Tick};
+use messages::{Command, Latched, Reset, Tick};
 use run_log::difference::Divergence;
 use run_log::verify::{compare_state, compare_tick};
 use run_log::{LogReader, RunMode};
 
 use crate::error::SimError;
 use crate::shared::SharedScene;
-use crate::simulator::{Drive, Driver, Sim};
+use crate::simulator::{Drive, Sim};
 
 impl Sim {
     /// The simulation of a log's scene, taken to the state of `tick`, or of the log's last tick: the log's commands are stepped through
@@ -45,13 +44,14 @@ impl Sim {
         refuse_lost_controllers(&sim, &reader, path)?;
         let differs = |divergence: Divergence| SimError::Differs { path: path.clone(), divergence };
         if let Some(saved) = reader.beginning() {
-            let restored = sim.plant.restore_keyframe(&saved.bytes);
+            let restored = sim.run.plant_mut().restore_keyframe(&saved.bytes);
             restored.map_err(|cause| SimError::Physics { tick: Tick(reader.initial().tick), cause })?;
-            let predrilled = sim.plant.predrilled().to_vec();
-            sim.drilled = sim.plant.gone();
+            let predrilled = sim.run.plant().predrilled().to_vec();
+            sim.drilled = sim.run.plant().gone();
             sim.drilled.retain(|voxel| predrilled.binary_search(voxel).is_err());
         }
-        compare_state(reader.initial(), sim.plant.state()).map_or(Ok(()), |found| Err(differs(found)))?;
+        compare_state(reader.initial(), sim.run.plant().state())
+            .map_or(Ok(()), |found| Err(differs(found)))?;
         let first = Tick(reader.initial().tick);
         let goal = tick.map(Tick);
         while goal.is_none_or(|goal| Tick(sim.state().tick) < goal) {
@@ -60,7 +60,7 @@ impl Sim {
                 return Err(SimError::GivenUp { tick: Tick(sim.state().tick) });
             }
             sim.follow(&record.latched)?;
-            compare_tick(&record, &sim.plant).map_or(Ok(()), |found| Err(differs(found)))?;
+            compare_tick(&record, sim.run.plant()).map_or(Ok(()), |found| Err(differs(found)))?;
         }
         let last = Tick(sim.state().tick);
         match goal.filter(|goal| *goal != last) {
@@ -74,36 +74,16 @@ impl Sim {
 
     /// Makes a tick with the commands that were latched then.
     fn follow(&mut self, latched: &Latched) -> Result<(), SimError> {
-        let state = self.plant.state();
-        for (driver, entry) in self.drivers.iter_mut().zip(&latched.commands) {
-            driver.sequence = driver.sequence.max(entry.command.sequence);
-            if let Some(built_in) = &mut driver.built_in {
-                built_in.step(state, &mut Command::zeroed());
-            }
-        }
-        for (index, entry) in ControllerIndex::first(self.drivers.len()).zip(&latched.commands) {
-            if entry.source() == Ok(CommandSource::Fresh) {
-                take(&mut self.latch, &mut self.drivers[index.slot()], index, &entry.command);
-            }
-        }
+        let state = self.run.plant().state();
+        let built_in = self.drivers.iter_mut().filter_map(|driver| driver.built_in.as_mut());
+        built_in.for_each(|built_in| built_in.step(state, &mut Command::zeroed()));
+        self.run.follow(latched);
         if latched.reset() == Reset::Yes {
             self.drilled.clear();
         }
-        self.lane.tick(&mut self.plant, latched)?;
-        self.drilled.extend_from_slice(self.plant.removed());
+        self.lane.tick(self.run.plant_mut(), latched)?;
+        self.drilled.extend_from_slice(self.run.plant().removed());
         Ok(())
-    }
-}
-
-/// Gives the latch a command that it has taken before.
-fn take(latch: &mut Latch, driver: &mut Driver, index: ControllerIndex, command: &Command) {
-    let tick = Tick(command.state_tick);
-    if latch.offer(index, command, tick).is_err() {
-        // A controller that came back began its numbers anew.
-        latch.connect(index);
-        driver.sequence = command.sequence;
-        // The log's own commands are valid; otherwise its states differ, which is found.
-        let _ = latch.offer(index, command, tick);
     }
 }
 

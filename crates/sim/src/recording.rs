@@ -27,10 +27,8 @@ pub(crate) struct Lane {
     out: Out,
 }
 
-enum Out {
-    Nowhere,
-    Log(Box<Recording>),
-}
+/// Where ticks are published: in a log, or nowhere.
+struct Out(Option<Box<Recording>>);
 
 /// A log that is being written; it gets its name when it is whole.
 pub(crate) struct Recording {
@@ -59,13 +57,22 @@ impl Recording {
     }
 }
 
+impl Out {
+    fn log(
+        &mut self,
+        write: impl FnOnce(&mut RunLog<BufWriter<File>>) -> Result<(), LogError>,
+    ) -> Result<(), LogError> {
+        self.0.as_mut().map_or(Ok(()), |recording| write(&mut recording.log))
+    }
+}
+
 impl Lane {
     pub(crate) fn silent() -> Lane {
-        Lane { lane: RunLane::new(None), out: Out::Nowhere }
+        Lane { lane: RunLane::new(None), out: Out(None) }
     }
 
     pub(crate) fn recorded(recording: Recording, keyframe_period_ticks: Option<u64>) -> Lane {
-        Lane { lane: RunLane::new(keyframe_period_ticks), out: Out::Log(Box::new(recording)) }
+        Lane { lane: RunLane::new(keyframe_period_ticks), out: Out(Some(Box::new(recording))) }
     }
 
     pub(crate) fn begin(&mut self, plant: &Simulation<'static>) -> Result<(), SimError> {
@@ -87,31 +94,25 @@ impl Lane {
     /// # Errors
     /// Ticks are being recorded, which must follow each other.
     pub(crate) fn refuse_a_jump(&self) -> Result<(), SimError> {
-        match &self.out {
-            Out::Nowhere => Ok(()),
-            Out::Log(recording) => Err(SimError::Recording { path: recording.path.clone() }),
+        match &self.out.0 {
+            None => Ok(()),
+            Some(recording) => Err(SimError::Recording { path: recording.path.clone() }),
         }
     }
 
     /// Whether there was a recording, which now is whole.
     pub(crate) fn finish(mut self, ended: bool) -> Result<bool, SimError> {
-        match std::mem::replace(&mut self.out, Out::Nowhere) {
-            Out::Nowhere => Ok(false),
-            Out::Log(recording) => {
-                recording.finish(if ended { EndReason::Completed } else { EndReason::Stopped })?;
-                Ok(true)
-            }
-        }
+        let Some(recording) = self.out.0.take() else { return Ok(false) };
+        recording.finish(if ended { EndReason::Completed } else { EndReason::Stopped })?;
+        Ok(true)
     }
 }
 
 impl Drop for Lane {
     /// A simulation that goes out of use with a recording open leaves a whole log.
     fn drop(&mut self) {
-        if let Out::Log(recording) = std::mem::replace(&mut self.out, Out::Nowhere) {
-            // Whoever wants to hear of an error closes it.
-            let _ = recording.finish(EndReason::Stopped);
-        }
+        // Errors are ignored here: a caller that wants them closes the recording.
+        let _ = self.out.0.take().map(|recording| recording.finish(EndReason::Stopped));
     }
 }
 
@@ -145,37 +146,22 @@ impl Outputs for Out {
     type Error = LogError;
 
     fn send_latched(&mut self, latched: &Latched) -> Result<(), LogError> {
-        match self {
-            Out::Nowhere => Ok(()),
-            Out::Log(recording) => recording.log.latched(latched),
-        }
+        self.log(|log| log.latched(latched))
     }
 
     fn send_removed(&mut self, removed: &Removed, voxels: &[u32]) -> Result<(), LogError> {
-        match self {
-            Out::Nowhere => Ok(()),
-            Out::Log(recording) => recording.log.removed(&[removed.as_bytes(), voxels.as_bytes()].concat()),
-        }
+        self.log(|log| log.removed(&[removed.as_bytes(), voxels.as_bytes()].concat()))
     }
 
     fn send_reading(&mut self, reading: &SensorReading) -> Result<(), LogError> {
-        match self {
-            Out::Nowhere => Ok(()),
-            Out::Log(recording) => recording.log.reading(reading),
-        }
+        self.log(|log| log.reading(reading))
     }
 
     fn send_state(&mut self, state: &State) -> Result<(), LogError> {
-        match self {
-            Out::Nowhere => Ok(()),
-            Out::Log(recording) => recording.log.state(state),
-        }
+        self.log(|log| log.state(state))
     }
 
     fn send_keyframe(&mut self, keyframe: &Keyframe, part: &[u8]) -> Result<(), LogError> {
-        match self {
-            Out::Nowhere => Ok(()),
-            Out::Log(recording) => recording.log.keyframe(&[keyframe.as_bytes(), part].concat()),
-        }
+        self.log(|log| log.keyframe(&[keyframe.as_bytes(), part].concat()))
     }
 }

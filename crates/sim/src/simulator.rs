@@ -6,8 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use controllers::{BuiltIn, Controller};
-use hub::command_check::check;
-use hub::latch::{Latch, Reset};
+use hub::in_process::{Answer, Commands, InProcess, InProcessError};
 use messages::{Command, ControllerIndex, SensorReading, State, Tick};
 use simulation::{Simulation, SimulationSnapshot};
 use xray::Labels;
@@ -37,8 +36,7 @@ const READINGS_KEPT: usize = messages::services::SENSOR.queue_length;
 /// A scene stepped in this process.
 pub struct Sim {
     pub(crate) shared: Arc<SharedScene>,
-    pub(crate) plant: Simulation<'static>,
-    pub(crate) latch: Latch,
+    pub(crate) run: InProcess<Simulation<'static>>,
     pub(crate) drivers: Vec<Driver>,
     /// Voxels drilled since the start or the last reset, in the order of their removal.
     pub(crate) drilled: Vec<u32>,
@@ -58,8 +56,6 @@ pub struct Sim {
 #[derive(Debug, Clone)]
 pub(crate) struct Driver {
     pub(crate) name: String,
-    /// Number of its last command.
-    pub(crate) sequence: u64,
     /// `None` if the caller drives it.
     pub(crate) built_in: Option<BuiltIn>,
     /// Whether it is built in and sees frames.
@@ -76,7 +72,7 @@ pub struct Snapshot(Arc<Saved>);
 struct Saved {
     shared: Arc<SharedScene>,
     simulation: SimulationSnapshot,
-    latch: Latch,
+    commands: Commands,
     drivers: Vec<Driver>,
     drilled: Vec<u32>,
     frame: Option<Arc<Rendered>>,
@@ -103,9 +99,9 @@ impl Sim {
 
     fn at_start(shared: &Arc<SharedScene>, drivers: Vec<Driver>) -> Result<Sim, SimError> {
         let plant = Simulation::with_shared_ct(shared.scene(), shared.ct());
+        let plant = plant.map_err(|cause| SimError::Physics { tick: Tick::START, cause })?;
         Ok(Sim {
-            plant: plant.map_err(|cause| SimError::Physics { tick: Tick::START, cause })?,
-            latch: Latch::new(shared.scene()),
+            run: InProcess::new(shared.scene(), plant),
             shared: Arc::clone(shared),
             drivers,
             drilled: Vec::new(),
@@ -145,14 +141,14 @@ impl Sim {
 
     /// x_k, with h_k.
     pub fn state(&self) -> &State {
-        self.plant.state()
+        self.run.plant().state()
     }
 
     /// The readings of sensors that arrived in the last call of [`Sim::step`], the newest 1024; before the first and after a jump,
     /// those of the present state.
     pub fn readings(&self) -> Vec<SensorReading> {
         match self.readings.is_empty() {
-            true => self.plant.readings().to_vec(),
+            true => self.run.plant().readings().to_vec(),
             false => self.readings.iter().copied().collect(),
         }
     }
@@ -199,62 +195,63 @@ impl Sim {
     }
 
     fn check(&self, commands: &[Command]) -> Result<(), SimError> {
-        let driven = || self.drivers.iter().zip(&self.shared.scene().controller);
-        let driven = driven().filter(|(driver, _)| driver.built_in.is_none());
-        if commands.len() != driven.clone().count() {
+        let is_driven = |driver: &Driver| driver.built_in.is_none();
+        if commands.len() != self.drivers.iter().filter(|driver| is_driven(driver)).count() {
             return Err(SimError::CommandCount { given: commands.len(), driven: self.driven() });
         }
         let tick = Tick(self.state().tick);
-        for (command, (driver, entry)) in commands.iter().zip(driven) {
-            let command = driver.numbered(command, tick);
-            check(&command, &entry.drives, driver.sequence, tick).map_err(|cause| SimError::Refused {
-                controller: driver.name.clone(),
-                tick,
-                cause,
-            })?;
+        let driven = ControllerIndex::first(self.drivers.len()).zip(&self.drivers);
+        for (command, (index, driver)) in commands.iter().zip(driven.filter(|(_, driver)| is_driven(driver))) {
+            let refused = |cause| SimError::Refused { controller: driver.name.clone(), tick, cause };
+            self.run.check(index, command).map_err(refused)?;
         }
         Ok(())
     }
 
     fn tick(&mut self, commands: &[Command]) -> Result<(), SimError> {
         self.exchange_frames()?;
-        let state = self.plant.state();
-        let tick = Tick(state.tick);
+        let (readings, drivers) = (self.run.plant().readings().to_vec(), &mut self.drivers);
         let mut given = commands.iter();
-        for (index, driver) in ControllerIndex::first(self.drivers.len()).zip(&mut self.drivers) {
-            let own = if driver.built_in.is_none() { given.next() } else { None };
-            if own.is_some_and(|own| driver.stays_away(own)) {
-                continue;
+        let latched = self.run.latch(|index, state, command| {
+            let driver = &mut drivers[index.slot()];
+            match &mut driver.built_in {
+                Some(built_in) => {
+                    readings.iter().for_each(|reading| built_in.reading(reading));
+                    built_in.step(state, command);
+                }
+                None => {
+                    let own = given.next().copied().unwrap_or_else(Command::zeroed);
+                    if driver.optional && command.sequence == 1 && !asks(&own) {
+                        return Answer::Nothing;
+                    }
+                    let Command { sequence, state_tick, .. } = *command;
+                    *command = Command { sequence, state_tick, ..own };
+                }
             }
-            let mut command = driver.numbered(own.unwrap_or(&Command::zeroed()), tick);
-            if let Some(built_in) = &mut driver.built_in {
-                self.plant.readings().iter().for_each(|reading| built_in.reading(reading));
-                built_in.step(state, &mut command);
+            Answer::Command
+        });
+        let latched = latched.map_err(|error| match error {
+            InProcessError::Refused { controller, tick, cause } => {
+                SimError::Refused { controller: drivers[controller.slot()].name.clone(), tick, cause }
             }
-            self.latch.offer(index, &command, tick).map_err(|cause| SimError::Refused {
-                controller: driver.name.clone(),
-                tick,
-                cause,
-            })?;
-            driver.sequence = command.sequence;
-        }
-        let latched = self.latch.latch(tick, Reset::No);
-        self.lane.tick(&mut self.plant, &latched)?;
-        self.drilled.extend_from_slice(self.plant.removed());
-        self.take_refusals(tick);
+            InProcessError::Plant { tick, cause } => SimError::Physics { tick, cause },
+        })?;
+        self.lane.tick(self.run.plant_mut(), &latched)?;
+        self.drilled.extend_from_slice(self.run.plant().removed());
+        self.take_refusals(Tick(latched.tick));
         self.take_readings();
         Ok(())
     }
 
     fn take_readings(&mut self) {
-        self.readings.extend(self.plant.readings());
+        self.readings.extend(self.run.plant().readings());
         let too_many = self.readings.len().saturating_sub(READINGS_KEPT);
         self.readings.drain(..too_many);
     }
 
     fn take_refusals(&mut self, tick: Tick) {
         let drivers = &self.drivers;
-        self.refusals.extend(self.plant.refusals().iter().map(|refusal| {
+        self.refusals.extend(self.run.plant().refusals().iter().map(|refusal| {
             let name = drivers.get(refusal.controller.slot()).map_or("", |driver| &driver.name);
             format!("tick {tick}: controller `{name}`: {}", refusal.reason)
         }));
@@ -285,7 +282,8 @@ impl Sim {
     pub fn render(&mut self, from: View) -> Result<Rendered, SimError> {
         self.frames_rendered += 1;
         let sequence = self.frames_rendered;
-        let Sim { shared, plant, drilled, x_ray, .. } = self;
+        let Sim { shared, run, drilled, x_ray, .. } = self;
+        let plant = run.plant();
         XRay::of(x_ray, shared, plant.predrilled())?.render(shared, plant.state(), drilled, from, sequence)
     }
 
@@ -308,7 +306,8 @@ impl Sim {
     ) -> Result<Vec<Rendered>, SimError> {
         let numbered = (from, self.frames_rendered + 1);
         self.frames_rendered += from.len() as u64;
-        let Sim { shared, plant, drilled, x_ray, .. } = self;
+        let Sim { shared, run, drilled, x_ray, .. } = self;
+        let plant = run.plant();
         let x_ray = XRay::of(x_ray, shared, plant.predrilled())?;
         x_ray.render_many(shared, plant.state(), drilled, numbered, is_to_end)
     }
@@ -321,7 +320,8 @@ impl Sim {
     pub fn labels(&mut self, from: View, bone_from_hu: Option<i16>) -> Result<(Rendered, Labels), SimError> {
         self.frames_rendered += 1;
         let sequence = self.frames_rendered;
-        let Sim { shared, plant, drilled, x_ray, .. } = self;
+        let Sim { shared, run, drilled, x_ray, .. } = self;
+        let plant = run.plant();
         let x_ray = XRay::of(x_ray, shared, plant.predrilled())?;
         x_ray.labels(shared, plant.state(), drilled, from, sequence, bone_from_hu)
     }
@@ -330,8 +330,8 @@ impl Sim {
     pub fn snapshot(&self) -> Snapshot {
         Snapshot(Arc::new(Saved {
             shared: Arc::clone(&self.shared),
-            simulation: self.plant.snapshot(),
-            latch: self.latch.clone(),
+            simulation: self.run.plant().snapshot(),
+            commands: self.run.commands().clone(),
             drivers: self.drivers.clone(),
             drilled: self.drilled.clone(),
             frame: self.frame.clone(),
@@ -353,8 +353,8 @@ impl Sim {
         }
         self.lane.refuse_a_jump()?;
         let tick = Tick(saved.simulation.state().tick);
-        self.plant.restore(&saved.simulation).map_err(|cause| SimError::Physics { tick, cause })?;
-        self.latch.clone_from(&saved.latch);
+        self.run.plant_mut().restore(&saved.simulation).map_err(|cause| SimError::Physics { tick, cause })?;
+        self.run.restore_commands(&saved.commands);
         self.drivers.clone_from(&saved.drivers);
         self.drilled.clone_from(&saved.drilled);
         self.frame.clone_from(&saved.frame);
@@ -396,7 +396,7 @@ impl Sim {
         }
         let recording = Recording::create(folder, &self.shared)?;
         self.lane = Lane::recorded(recording, self.shared.scene().keyframe_period_ticks());
-        self.lane.begin(&self.plant)
+        self.lane.begin(self.run.plant())
     }
 
     /// Writes the rest of the log and names it; `false` if nothing was recorded.
@@ -409,18 +409,11 @@ impl Sim {
     }
 }
 
-impl Driver {
-    /// Whether it is optional and does not join yet: it does with its first command that asks for something.
-    fn stays_away(&self, command: &Command) -> bool {
-        let modes = [command.tendon_mode, command.arm_mode, command.burr_mode, command.tube_mode];
-        let asks = modes.iter().any(|mode| *mode != 0);
-        self.optional && self.sequence == 0 && !asks
-    }
-
-    /// A command with the numbers that a client of a run gives it.
-    fn numbered(&self, command: &Command, tick: Tick) -> Command {
-        Command { sequence: self.sequence + 1, state_tick: tick.0, ..*command }
-    }
+/// Whether a command asks for something. An optional controller joins with the first that does.
+fn asks(command: &Command) -> bool {
+    [command.tendon_mode, command.arm_mode, command.burr_mode, command.tube_mode]
+        .iter()
+        .any(|mode| *mode != 0)
 }
 
 /// The scene's controllers.
@@ -445,7 +438,7 @@ fn drivers(shared: &SharedScene, drive: &Drive) -> Result<Vec<Driver>, SimError>
         let by_image =
             entry.curved_drilling.as_ref().is_some_and(|plan| plan.feedback == scene::Feedback::Image);
         let sees_frames = built_in.is_some() && by_image && scene.frame_period_ticks().is_some();
-        Ok(Driver { name: entry.name.clone(), sequence: 0, built_in, sees_frames, optional: entry.optional })
+        Ok(Driver { name: entry.name.clone(), built_in, sees_frames, optional: entry.optional })
     };
     scene.controller.iter().map(driver).collect()
 }

@@ -9,10 +9,8 @@ use controllers::built_in;
 use hub::in_process::{Answer, InProcess};
 use messages::{Latched, Reset, SensorReading};
 use recorder_proc::log_file::LogFile;
-use run_log::{
-    LogReader, MessageStream, ReadOptions, SegmentOptions, Topic, VerifyOptions, keyframe_before, verify,
-    verify_segments,
-};
+use run_log::segments::{SegmentOptions, keyframe_before, verify_segments};
+use run_log::{LogReader, MessageStream, ReadOptions, Topic};
 use sim::{Drive, SharedScene, Sim};
 use simulation::{CtView, Simulation};
 
@@ -136,9 +134,10 @@ fn a_measured_run_is_the_same_in_a_simulation_in_the_hub_and_in_its_replay() {
 
     // A replay whose readings are of another seed is told apart by the first of them; no state differs.
     let other = load(place.path(), &SCENE.replace("low_pass_hz", "noise_n = 0.03, low_pass_hz"));
-    let mut replayed = simulation(&other);
-    let report = verify(&mut LogReader::open(&log).unwrap(), &mut replayed, VerifyOptions::default());
-    let divergence = report.divergence.unwrap();
+    let (make, options) =
+        (|| Ok::<_, String>(simulation(&other)), SegmentOptions { start: None, to_tick: None, threads: 1 });
+    let report = verify_segments(&mut LogReader::open(&log).unwrap(), &make, &options);
+    let divergence = report.replay.divergence.unwrap();
     assert_eq!((divergence.topic, divergence.differences[0].path.as_str()), (Topic::Sensor, "value[0]"));
 }
 

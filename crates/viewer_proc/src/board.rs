@@ -3,12 +3,12 @@
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use hub::viewer::{self, Kept, Limits, Outgoing, Published, Wanted};
+use delivery::viewer::{self, Kept, Limits, Outgoing, Published, Wanted};
 use ipc_types::clock::now_ns;
-use ipc_types::layout::CDR_LITTLE_ENDIAN;
 use ipc_types::messages::TickTiming;
-use run_log::Misses;
+use ipc_types::messages::layout::CDR_LITTLE_ENDIAN;
 use run_log::Topic;
+use run_log::misses::Misses;
 use tokio::sync::Notify;
 use zerocopy::FromBytes;
 

@@ -1,10 +1,10 @@
 //! The channels: the logs' topics, topics for Lichtblick, and topics that only the page reads.
 
-use hub::viewer::Policy;
-use ipc_types::layout::{Description, Message};
+use delivery::viewer::Policy;
+use ipc_types::messages::layout::{Description, Message};
 use ipc_types::messages::{Command, Frame};
 use ipc_types::scene::Sensor;
-use run_log::{Topic, topics};
+use run_log::{RUN_TOPICS, Topic, command_topic, schema_of};
 
 use crate::protocol::Advertisement;
 
@@ -65,7 +65,7 @@ impl Channels {
     /// All channels, including one command channel per controller, and that of readings if the scene has sensors.
     pub fn new(controllers: &[String], sensors: &[Sensor]) -> Channels {
         let mut channels = Channels::default();
-        for topic in topics::RUN {
+        for topic in RUN_TOPICS {
             // Keyframes are the physics' internal format; there is nothing to show.
             if topic != Topic::Keyframe {
                 channels.logged(topic.name(), topic.description(), policy_of(topic));
@@ -78,7 +78,7 @@ impl Channels {
             channels.logged(topic.name(), topic.description(), Policy::Stream);
         }
         for name in controllers {
-            channels.logged(&topics::command(name), Command::DESCRIPTION, Policy::Stream);
+            channels.logged(&command_topic(name), Command::DESCRIPTION, Policy::Stream);
         }
         for (topic, schema) in [
             (INFO, "trabecula.view.Info"),
@@ -92,7 +92,7 @@ impl Channels {
         channels.json(NOTICE, "trabecula.view.Notice", Policy::Stream);
         channels.json(MISS, "trabecula.view.Miss", Policy::Stream);
         channels.json(SCENE, "foxglove.SceneUpdate", Policy::Newest);
-        let (name, schema) = topics::schema_of(Frame::DESCRIPTION);
+        let (name, schema) = schema_of(Frame::DESCRIPTION);
         let schema = Schema { name, text: schema, encoding: "ros2msg" };
         channels.add(ASKED_FRAME, "trabecula.frame", schema, Policy::Newest);
         let schema = Schema { name: "trabecula.view.Surface", text: String::new(), encoding: "" };
@@ -111,7 +111,7 @@ impl Channels {
             return;
         }
         self.logged(&format!("{SECOND}{VIEW_STATE}"), Topic::State.description(), Policy::Newest);
-        for topic in topics::RUN.into_iter().filter(|topic| SECOND_TOPICS.contains(topic)) {
+        for topic in RUN_TOPICS.into_iter().filter(|topic| SECOND_TOPICS.contains(topic)) {
             self.logged(&format!("{SECOND}{topic}"), topic.description(), policy_of(topic));
         }
     }
@@ -132,7 +132,7 @@ impl Channels {
     }
 
     fn logged(&mut self, topic: &str, description: &'static Description, policy: Policy) {
-        let (name, text) = topics::schema_of(description);
+        let (name, text) = schema_of(description);
         self.add(topic, "cdr", Schema { name, text, encoding: "ros2msg" }, policy);
     }
 

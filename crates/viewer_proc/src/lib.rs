@@ -27,7 +27,7 @@
 //! | [`surface`] | the bone's surface, block by block; links of the arm |
 //! | [`mod@slice`] | planes through the CT, on request |
 //! | [`server`], [`protocol`], [`services`] | HTTP, WebSocket, the requests of clients |
-//! | [`board`], [`channels`] | what clients subscribe to; [`hub::viewer`] decides what each of them gets |
+//! | [`board`], [`channels`] | what clients subscribe to; [`delivery::viewer`] decides what each of them gets |
 //! | [`scene_update`] | the tool for other viewers |
 //! | [`info`](mod@info), [`assets`] | the scene as the page needs it, the page's files |
 

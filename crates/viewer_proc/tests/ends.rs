@@ -9,9 +9,9 @@ use std::sync::mpsc;
 use std::time::Duration;
 
 use ipc_types::messages::{Part, State, Tick, TickTiming};
+use ipc_types::process::EndRequest;
 use ipc_types::scene::{Policy, Scene, Wait};
 use ipc_types::session::{SessionHost, SessionPlan};
-use ipc_types::signals::EndRequest;
 use recorder_proc::log_file::{create_run, create_timing};
 use recorder_proc::process::OUTPUT_FILE;
 use run_log::{BuildInfo, EndReason, LogHeader, RunMode, Topic};

@@ -10,11 +10,12 @@ mod service;
 
 use std::path::Path;
 
-use hub::x_ray::RemovedLost;
+use delivery::x_ray::RemovedLost;
 use ipc_types::arm_meshes::ArmMeshError;
 use ipc_types::messages::Part;
+use ipc_types::messages::services;
 use ipc_types::ports::PortError;
-use ipc_types::process::{EndRequest, Role, prioritise, session_scene};
+use ipc_types::process::{EndRequest, Role, await_volume, prioritise, session_scene};
 use ipc_types::scene::SceneError;
 use ipc_types::session::{Session, SessionError};
 use thiserror::Error;
@@ -45,12 +46,6 @@ pub enum DrrProcessError {
     /// The scene has no X-ray.
     #[error("the scene has no `[drr]`: there is nothing to render")]
     NoDrr,
-    /// The volume did not arrive.
-    #[error("the volume did not arrive within {limit_s} s; is the launcher running?")]
-    NoVolume {
-        /// Seconds waited.
-        limit_s: u64,
-    },
     /// Messages with removed voxels were lost, so frames would show bone that is gone.
     #[error(transparent)]
     RemovedLost(#[from] RemovedLost),
@@ -76,7 +71,7 @@ pub fn run(session_folder: &Path) -> Result<(), DrrProcessError> {
     let session = Session::join(session_folder)?;
     session.claim(Part::Drr)?;
     let ports = ports::Ports::open(&session)?;
-    let volume = ports.receive_volume(&end)?;
+    let volume = await_volume(&session.subscriber(&services::VOLUME)?, &end)?;
     let view = volume_view(volume.message(), volume.tail())?;
     let parameters = renderer_parameters(&drr, scene.tolerance.as_ref());
     let mut renderer = DrrRenderer::new(&view, parameters, &ThisMachine)?;

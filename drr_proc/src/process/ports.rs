@@ -1,20 +1,18 @@
 //! Every port of the DRR process.
 
 use ipc_types::identity::Requesters;
+use ipc_types::messages::services;
 use ipc_types::messages::{
     DrrReply, DrrRequest, Frame, FrameTiming, Part, Participant, Progress, Removed, RunStatus, State, Tick,
-    Volume,
 };
-use ipc_types::ports::{Publisher, Received, Subscriber};
-use ipc_types::process::{EndRequest, EventSender, VOLUME_LIMIT, await_volume};
-use ipc_types::services;
+use ipc_types::ports::{Publisher, Subscriber};
+use ipc_types::process::EventSender;
 use ipc_types::session::{Reader, Session, SessionError};
 use ipc_types::wake::{Waiter, Waker};
 
 use super::DrrProcessError;
 
 pub(super) struct Ports {
-    volume: Subscriber<Volume>,
     pub(super) states: Subscriber<State>,
     pub(super) removed: Subscriber<Removed>,
     pub(super) requests: Subscriber<DrrRequest>,
@@ -32,7 +30,6 @@ pub(super) struct Ports {
 impl Ports {
     pub(super) fn open(session: &Session) -> Result<Ports, SessionError> {
         Ok(Ports {
-            volume: session.subscriber(&services::VOLUME)?,
             states: session.subscriber(&services::STATE)?,
             removed: session.lossless_subscriber(&services::REMOVED)?,
             requests: session.subscriber(&services::DRR_REQUEST)?,
@@ -46,12 +43,6 @@ impl Ports {
             waiter: session.waiter(Reader::Drr)?,
             physics: session.waker(Reader::Physics)?,
         })
-    }
-
-    /// Receives the volume in shared memory; it stays mapped for as long as the return value lives.
-    pub(super) fn receive_volume(&self, end: &EndRequest) -> Result<Received<Volume>, DrrProcessError> {
-        let volume = await_volume(&self.volume, end)?;
-        volume.ok_or(DrrProcessError::NoVolume { limit_s: VOLUME_LIMIT.as_secs() })
     }
 
     /// Tells the physics how far this process has come.

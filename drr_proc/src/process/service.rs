@@ -4,16 +4,18 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
 use std::time::{Duration, Instant};
 
+use delivery::x_ray::{
+    Due, Refusal, Removals, RemovedBatch, RemovedSince, Renderer, Schedule, ScheduleSettings,
+};
 use hub::rate_limit::{Connection, LOOKED_AT, RateLimit, WarningLimit};
-use hub::x_ray::{Due, Refusal, Removals, RemovedBatch, RemovedSince, Renderer, Schedule, ScheduleSettings};
 use ipc_types::clock::now_ns;
+use ipc_types::messages::services::DRR_REQUEST;
 use ipc_types::messages::{
-    DrrReply, DrrRequest, DrrStatus, EventCode, FrameTiming, GeometryChoice, Phase, Severity, State, Tick,
+    DrrReply, DrrRequest, DrrStatus, EventCode, FrameTiming, GeometryChoice, Phase, State, Tick,
 };
 use ipc_types::ports::PortError;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Holder, Notch, Scene, ToolRadii};
-use ipc_types::services::DRR_REQUEST;
 use xray::arm_model::ArmModel;
 use xray::frame::{Cache, Job, Rendered, render_job};
 use xray::from_scene::scene_isocentre_m;
@@ -268,7 +270,7 @@ impl Service {
     }
 
     fn warn(&mut self, text: &str) -> Result<(), DrrProcessError> {
-        Ok(self.ports.events.send(self.newest_tick(), Severity::Warning, EventCode::RequestRefused, text)?)
+        Ok(self.ports.events.warn(self.newest_tick(), EventCode::RequestRefused, text)?)
     }
 
     fn newest_tick(&self) -> Tick {

@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 use super::folder::read_file;
 use super::places::Searched;
 use super::{ICEORYX2_VERSION, SessionError};
+use crate::messages::services;
 use crate::scene::{Policy, Wait};
-use crate::services;
 
 /// File name of the announcement.
 pub(crate) const ANNOUNCEMENT_FILE: &str = "session.json";

@@ -22,7 +22,7 @@ use rustix::io::Errno;
 use super::id::{PREFIX_LENGTH, SessionId};
 use super::places::{Place, Unfit, open_private, places};
 use super::{SessionError, file_error};
-use crate::messages::EventCode;
+use crate::messages::{Blame, EventCode};
 use crate::shared_memory::{Identity, SharedMemory};
 
 /// File that holds the session's name.
@@ -193,46 +193,25 @@ pub fn announced_sessions() -> Vec<PathBuf> {
 /// File in which the physics says why it ends a run.
 const BLAME_FILE: &str = "blame";
 
-/// Why the physics ended a run early: the kind of event, because of which controller, and its text.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Blame {
-    /// The kind of event: [`EventCode::ControllerMissing`], [`EventCode::ControllerLate`] or [`EventCode::SimulationFailed`].
-    pub code: EventCode,
-    /// Name of the controller; `None`: the simulation failed.
-    pub controller: Option<String>,
-    /// The event's text.
-    pub text: String,
+/// Leaves why the physics ends a run in the session's folder, before the end is announced.
+///
+/// # Errors
+/// Any system error.
+pub(crate) fn write_blame(folder: impl AsFd, blame: &Blame) -> io::Result<()> {
+    let Blame { code, controller, text } = blame;
+    let content = format!("{}\n{}\n{text}", code.code(), controller.as_deref().unwrap_or_default());
+    create_file(folder, BLAME_FILE, content.as_bytes())
 }
 
-impl Blame {
-    /// Leaves it in the session's folder, for whoever hears of the end.
-    ///
-    /// # Errors
-    /// Any system error.
-    pub(crate) fn write(&self, folder: impl AsFd) -> io::Result<()> {
-        create_file(
-            folder,
-            BLAME_FILE,
-            format!(
-                "{}\n{}\n{}",
-                self.code.code(),
-                self.controller.as_deref().unwrap_or_default(),
-                self.text
-            )
-            .as_bytes(),
-        )
-    }
-
-    /// What is in the session's folder, if anything.
-    pub(crate) fn read(folder: impl AsFd) -> Option<Blame> {
-        let content = read_file(folder, BLAME_FILE).ok()?;
-        let (code, rest) = content.split_once('\n')?;
-        let (controller, text) = rest.split_once('\n')?;
-        let code = EventCode::try_from(code.parse::<u32>().ok()?).ok()?;
-        // No controller's name is empty.
-        let controller = Some(controller.to_owned()).filter(|name| !name.is_empty());
-        Some(Blame { code, controller, text: foreign_line(text).to_string() })
-    }
+/// The blame in the session's folder, if any.
+pub(crate) fn read_blame(folder: impl AsFd) -> Option<Blame> {
+    let content = read_file(folder, BLAME_FILE).ok()?;
+    let (code, rest) = content.split_once('\n')?;
+    let (controller, text) = rest.split_once('\n')?;
+    let code = EventCode::try_from(code.parse::<u32>().ok()?).ok()?;
+    // No controller's name is empty.
+    let controller = Some(controller.to_owned()).filter(|name| !name.is_empty());
+    Some(Blame { code, controller, text: foreign_line(text).to_string() })
 }
 
 /// Removes the sessions of hosts that are no longer running, in all of this user's places. Returns how many.

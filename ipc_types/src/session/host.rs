@@ -14,10 +14,10 @@ use super::{
     SessionError, create_node, file_error, transported,
 };
 use crate::half_made::HalfMadeSweeper;
+use crate::messages::services::{self, SAMPLES_HELD, Service};
 use crate::messages::{ControllerIndex, Part};
 use crate::own::Own;
 use crate::scene::{Policy, Wait};
-use crate::services::{self, SAMPLES_HELD, Service};
 use crate::shared_memory::SharedMemory;
 use crate::shared_page::SharedPage;
 

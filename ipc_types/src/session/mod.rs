@@ -20,9 +20,9 @@ use iceoryx2::prelude::{
 };
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 
+use crate::messages::services::CONNECTIONS_BYTES;
 use crate::messages::{ControllerIndex, MAX_CONTROLLERS, Part};
 use crate::own::Own;
-use crate::services::CONNECTIONS_BYTES;
 use crate::shared_memory::{refusal, require_free};
 use crate::shared_page::{FLAG_COUNT, SharedPage};
 
@@ -31,10 +31,8 @@ pub use announcement::Announcement;
 pub(crate) use announcement::{ANNOUNCEMENT_FILE, await_announcement, check_layouts};
 pub use error::SessionError;
 pub(crate) use error::{file_error, short_memory, transported};
-pub use folder::{
-    Blame, announced_sessions, host_is_alive, only_session, running_sessions, wipe_dead_sessions,
-};
-pub(crate) use folder::{Remains, create_file, is_locked, open as open_folder};
+pub(crate) use folder::{Remains, create_file, is_locked, open as open_folder, read_blame, write_blame};
+pub use folder::{announced_sessions, host_is_alive, only_session, running_sessions, wipe_dead_sessions};
 pub use host::{SessionHost, SessionPlan};
 pub use id::SessionId;
 pub(crate) use id::prefix_of;

@@ -8,9 +8,9 @@ use std::fs;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use ipc_types::messages::services::{self, Service};
 use ipc_types::messages::{Command, ControllerIndex, Event, Frame, Keyframe, Part, Removed, State, Volume};
 use ipc_types::scene::{Policy, Wait};
-use ipc_types::services::{self, Service};
 use ipc_types::session::{Reader, Session, SessionError, SessionHost, SessionPlan, host_is_alive};
 
 fn plan(controllers: &[&str]) -> SessionPlan {

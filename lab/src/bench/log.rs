@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Mode;
-use run_log::SegmentOptions;
+use run_log::segments::SegmentOptions;
 use serde_json::json;
 
 use super::{complete_run, cut, failed};

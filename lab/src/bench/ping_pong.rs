@@ -10,12 +10,13 @@ use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::{AllocationStrategy, Node, PortFactory as _, ipc};
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
-use ipc_types::layout::Message;
+use ipc_types::messages::layout::Message;
+use ipc_types::messages::services;
 use ipc_types::messages::{Command, ControllerIndex, State};
 use ipc_types::process::{bind_to_parent, end_with_parent};
+use ipc_types::scene;
 use ipc_types::session::{Reader, SESSION_VARIABLE, Session, SessionHost, SessionPlan};
 use ipc_types::wake::{Waiter, Waker};
-use ipc_types::{scene, services};
 
 use super::failed;
 use super::samples::Samples;

@@ -1,10 +1,10 @@
 //! Receives the volume.
 
 use ipc_types::messages::Volume;
+use ipc_types::messages::services;
 use ipc_types::ports::Received;
-use ipc_types::process::{EndRequest, VOLUME_LIMIT, await_volume};
+use ipc_types::process::{EndRequest, await_volume};
 use ipc_types::scene::Scene;
-use ipc_types::services;
 use ipc_types::session::Session;
 use simulation::CtView;
 use zerocopy::FromBytes;
@@ -21,8 +21,7 @@ pub(super) fn receive_volume(
         return Ok(None);
     }
     let subscriber = session.subscriber::<Volume>(&services::VOLUME)?;
-    let volume = await_volume(&subscriber, end)?;
-    volume.map(Some).ok_or(PhysicsError::NoVolume { limit_s: VOLUME_LIMIT.as_secs() })
+    Ok(Some(await_volume(&subscriber, end)?))
 }
 
 /// The CT, in place.

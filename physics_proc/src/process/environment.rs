@@ -5,15 +5,15 @@ use std::time::{Duration, Instant};
 use hub::rate_limit::Connection;
 use hub::{Awaited, Environment, Incoming, Note, Outputs, Report, Start, Wait};
 use ipc_types::clock::now_ns;
+use ipc_types::messages::services;
 use ipc_types::messages::{
-    Command, ControllerIndex, Keyframe, Latched, Part, Participant, Progress, Removed, RunControl,
+    Blame, Command, ControllerIndex, Keyframe, Latched, Part, Participant, Progress, Removed, RunControl,
     RunControlReply, RunStatus, SensorReading, State, Tick, TickTiming,
 };
 use ipc_types::ports::{PortError, Publisher, Received, Subscriber};
 use ipc_types::process::{EndRequest, EventSender};
 use ipc_types::scene::Scene;
-use ipc_types::services;
-use ipc_types::session::{Blame, Reader, Session, SessionError};
+use ipc_types::session::{Reader, Session, SessionError};
 use ipc_types::wake::{Waiter, Waker};
 use zerocopy::IntoBytes;
 
@@ -123,7 +123,7 @@ impl<'s> SharedMemory<'s> {
 }
 
 /// A copy of a message, and its sender.
-fn copied<M: ipc_types::layout::Message>(received: &Received<M>) -> Incoming<M> {
+fn copied<M: ipc_types::messages::layout::Message>(received: &Received<M>) -> Incoming<M> {
     Incoming::Message(*received.message(), Connection(received.sender().number()))
 }
 
@@ -212,10 +212,9 @@ impl Environment for SharedMemory<'_> {
         self.events.send(note.tick, note.severity, note.code, note.text)
     }
 
-    fn leave_blame(&mut self, blame: &hub::Blame) {
-        let hub::Blame { code, controller, text } = blame.clone();
-        // Without it clients hear the event only.
-        let _ = self.session.leave_blame(&Blame { code, controller, text });
+    fn leave_blame(&mut self, blame: &Blame) {
+        // Without it clients receive only the event.
+        let _ = self.session.leave_blame(blame);
     }
 
     fn wake_controllers(&mut self) {

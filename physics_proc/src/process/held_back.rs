@@ -7,7 +7,7 @@ use std::fs::File;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
-use ipc_types::signals::Continued;
+use ipc_types::process::Continued;
 
 use super::disturbance::number;
 

@@ -44,12 +44,6 @@ pub enum PhysicsError {
     /// The simulation refuses the scene.
     #[error("tick 0: {0}")]
     Simulation(#[from] SimulationError),
-    /// The volume did not arrive.
-    #[error("the volume did not arrive within {limit_s} s; is the launcher running?")]
-    NoVolume {
-        /// Seconds waited.
-        limit_s: u64,
-    },
     /// The bytes received are not a volume.
     #[error("malformed volume message: {problem}")]
     BadVolume {

@@ -6,7 +6,8 @@ use clap::Args;
 use ipc_types::messages::{Tick, TickRange};
 use recorder_proc::exit_code::exit_code;
 use recorder_proc::log_file::{LogFile, log_path};
-use run_log::{CatOptions, ReadOptions, Written, cat};
+use run_log::ReadOptions;
+use run_log::cat::{CatOptions, Written, cat};
 
 use super::{Out, answered, concluded};
 use crate::commands::in_order;

@@ -1,7 +1,9 @@
 //! What the commands on logs say, as JSON.
 
-use run_log::end::hash_text;
-use run_log::{DiffReport, Divergence, LogInfo, RepairReport, Verdict};
+use run_log::diff::DiffReport;
+use run_log::difference::Divergence;
+use run_log::repair::RepairReport;
+use run_log::{LogInfo, Verdict, hash_text};
 use serde_json::{Value, json};
 
 /// A verdict: whether the log is intact, and what is wrong in words.

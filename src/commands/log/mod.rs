@@ -14,7 +14,8 @@ use std::path::{Path, PathBuf};
 use clap::Subcommand;
 use recorder_proc::exit_code::exit_code;
 use recorder_proc::log_file::{LogFile, log_path};
-use run_log::{LogError, ReadOptions, Verdict, diff, info};
+use run_log::diff::diff;
+use run_log::{LogError, ReadOptions, Verdict, info};
 
 use crate::failure::Failure;
 use crate::say::{self, Figures, Out};

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use ipc_types::messages::{Command, CommandSource, ControllerIndex, DrrReply, Latched};
 use recorder_proc::log_file::LogFile;
-use run_log::{MessageStream, RunMode, Topic, topics};
+use run_log::{MessageStream, RunMode, Topic, command_topic};
 use zerocopy::FromBytes;
 
 use crate::failure::Failure;
@@ -54,7 +54,7 @@ impl Answers {
         let timing = log.path.with_file_name("timing.mcap");
         let Ok(mut stream) = MessageStream::open(&LogFile::at(&timing), log.options()) else { return };
         let names = log.scene.controller_names();
-        let topics: Vec<String> = indices.iter().map(|index| topics::command(&names[index.slot()])).collect();
+        let topics: Vec<String> = indices.iter().map(|index| command_topic(&names[index.slot()])).collect();
         while let Ok(Some(message)) = stream.next_message() {
             let Some(live) = topics.iter().position(|topic| topic == message.topic) else { continue };
             if let Ok(command) = Command::read_from_bytes(message.body) {

@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use hub::latch::Latch;
-use ipc_types::layout::Message;
+use ipc_types::messages::layout::Message;
 use ipc_types::messages::{Command, ControllerIndex, Latched, Phase, State, Tick};
 use ipc_types::ports::Publisher;
 use ipc_types::process::EndRequest;

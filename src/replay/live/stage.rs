@@ -1,11 +1,11 @@
 //! What live controllers see of a replay: the physics' ports, and the log's frames.
 
+use ipc_types::messages::services;
 use ipc_types::messages::{
     Command, ControllerIndex, DrrReply, Frame, Latched, Part as HubPart, Phase, RunStatus, State, Tick,
 };
 use ipc_types::ports::{PortError, Publisher, Subscriber};
 use ipc_types::scene::Scene;
-use ipc_types::services;
 use ipc_types::session::{Reader, Session, SessionError};
 use ipc_types::wake::{Waiter, Waker};
 use run_log::FrameRecord;

@@ -9,8 +9,7 @@ use super::*;
 use fastrand::Rng;
 use ipc_types::messages::{Command, Pose, RunStatus, State, Tick};
 use recorder_proc::log_file::{create_run, create_timing};
-use run_log::topics::command;
-use run_log::{EndReason, LogHeader, RunMode, Topic};
+use run_log::{EndReason, LogHeader, RunMode, Topic, command_topic};
 use synthetic::{BURR_RADIUS_M, FRAME_TICKS};
 use zerocopy::IntoBytes;
 
@@ -167,7 +166,7 @@ fn the_share_of_refused_commands_is_said() {
     let mut lane = create_timing(&timing, &synthetic::header()).unwrap();
     for sequence in 1..=40 {
         let sent = Command { sequence, ..Command::zeroed() };
-        lane.command(&command("guide"), Tick(sequence), sent.as_bytes()).unwrap();
+        lane.command(&command_topic("guide"), Tick(sequence), sent.as_bytes()).unwrap();
     }
     let status = RunStatus { refused_commands: 10, ..RunStatus::zeroed() };
     lane.message(Topic::RunStatus, Tick(40), status.as_bytes()).unwrap();

@@ -3,9 +3,9 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use ipc_types::messages::services;
 use ipc_types::messages::{Command, Event, RunControl, RunControlReply, RunStatus, State};
 use ipc_types::ports::{Publisher, Subscriber};
-use ipc_types::services;
 use ipc_types::session::{Reader, Session};
 use ipc_types::wake::Waker;
 

@@ -10,7 +10,7 @@ use std::sync::{LazyLock, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use test_support::limited::Limited;
 
-use ipc_types::family::descendants;
+use ipc_types::process::descendants;
 use ipc_types::session::{SessionId, places};
 use rustix::process::{Pid, Signal, kill_process};
 use tempfile::TempDir;

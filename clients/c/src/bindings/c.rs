@@ -1,6 +1,6 @@
 //! Generates `include/trabecula.h`.
 
-use ipc_types::layout::{Description, Element, Field};
+use ipc_types::messages::layout::{Description, Element, Field};
 
 use super::constants::{LIMITS, whole};
 use super::{layouts, nested_first, snake_case, wrapped};

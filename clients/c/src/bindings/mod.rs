@@ -7,7 +7,7 @@ mod python;
 pub use c::c_header;
 pub use python::python_module;
 
-use ipc_types::layout::{Description, Element, fingerprint};
+use ipc_types::messages::layout::{Description, Element, fingerprint};
 use ipc_types::reference::every_message;
 
 use crate::error::ClientError;

@@ -1,6 +1,6 @@
 //! Generates `clients/python/trabecula/_generated.py`.
 
-use ipc_types::layout::{Description, Element, Field};
+use ipc_types::messages::layout::{Description, Element, Field};
 
 use ipc_types::messages::{CLIENT_CODES, CODE_FIELDS, Code, CodeSet};
 

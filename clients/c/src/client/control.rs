@@ -2,9 +2,9 @@
 
 use std::time::{Duration, Instant};
 
+use ipc_types::messages::services;
 use ipc_types::messages::{ControlStatus, RunControl, RunControlReply};
 use ipc_types::ports::{Publisher, Subscriber};
-use ipc_types::services;
 
 use super::{Client, OBSERVER_POLL_PERIOD, new_request_id};
 use crate::error::ClientError;

@@ -1,9 +1,9 @@
 //! Events, remarks, removed voxels and readings of sensors.
 
+use ipc_types::messages::services;
 use ipc_types::messages::{Event, EventCode, Participant, Removed, SensorReading, Severity, Tick};
 use ipc_types::ports::{Received, Subscriber};
 use ipc_types::process::EventSender;
-use ipc_types::services;
 
 use super::{Client, put};
 use crate::error::ClientError;

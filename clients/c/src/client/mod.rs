@@ -11,7 +11,8 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use ipc_types::layout::Message;
+use ipc_types::messages::layout::Message;
+use ipc_types::messages::services;
 use ipc_types::messages::{
     Command, DrrReply, DrrRequest, Event, Frame, Phase, Removed, RunStatus, SensorReading, State, Volume,
 };
@@ -19,7 +20,6 @@ use ipc_types::own::Own;
 use ipc_types::ports::{Publisher, Received, Subscriber};
 use ipc_types::process::{EventSender, session_scene};
 use ipc_types::scene::{Mode, Scene};
-use ipc_types::services;
 use ipc_types::session::{Reader, Session};
 use ipc_types::wake::{Waiter, Waker};
 

@@ -1,7 +1,7 @@
 //! One simulation.
 
 use ::sim::{Batch, Drive, Maker, SimError, View};
-use ipc_types::layout::Message;
+use ipc_types::messages::layout::Message;
 use ipc_types::messages::{CArmGeometry, Command, State};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;

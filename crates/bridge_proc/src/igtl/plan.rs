@@ -1,7 +1,8 @@
 //! A straight plan, followed by the arm: to the entry, then to the target.
 
 use ipc_types::messages::{ArmMode, ArmStatus, BurrMode, Command, Pose, State};
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{UnitQuaternion, Vector3};
+use ros_interface::robot::isometry;
 
 /// What the arm is to do.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -151,12 +152,6 @@ fn base_at(state: &State, tip_m: Vector3<f64>, axis: Vector3<f64>) -> Pose {
     let position_m = tip_m - rotation * t_base_tip.translation.vector;
     let [x, y, z, w] = [rotation.i, rotation.j, rotation.k, rotation.w];
     Pose { position_m: position_m.into(), orientation_xyzw: [x, y, z, w] }
-}
-
-fn isometry(pose: &Pose) -> Isometry3<f64> {
-    let [x, y, z, w] = pose.orientation_xyzw;
-    let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
-    Isometry3::from_parts(Translation3::from(pose.position_m), rotation)
 }
 
 #[cfg(test)]

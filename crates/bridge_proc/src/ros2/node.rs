@@ -57,7 +57,7 @@ impl Node {
     pub(crate) fn open(options: &Ros2Options, inputs: &[Input]) -> Result<Node, Ros2Error> {
         let place = Place::open(options.domain_id, options.reach)?;
         let mut writers = BTreeMap::new();
-        for row in &OUTPUTS {
+        for row in OUTPUTS {
             let (name, kind) = (row.dds_name(&options.names), row.dds_type());
             writers.insert(row.topic, place.writer(&name, &kind, &qos(row.qos, options.rate_hz))?);
         }

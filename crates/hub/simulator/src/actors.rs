@@ -2,9 +2,9 @@
 
 use std::collections::VecDeque;
 
+use delivery::x_ray::{ControllerFrames, FrameMark, FrameStep};
 use hub::Incoming;
 use hub::rate_limit::Connection;
-use hub::x_ray::{ControllerFrames, FrameMark, FrameStep};
 use messages::services::COMMAND;
 use messages::{ArmMode, BurrMode, Command, ControllerIndex, Part, TendonMode, Tick, TubeMode};
 use scene::{Drives, Mode};

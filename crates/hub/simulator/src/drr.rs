@@ -1,10 +1,12 @@
-//! The DRR process in memory: decides with [`hub::x_ray`] as `drr_proc` does, and renders by waiting.
+//! The DRR process in memory: decides with [`delivery::x_ray`] as `drr_proc` does, and renders by waiting.
 
 use std::collections::VecDeque;
 
+use delivery::x_ray::{
+    Due, FrameMark, Removals, RemovedBatch, RemovedLost, Renderer, Schedule, ScheduleSettings,
+};
 use fastrand::Rng;
 use hub::rate_limit::{LOOKED_AT, RateLimit};
-use hub::x_ray::{Due, FrameMark, Removals, RemovedBatch, RemovedLost, Renderer, Schedule, ScheduleSettings};
 use messages::services::DRR_REQUEST;
 use messages::{DrrRequest, GeometryChoice, Removed, State, Tick};
 

@@ -2,8 +2,8 @@
 //!
 //! [`Plan::of`] decides everything from a seed: the scene, how quick everybody is, and what goes wrong when. [`run`] plays the plan
 //! against a [`hub::Hub`] with a clock and queues in memory, and holds every step against an [`oracle`] that knows nothing of
-//! the hub but what passes between it and its surroundings. Among these are a DRR process and controllers that decide with [`hub::x_ray`],
-//! and a viewer that decides with [`hub::viewer`], as the real ones do. [`shrink`] takes from a plan that fails what it fails without.
+//! the hub but what passes between it and its surroundings. Among these are a DRR process and controllers that decide with [`delivery::x_ray`],
+//! and a viewer that decides with [`delivery::viewer`], as the real ones do. [`shrink`] takes from a plan that fails what it fails without.
 //!
 //! What holds is in [`oracle`]: what is published when; that a replay of it gives the same hashes; the latch's rules; that nothing is made
 //! while the run rests, is stopped or is to end; that no consumer is left too far behind; deadlines and misses; every request
@@ -32,6 +32,7 @@ mod viewer_plan;
 mod world;
 mod x_ray_plan;
 
+use std::ops::AddAssign;
 use std::path::Path;
 use std::sync::OnceLock;
 
@@ -49,17 +50,17 @@ pub use x_ray_plan::{Ask, AskKind, XRayPlan};
 /// Advances of one run; more of them are a hub that does not come to an end.
 const MOST_ADVANCES: u64 = 400_000;
 
-/// What a schedule came to.
+/// What a schedule came to, or many together.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Played {
     /// Ticks made.
     pub ticks: u64,
     /// Times that the hub was advanced.
     pub advances: u64,
-    /// Whether the run came to its end, and not to an error that had a reason.
-    pub ended: bool,
-    /// Whether its log was cut and read.
-    pub log_was_cut: bool,
+    /// Schedules that came to their end, and not to an error that had a reason.
+    pub ended: u64,
+    /// Logs that were cut and read.
+    pub logs_cut: u64,
     /// X-ray frames.
     pub frames: u64,
     /// Requests for frames that were refused.
@@ -70,6 +71,20 @@ pub struct Played {
     pub watched: u64,
     /// Those that they were told they missed.
     pub dropped: u64,
+}
+
+impl AddAssign for Played {
+    fn add_assign(&mut self, more: Played) {
+        self.ticks += more.ticks;
+        self.advances += more.advances;
+        self.ended += more.ended;
+        self.logs_cut += more.logs_cut;
+        self.frames += more.frames;
+        self.frames_refused += more.frames_refused;
+        self.frames_seen += more.frames_seen;
+        self.watched += more.watched;
+        self.dropped += more.dropped;
+    }
 }
 
 /// Plays a schedule.
@@ -116,12 +131,12 @@ pub fn run(plan: &Plan) -> Result<Played, String> {
             return Err(failure);
         }
         if !matches!(next, Ok(Next::Wait(_) | Next::GetReady)) {
-            played.log_was_cut = world.recording.is_some();
+            played.logs_cut = u64::from(world.recording.is_some());
             world.recording.take().map_or(Ok(()), Recording::check_cut)?;
             (played.frames, played.frames_refused) = (world.frames.frames, world.frames.refused);
             played.frames_seen = world.seen_frames.shown;
             (played.watched, played.dropped) = world.watched();
-            return Ok(Played { ticks: hub.tick().0, ended: next.is_ok(), ..played });
+            return Ok(Played { ticks: hub.tick().0, ended: u64::from(next.is_ok()), ..played });
         }
     }
 }
@@ -220,22 +235,8 @@ pub fn shrink(plan: &Plan) -> (Plan, String) {
 pub struct Summary {
     /// Schedules played.
     pub schedules: u64,
-    /// Ticks made in them.
-    pub ticks: u64,
-    /// Those that came to their end.
-    pub ended: u64,
-    /// Those whose log was cut and read.
-    pub logs_cut: u64,
-    /// X-ray frames in them.
-    pub frames: u64,
-    /// Requests for frames that were refused.
-    pub frames_refused: u64,
-    /// Frames that controllers have seen.
-    pub frames_seen: u64,
-    /// Messages that clients of the viewer were sent.
-    pub watched: u64,
-    /// Those that they were told they missed.
-    pub dropped: u64,
+    /// What they came to, all together.
+    pub played: Played,
     /// The first seed that fails, and how.
     pub failure: Option<(u64, String)>,
 }
@@ -248,16 +249,7 @@ pub fn play(first: u64, count: u64, threads: u64) -> Summary {
         for seed in (first + offset..first + count).step_by(threads as usize) {
             summary.schedules += 1;
             match run(&Plan::of(seed)) {
-                Ok(played) => {
-                    summary.ticks += played.ticks;
-                    summary.ended += u64::from(played.ended);
-                    summary.logs_cut += u64::from(played.log_was_cut);
-                    summary.frames += played.frames;
-                    summary.frames_refused += played.frames_refused;
-                    summary.frames_seen += played.frames_seen;
-                    summary.watched += played.watched;
-                    summary.dropped += played.dropped;
-                }
+                Ok(played) => summary.played += played,
                 Err(cause) => {
                     summary.failure = Some((seed, cause));
                     break;
@@ -275,14 +267,7 @@ pub fn play(first: u64, count: u64, threads: u64) -> Summary {
                 ..Summary::default()
             });
             sum.schedules += one.schedules;
-            sum.ticks += one.ticks;
-            sum.ended += one.ended;
-            sum.logs_cut += one.logs_cut;
-            sum.frames += one.frames;
-            sum.frames_refused += one.frames_refused;
-            sum.frames_seen += one.frames_seen;
-            sum.watched += one.watched;
-            sum.dropped += one.dropped;
+            sum.played += one.played;
             let earlier =
                 |(seed, _): &(u64, String)| sum.failure.as_ref().is_none_or(|(other, _)| seed < other);
             if one.failure.as_ref().is_some_and(earlier) {

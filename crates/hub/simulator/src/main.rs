@@ -4,7 +4,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use clap::Parser;
-use hub_simulator::{Plan, play, run, shrink};
+use hub_simulator::{Plan, Played, play, run, shrink};
 
 /// Plays seeded schedules against the hub; a seed that fails is printed with the least plan that fails.
 #[derive(Debug, Parser)]
@@ -26,18 +26,14 @@ fn main() -> ExitCode {
     let summary = play(arguments.seed, arguments.count, arguments.threads);
     let Some((seed, _)) = summary.failure else {
         let wall_s = began.elapsed().as_secs_f64();
+        let (schedules, Played { ticks, frames, frames_refused, frames_seen, .. }) =
+            (summary.schedules, summary.played);
+        let Played { watched, dropped, ended, logs_cut, .. } = summary.played;
+        let rate = schedules as f64 / wall_s;
         println!(
-            "{} schedules, {} ticks, {} frames ({} refused, {} seen by controllers), {} messages to viewers ({} missed), {} came to their end, {} logs cut; {wall_s:.1} s, {:.0} schedules a second",
-            summary.schedules,
-            summary.ticks,
-            summary.frames,
-            summary.frames_refused,
-            summary.frames_seen,
-            summary.watched,
-            summary.dropped,
-            summary.ended,
-            summary.logs_cut,
-            summary.schedules as f64 / wall_s
+            "{schedules} schedules, {ticks} ticks, {frames} frames ({frames_refused} refused, {frames_seen} seen by controllers), \
+             {watched} messages to viewers ({dropped} missed), {ended} came to their end, {logs_cut} logs cut; {wall_s:.1} s, \
+             {rate:.0} schedules a second"
         );
         return ExitCode::SUCCESS;
     };

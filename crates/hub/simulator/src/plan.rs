@@ -174,6 +174,13 @@ pub enum Bad {
 const BAD: [Bad; 6] =
     [Bad::NotANumber, Bad::OthersPart, Bad::Future, Bad::OldSequence, Bad::OldState, Bad::Malformed];
 
+impl Default for Plan {
+    /// The schedule of seed 0.
+    fn default() -> Plan {
+        Plan::of(0)
+    }
+}
+
 impl Plan {
     /// The schedule of a seed.
     pub fn of(seed: u64) -> Plan {

@@ -56,6 +56,12 @@ impl ChainPlant {
     }
 }
 
+impl Default for ChainPlant {
+    fn default() -> ChainPlant {
+        ChainPlant::new(Handle::default())
+    }
+}
+
 impl ChainPlant {
     /// Two sensors, every seventh tick.
     fn measure(&mut self) {

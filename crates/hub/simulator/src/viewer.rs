@@ -1,9 +1,9 @@
-//! The viewer in memory: decides with [`hub::viewer`] as `viewer_proc` does, and its clients read at their own pace.
+//! The viewer in memory: decides with [`delivery::viewer`] as `viewer_proc` does, and its clients read at their own pace.
 
 use std::collections::VecDeque;
 
+use delivery::viewer::{Client, Decimation, Kept, Limits, Policy, Published, Wanted};
 use fastrand::Rng;
-use hub::viewer::{Client, Decimation, Kept, Limits, Policy, Published, Wanted};
 
 use crate::oracle::viewer::WatcherAccount;
 use crate::plan::MS;

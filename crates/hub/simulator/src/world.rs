@@ -5,9 +5,9 @@ use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
 use std::rc::Rc;
 
+use delivery::x_ray::FrameMark;
 use fastrand::Rng;
 use hub::rate_limit::Connection;
-use hub::x_ray::FrameMark;
 use hub::{Awaited, Incoming, Report, Wait};
 use messages::{ControlAction, ControllerIndex, Part, RunControl, Tick};
 use scene::Drives;

@@ -2,7 +2,7 @@
 
 use std::fmt::Display;
 
-use messages::{EventCode, Part, Tick};
+use messages::{Blame, EventCode, Part, Tick};
 use thiserror::Error;
 
 use crate::run_lane::LaneError;
@@ -100,17 +100,6 @@ impl ControllerFault {
             }
         }
     }
-}
-
-/// Whom or what clients blame for the end of the run.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Blame {
-    /// The kind of event that tells it.
-    pub code: EventCode,
-    /// The controller's name; `None`: the simulation.
-    pub controller: Option<String>,
-    /// What happened, in words.
-    pub text: String,
 }
 
 impl<E, P> From<E> for HubError<E, P> {

@@ -8,7 +8,7 @@ mod ticking;
 mod waiting;
 
 use messages::{
-    CommandSource, ControllerIndex, MAX_CONTROLLERS, Part, Phase, Plant, Severity, Tick, TickTiming,
+    Blame, CommandSource, ControllerIndex, MAX_CONTROLLERS, Part, Phase, Plant, Severity, Tick, TickTiming,
 };
 use scene::{Mode, Scene};
 
@@ -25,7 +25,7 @@ use commands::Controller;
 use control::When;
 use failure::{Failure, lane_failed};
 
-pub use failure::{Blame, ControllerFault, HubError};
+pub use failure::{ControllerFault, HubError};
 
 const MS: u64 = 1_000_000;
 const NS_PER_S: u64 = 1000 * MS;

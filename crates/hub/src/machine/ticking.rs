@@ -1,14 +1,14 @@
 //! Makes a tick.
 
 use messages::{
-    CommandSource, ControllerIndex, EventCode, MAX_CONTROLLERS, Phase, Plant, Severity, Tick, TickTiming,
+    CommandSource, ControllerIndex, EventCode, MAX_CONTROLLERS, Phase, Plant, Reset, Severity, Tick,
+    TickTiming,
 };
 use scene::Mode;
 
 use super::control::When;
 use super::{Hub, HubError, Outcome, Stage, Step, lane_failed};
 use crate::environment::{Environment, Note};
-use crate::latch::Reset;
 use crate::pacing::Start;
 use crate::run_lane::LaneError;
 

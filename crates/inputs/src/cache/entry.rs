@@ -18,8 +18,8 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::os::unix::fs::FileExt;
 
-use ipc_types::layout::Message;
 use ipc_types::messages::Volume as VolumeMessage;
+use ipc_types::messages::layout::Message;
 use volume_io::volume_hash;
 use voxel_grid::{Ct, Volume};
 use xxhash_rust::xxh3::xxh3_128;

@@ -117,7 +117,6 @@ pub struct BackgroundFile {
     shared: Arc<Shared>,
     current: Option<Buffer>,
     thread: Option<JoinHandle<()>>,
-    direct: bool,
 }
 
 impl BackgroundFile {
@@ -142,21 +141,15 @@ impl BackgroundFile {
         let state = State { free, full, unwritten: 0, failure: None, closed: false };
         let shared = Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() });
         let of_thread = Arc::clone(&shared);
-        let direct = options.direct;
-        let disk = Disk { medium, direct, written: 0, unsynced: None };
+        let disk = Disk { medium, direct: options.direct, written: 0, unsynced: None };
         let thread = std::thread::Builder::new().name("log writer".to_owned());
         let thread = thread.spawn(move || disk.serve(&of_thread))?;
-        Ok(BackgroundFile { shared, current, thread: Some(thread), direct })
+        Ok(BackgroundFile { shared, current, thread: Some(thread) })
     }
 
     /// To wait for what is flushed.
     pub fn written(&self) -> Written {
         Written(Arc::clone(&self.shared))
-    }
-
-    /// Whether the file was opened for `O_DIRECT`.
-    pub fn is_direct(&self) -> bool {
-        self.direct
     }
 
     /// Writes the remaining data, sets the file's exact length, and waits until everything is on disk.

@@ -11,17 +11,14 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use hub::rate_limit::WarningLimit;
-use ipc_types::messages::{Part, Volume};
-use ipc_types::ports::{PortError, Subscriber};
-use ipc_types::process::{
-    EXIT_FAILED, EXIT_GAP, EndRequest, Role, VOLUME_LIMIT, await_volume, prioritise, session_scene,
-};
+use ipc_types::messages::Part;
+use ipc_types::messages::services::{self, RECORDER_QUEUE_TICKS};
+use ipc_types::ports::PortError;
+use ipc_types::process::{EXIT_FAILED, EXIT_GAP, EndRequest, Role, await_volume, prioritise, session_scene};
 use ipc_types::scene::{Mode, Scene, SceneError};
-use ipc_types::services::{self, RECORDER_QUEUE_TICKS};
 use ipc_types::session::{Session, SessionError};
 use run_log::gaps::Gaps;
-use run_log::header::CALIBRATION_ATTACHMENT;
-use run_log::{LogError, LogHeader, RunLog, RunMode, TimingLog};
+use run_log::{CALIBRATION_ATTACHMENT, LogError, LogHeader, RunLog, RunMode, TimingLog};
 use thiserror::Error;
 
 use crate::background::{BackgroundFile, BackgroundOptions};
@@ -57,9 +54,6 @@ pub enum RecorderError {
         /// The system's reason.
         cause: std::io::Error,
     },
-    /// The volume did not arrive.
-    #[error("the volume did not arrive within {} s; is the launcher running?", VOLUME_LIMIT.as_secs())]
-    NoVolume,
     /// Signals cannot be handled.
     #[error("signals cannot be handled: {0}")]
     Signals(std::io::Error),
@@ -153,13 +147,11 @@ fn sync_folder(folder: &Path) -> Result<(), RecorderError> {
 
 /// The header of both logs.
 fn header(session: &Session, scene: &Scene, end: &EndRequest) -> Result<LogHeader, RecorderError> {
-    let (volume_sha256, volume_dimensions) = match &scene.volume {
-        Some(_) => {
-            let (sha256, dimensions) = volume_identity(session, end)?;
-            (Some(sha256), dimensions)
-        }
-        None => (None, [0; 3]),
+    let volume = match &scene.volume {
+        Some(_) => Some(await_volume(&session.subscriber(&services::VOLUME)?, end)?),
+        None => None,
     };
+    let volume = volume.as_ref().map(|volume| volume.message());
     let path = session.folder().join("scene.toml");
     let scene_toml =
         std::fs::read_to_string(&path).map_err(|cause| RecorderError::SceneText { path, cause })?;
@@ -168,17 +160,11 @@ fn header(session: &Session, scene: &Scene, end: &EndRequest) -> Result<LogHeade
         // The launcher writes it if the scene has an X-ray.
         calibration_json: std::fs::read_to_string(session.folder().join(CALIBRATION_ATTACHMENT)).ok(),
         scene_name: scene.name.clone(),
-        volume_sha256,
-        volume_dimensions,
+        volume_sha256: volume.map(|volume| volume.sha256),
+        volume_dimensions: volume.map_or([0; 3], |volume| volume.dimensions),
         dt_ns: scene.dt_ns(),
         mode: if scene.run.mode == Mode::Lockstep { RunMode::Lockstep } else { RunMode::RealTime },
         controllers: scene.controller_names(),
         build: build_info::current(),
     })
-}
-
-fn volume_identity(session: &Session, end: &EndRequest) -> Result<([u8; 32], [u32; 3]), RecorderError> {
-    let subscriber: Subscriber<Volume> = session.subscriber(&services::VOLUME)?;
-    let volume = await_volume(&subscriber, end)?.ok_or(RecorderError::NoVolume)?;
-    Ok((volume.message().sha256, volume.message().dimensions))
 }

@@ -1,5 +1,6 @@
 //! Every service that the recorder subscribes to, and the two that it publishes on.
 
+use ipc_types::messages::services;
 use ipc_types::messages::{
     Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, Keyframe, Latched, Part, Participant, Progress,
     Removed, RunControl, RunControlReply, RunStatus, SensorReading, State, TickTiming,
@@ -7,10 +8,9 @@ use ipc_types::messages::{
 use ipc_types::ports::{Publisher, Subscriber};
 use ipc_types::process::EventSender;
 use ipc_types::scene::Scene;
-use ipc_types::services;
 use ipc_types::session::{Reader, Session, SessionError};
 use ipc_types::wake::{Waiter, Waker};
-use run_log::topics;
+use run_log::command_topic;
 
 /// The recorder's ports: every service of the session.
 pub(super) struct Ports {
@@ -39,8 +39,7 @@ pub(super) struct Ports {
 impl Ports {
     /// Opens all of them.
     pub fn open(session: &Session, scene: &Scene) -> Result<Ports, SessionError> {
-        let command =
-            |name: String| Ok((topics::command(&name), session.lossless_command_subscriber(&name)?));
+        let command = |name: String| Ok((command_topic(&name), session.lossless_command_subscriber(&name)?));
         Ok(Ports {
             states: session.lossless_subscriber(&services::STATE)?,
             latched: session.lossless_subscriber(&services::LATCHED)?,

@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 
 use hub::rate_limit::WarningLimit;
 use ipc_types::clock::now_ns;
-use ipc_types::layout::Message;
-use ipc_types::messages::{EventCode, Part, Participant, Phase, Progress, Severity, Tick};
+use ipc_types::messages::layout::Message;
+use ipc_types::messages::{EventCode, Part, Participant, Phase, Progress, Tick};
 use ipc_types::ports::Subscriber;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Images, Recording};
@@ -140,12 +140,7 @@ impl Recorder {
         self.take_inputs()?;
         if let Some(more) = self.gap_warnings.take_suppressed(now_ns) {
             let text = format!("{more} more gaps in the log");
-            self.ports.events_sent.send(
-                Tick(self.newest_tick),
-                Severity::Warning,
-                EventCode::MessagesLost,
-                &text,
-            )?;
+            self.ports.events_sent.warn(Tick(self.newest_tick), EventCode::MessagesLost, &text)?;
         }
         if self.newest_tick > self.reported_tick {
             self.report_progress(self.newest_tick)?;
@@ -225,12 +220,7 @@ impl Recorder {
             missing.start,
             missing.end - 1
         );
-        Ok(self.ports.events_sent.send(
-            Tick(self.newest_tick),
-            Severity::Warning,
-            EventCode::MessagesLost,
-            &text,
-        )?)
+        Ok(self.ports.events_sent.warn(Tick(self.newest_tick), EventCode::MessagesLost, &text)?)
     }
 
     /// Reports when programs have sent messages on a service that they do not own; the log does not record these.
@@ -242,12 +232,7 @@ impl Recorder {
             let text = format!(
                 "{new} messages from other programs on services reserved for parts of the hub; not recorded"
             );
-            self.ports.events_sent.send(
-                Tick(self.newest_tick),
-                Severity::Warning,
-                EventCode::RequestRefused,
-                &text,
-            )?;
+            self.ports.events_sent.warn(Tick(self.newest_tick), EventCode::RequestRefused, &text)?;
         }
         // The next report will include these.
         self.foreign_warnings.take_suppressed(now_ns);

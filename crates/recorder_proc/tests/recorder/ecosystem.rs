@@ -11,7 +11,7 @@ use messages::TickRange;
 use recorder_proc::log_file::LogFile;
 use recorder_proc::parquet_file::Parquet;
 use run_log::columns::{columns, description_of_topic, read_rows};
-use run_log::{Topic, fields, topics};
+use run_log::{RUN_TOPICS, Topic, fields};
 use serde_json::Value;
 use test_support::python::or_skip;
 
@@ -115,7 +115,7 @@ fn the_lichtblick_layout_names_topics_and_fields_that_exist() {
     for text in all.iter().filter(|text| text.starts_with('/')) {
         let (topic, field) =
             text.split_once('.').map_or((*text, None), |(topic, field)| (topic, Some(field)));
-        let found = Topic::of_name(topic).filter(|found| topics::RUN.contains(found));
+        let found = Topic::of_name(topic).filter(|found| RUN_TOPICS.contains(found));
         let description = found.unwrap_or_else(|| panic!("no topic {topic}")).description();
         topics_seen += 1;
         if let Some(field) = field {

@@ -4,6 +4,7 @@
 use crate::common::*;
 use recorder_proc::log_file::LogFile;
 use recorder_proc::rewritten::{Sizes, cat_files, compress, split};
+use run_log::diff::diff;
 use run_log::*;
 
 /// Messages of a whole file, read by the mcap crate's own reader: topic, number, bytes.
@@ -25,7 +26,7 @@ fn a_packed_log_holds_the_same_run() {
         let report = diff(&LogFile::at(&input), &LogFile::at(&output), ReadOptions::default()).unwrap();
         assert!(report.same_run() && report.header.is_empty() && report.identical_ticks == 700);
         let mut reader = LogReader::open(&LogFile::at(&output)).unwrap();
-        let replayed = verify(&mut reader, &mut Toy::new(), VerifyOptions::default());
+        let replayed = verify(&mut reader, Toy::new, None);
         assert!(replayed.is_identical() && replayed.last_tick.0 == 700);
         assert_eq!(replayed.ending.describe(), "end marker: completed");
         let bytes = std::fs::read(&output).unwrap();

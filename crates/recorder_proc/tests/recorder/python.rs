@@ -9,7 +9,7 @@ use test_support::limited::Limited;
 
 use crate::common::*;
 use crate::ecosystem::{PACKAGES, python};
-use ipc_types::layout::{Description, Element, Message};
+use ipc_types::messages::layout::{Description, Element, Message};
 use ipc_types::messages::*;
 use run_log::*;
 use zerocopy::{FromBytes, IntoBytes};

@@ -9,6 +9,7 @@ use crate::common::*;
 use ipc_types::messages::Tick;
 use recorder_proc::log_file::LogFile;
 use recorder_proc::rewritten::repair;
+use run_log::repair::RepairReport;
 use run_log::*;
 use zerocopy::IntoBytes;
 

@@ -11,6 +11,7 @@ use recorder_proc::exit_code::exit_code;
 use recorder_proc::log_file::LogFile;
 use recorder_proc::rewritten::repair;
 use run_log::segments::Passed;
+use run_log::segments::{SegmentOptions, keyframe_before, verify_segments};
 use run_log::*;
 use zerocopy::IntoBytes;
 

@@ -12,8 +12,20 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use messages::*;
+use run_log::segments::{SegmentOptions, verify_segments};
+use run_log::verify::ReplayReport;
 use run_log::*;
 use zerocopy::{FromBytes, IntoBytes};
+
+/// Replays a log in one pass, up to a tick.
+pub fn verify<S: Plant>(
+    reader: &mut LogReader,
+    make: impl Fn() -> S + Sync,
+    to_tick: Option<Tick>,
+) -> ReplayReport {
+    let options = SegmentOptions { start: None, to_tick, threads: 1 };
+    verify_segments(reader, &|| Ok(make()), &options).replay
+}
 
 pub fn header() -> LogHeader {
     LogHeader {

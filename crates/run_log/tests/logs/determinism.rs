@@ -5,7 +5,8 @@ use crate::common::*;
 use fastrand::Rng;
 use messages::layout::hex;
 use proptest::prelude::*;
-use run_log::{ReadOptions, diff};
+use run_log::ReadOptions;
+use run_log::diff::diff;
 use sha2::{Digest, Sha256};
 
 fn digest(bytes: &[u8]) -> String {

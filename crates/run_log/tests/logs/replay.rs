@@ -4,6 +4,8 @@
 use crate::common::*;
 use messages::layout::Message;
 use messages::*;
+use run_log::cat::{CatOptions, cat};
+use run_log::diff::{DiffReport, HeaderDifference, diff};
 use run_log::fields::Scalar;
 use run_log::*;
 use zerocopy::IntoBytes;
@@ -11,22 +13,22 @@ use zerocopy::IntoBytes;
 #[test]
 fn a_run_replays_bit_for_bit() {
     let mut reader = open_bytes(&write_log(&run_messages(900, Some(400)))).unwrap();
-    let report = verify(&mut reader, &mut Toy::new(), VerifyOptions::default());
+    let report = verify(&mut reader, Toy::new, None);
     assert!(report.is_identical() && report.ending.is_complete());
     assert_eq!(
         (report.identical_ticks, report.last_tick, report.simulated_ns),
         (900, Tick(900), 900_000_000)
     );
     let mut reader = open_bytes(&write_log(&run_messages(50, None))).unwrap();
-    let report = verify(&mut reader, &mut Toy::new(), VerifyOptions { max_ticks: Some(20) });
+    let report = verify(&mut reader, Toy::new, Some(Tick(20)));
     assert_eq!((report.identical_ticks, report.is_identical()), (20, true));
 }
 
 #[test]
 fn the_first_difference_is_named_with_its_bits() {
     let mut reader = open_bytes(&write_log(&run_messages(300, None))).unwrap();
-    let mut toy = Toy { fault_tick: Some(123), ..Toy::new() };
-    let report = verify(&mut reader, &mut toy, VerifyOptions::default());
+    let toy = || Toy { fault_tick: Some(123), ..Toy::new() };
+    let report = verify(&mut reader, toy, None);
     let divergence = report.divergence.unwrap();
     println!("{divergence}");
     assert_eq!((report.identical_ticks, divergence.tick), (122, Tick(123)));
@@ -39,8 +41,8 @@ fn the_first_difference_is_named_with_its_bits() {
     assert_eq!(divergence.differences[1].path, "hash[0]");
 
     let mut reader = open_bytes(&write_log(&run_messages(300, None))).unwrap();
-    let mut toy = Toy { forget_tick: Some(52), ..Toy::new() };
-    let divergence = verify(&mut reader, &mut toy, VerifyOptions::default()).divergence.unwrap();
+    let toy = || Toy { forget_tick: Some(52), ..Toy::new() };
+    let divergence = verify(&mut reader, toy, None).divergence.unwrap();
     println!("{divergence}");
     assert_eq!((divergence.tick, divergence.differences[1].path.as_str()), (Tick(52), "removed_in_tick"));
 }
@@ -81,8 +83,7 @@ impl Plant for WrongVoxels {
 #[test]
 fn removed_voxels_are_compared_too() {
     let mut reader = open_bytes(&write_log(&run_messages(60, None))).unwrap();
-    let divergence =
-        verify(&mut reader, &mut WrongVoxels(Toy::new()), VerifyOptions::default()).divergence.unwrap();
+    let divergence = verify(&mut reader, || WrongVoxels(Toy::new()), None).divergence.unwrap();
     println!("{divergence}");
     assert_eq!((divergence.topic, divergence.tick, divergence.total), (Topic::Removed, Tick(31), 1));
     assert_eq!(divergence.differences[0].path, "voxel_index[2]");
@@ -94,13 +95,12 @@ fn a_replay_of_a_damaged_log_is_not_identical() {
     let kept: Vec<Step> =
         steps.into_iter().filter(|s| !matches!(s, Step::State(m) if m.tick == 77)).collect();
     let mut reader = open_bytes(&write_log(&kept)).unwrap();
-    let report = verify(&mut reader, &mut Toy::new(), VerifyOptions::default());
+    let report = verify(&mut reader, Toy::new, None);
     assert_eq!((report.identical_ticks, report.is_identical()), (76, false));
     assert!(matches!(report.log_error, Some(LogError::Gap { tick: Tick(77), .. })));
 
     let mut reader = open_bytes(&write_log(&run_messages(60, None))).unwrap();
-    let report =
-        verify(&mut reader, &mut Toy { fail_tick: Some(31), ..Toy::new() }, VerifyOptions::default());
+    let report = verify(&mut reader, || Toy { fail_tick: Some(31), ..Toy::new() }, None);
     assert_eq!(report.simulation_error, Some((Tick(31), "the toy is broken".to_string())));
     assert_eq!((report.identical_ticks, report.is_identical()), (30, false));
 }

@@ -7,6 +7,7 @@ use std::path::Path;
 use crate::common::*;
 use messages::layout::Message;
 use messages::*;
+use run_log::diff::diff;
 use run_log::*;
 use zerocopy::{FromBytes, IntoBytes};
 

@@ -5,6 +5,8 @@ use std::collections::BTreeMap;
 
 use crate::common::*;
 use messages::*;
+use run_log::diff::diff;
+use run_log::segments::{SegmentOptions, keyframe_before, step_segments, verify_segments};
 use run_log::*;
 use zerocopy::{FromBytes, IntoBytes};
 

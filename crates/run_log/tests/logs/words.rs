@@ -2,8 +2,8 @@
 
 use messages::Tick;
 use messages::layout::Message;
-use run_log::difference::compare;
-use run_log::{Divergence, Topic};
+use run_log::Topic;
+use run_log::difference::{Divergence, compare};
 use zerocopy::IntoBytes;
 
 /// `data[4711]: 17 against 18` said of two keyframes that some byte differs, and not of what.

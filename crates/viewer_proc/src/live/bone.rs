@@ -8,13 +8,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use ipc_types::clock::now_ns;
+use ipc_types::messages::services;
 use ipc_types::messages::{Removed, RunStatus, Volume};
 use ipc_types::ports::{PortError, Subscriber};
-use ipc_types::services;
 use ipc_types::session::{Session, SessionError};
 use recorder_proc::log_file::LogFile;
-use run_log::reader::voxel_indices;
-use run_log::{MessageStream, ReadOptions, Topic};
+use run_log::{MessageStream, ReadOptions, Topic, voxel_indices};
 use voxel_grid::{GridError, VoxelGrid};
 use zerocopy::FromBytes;
 

@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
+use ipc_types::messages::services;
 use ipc_types::messages::{ControlAction, ControlStatus, RunControl, RunControlReply};
 use ipc_types::ports::{PortError, Publisher, Subscriber};
-use ipc_types::services;
 use ipc_types::session::{Reader, Session, SessionError};
 use ipc_types::wake::Waker;
 use serde_json::json;

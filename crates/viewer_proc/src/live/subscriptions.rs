@@ -2,17 +2,17 @@
 
 use std::collections::BTreeSet;
 
-use hub::viewer::Decimation;
-use ipc_types::layout::Message;
+use delivery::viewer::Decimation;
+use ipc_types::messages::layout::Message;
+use ipc_types::messages::services;
 use ipc_types::messages::{
     Command, ControllerIndex, DrrReply, DrrRequest, DrrStatus, Event, Frame, FrameTiming, Latched, Part,
     Phase, Progress, Removed, RunControl, RunControlReply, RunStatus, SensorReading, State, TickTiming,
 };
 use ipc_types::ports::{PortError, Received, Subscriber};
 use ipc_types::scene::Scene;
-use ipc_types::services;
 use ipc_types::session::{Session, SessionError};
-use run_log::topics::{self, Logged, Topic};
+use run_log::{Logged, Topic, command_topic};
 
 use super::frame_requests::turns_the_c_arm;
 use super::parts::Parts;
@@ -178,7 +178,7 @@ impl Subscriptions {
         }
         self.parts.count_messages(Part::Recorder.name(), recorded);
         for (name, commands) in &self.commands {
-            let topic = topics::command(name);
+            let topic = command_topic(name);
             self.parts.count_messages(name, forward(commands, &topic, board, |_| time_ns, |_| ())?);
         }
         self.parts.publish(board);

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use ipc_types::layout::Message;
+use ipc_types::messages::layout::Message;
 use ipc_types::messages::{Latched, State, Tick};
 use run_log::fields::Scalar;
 use run_log::{Topic, difference};

@@ -6,13 +6,12 @@ use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use ipc_types::layout::CDR_LITTLE_ENDIAN;
+use ipc_types::messages::layout::CDR_LITTLE_ENDIAN;
 use mcap::records::Record;
 use mcap::sans_io::indexed_reader::{IndexedReadEvent, IndexedReader, IndexedReaderOptions, ReadOrder};
 use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
 use mcap::{Summary, parse_record};
-use run_log::Topic;
-use run_log::end::{END_RECORD, EndMarker, EndReason};
+use run_log::{END_RECORD, EndMarker, EndReason, Topic};
 
 /// Longest record accepted as valid, bytes.
 const MAX_RECORD: usize = 1 << 30;

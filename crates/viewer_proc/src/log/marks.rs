@@ -1,8 +1,8 @@
 //! Marks for a log: events, missed ticks, gaps, and where two logs diverge.
 
 use ipc_types::messages::{Event, Removed, Severity, State, TickTiming};
-use run_log::reader::{voxel_indices, voxels_of};
-use run_log::{LogHeader, Misses, Topic, Verdict};
+use run_log::misses::Misses;
+use run_log::{LogHeader, Topic, Verdict, voxel_indices, voxels_of};
 use serde_json::{Value, json};
 use zerocopy::FromBytes;
 

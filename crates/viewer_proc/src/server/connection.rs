@@ -4,8 +4,8 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use delivery::viewer::MAX_MESSAGES_PER_S;
 use futures_util::{SinkExt, StreamExt};
-use hub::viewer::MAX_MESSAGES_PER_S;
 use tokio::io::AsyncWriteExt;
 use tokio::net::TcpStream;
 use tokio::sync::{mpsc, oneshot};

@@ -181,5 +181,5 @@ fn random_token() -> Result<String, ViewerError> {
     let mut bytes = [0; 16];
     let mut source = std::fs::File::open("/dev/urandom").map_err(ViewerError::Token)?;
     source.read_exact(&mut bytes).map_err(ViewerError::Token)?;
-    Ok(ipc_types::layout::hex(&bytes))
+    Ok(ipc_types::messages::layout::hex(&bytes))
 }

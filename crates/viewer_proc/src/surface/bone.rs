@@ -31,11 +31,6 @@ impl Bone {
         &self.field
     }
 
-    /// The blocks.
-    pub fn blocks_mut(&mut self) -> &mut Blocks {
-        &mut self.blocks
-    }
-
     /// Applies a removal.
     pub fn apply(&mut self, removed: &Removed, voxels: &[u32]) {
         if removed.tick == 0 {

@@ -6,11 +6,11 @@ mod running;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use delivery::viewer::Limits;
 use futures_util::{SinkExt, StreamExt};
-use hub::viewer::Limits;
-use ipc_types::layout::{CDR_LITTLE_ENDIAN, Message as _};
 use ipc_types::messages::State;
-use run_log::{Topic, topics};
+use ipc_types::messages::layout::{CDR_LITTLE_ENDIAN, Message as _};
+use run_log::{RUN_TOPICS, Topic, schema_of};
 use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpSocket;
@@ -32,8 +32,8 @@ use running::{
 fn channels_have_the_logs_topics_and_schemas_and_deliver_their_messages() {
     with_server(async |running| {
         let (mut socket, channels) = running.client().await;
-        for topic in topics::RUN.into_iter().filter(|topic| *topic != Topic::Keyframe) {
-            let (name, schema) = topics::schema_of(topic.description());
+        for topic in RUN_TOPICS.into_iter().filter(|topic| *topic != Topic::Keyframe) {
+            let (name, schema) = schema_of(topic.description());
             let channel = channel(&channels, topic.name());
             assert_eq!(channel["schema"], schema, "{topic}");
             assert_eq!(

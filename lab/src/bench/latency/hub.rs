@@ -3,10 +3,11 @@
 use std::process::Command as Program;
 use std::time::{Duration, Instant};
 
+use ipc_types::messages::services;
 use ipc_types::messages::{ControllerIndex, Part, State};
 use ipc_types::process::bind_to_parent;
+use ipc_types::scene;
 use ipc_types::session::{CONTROLLER_VARIABLE, Reader, SESSION_VARIABLE, SessionHost, SessionPlan};
-use ipc_types::{scene, services};
 
 use super::super::failed;
 use super::super::ping_pong::Wait;

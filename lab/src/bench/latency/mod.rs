@@ -10,7 +10,7 @@ mod sockets;
 use std::path::PathBuf;
 
 use clap::ValueEnum;
-use ipc_types::layout::Message;
+use ipc_types::messages::layout::Message;
 use ipc_types::messages::{Command, State};
 use serde_json::json;
 

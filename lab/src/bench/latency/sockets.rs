@@ -5,7 +5,7 @@ use std::net::UdpSocket;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::time::Instant;
 
-use ipc_types::layout::Message;
+use ipc_types::messages::layout::Message;
 use ipc_types::messages::{Command, State};
 use ipc_types::process::bind_to_parent;
 

@@ -1,7 +1,7 @@
 //! Every ending has a reason.
 
-use hub::{Blame, ControllerFault, HubError};
-use messages::{EventCode, Part};
+use hub::{ControllerFault, HubError};
+use messages::{Blame, EventCode, Part};
 use scene::Mode;
 
 use super::Oracle;

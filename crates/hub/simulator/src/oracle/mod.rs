@@ -10,7 +10,7 @@ use messages::{
 use scene::{Drives, Mode};
 
 use crate::plan::{MS, Plan};
-use crate::plant::{ChainPlant, Handle, INVALID_FROM, UNCUT, UNCUT_TICKS};
+use crate::plant::{ChainPlant, INVALID_FROM, UNCUT, UNCUT_TICKS};
 use controllers::Slot;
 
 /// Requests of one connection that are answered within [`RATION_NS`]; more may be passed over.
@@ -38,7 +38,7 @@ pub mod viewer;
 pub mod x_ray;
 
 /// The account.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Oracle {
     plan: Plan,
     drives: Vec<Vec<Drives>>,
@@ -109,43 +109,11 @@ impl Oracle {
         Oracle {
             plan: plan.clone(),
             drives: drives.to_vec(),
-            failure: None,
-            shadow: ChainPlant::new(Handle::default()),
-            tick: 0,
-            shown: false,
-            latched: None,
-            removed_messages: 0,
-            removed_in_tick: None,
-            capacity_notes: 0,
-            invalid_notes: 0,
-            invalid_due: 0,
-            invalid_untold: true,
-            readings_in_tick: 0,
-            keyframe_parts: 0,
-            keyframe_of_tick: false,
             controllers: drives.iter().map(|_| Slot::default()).collect(),
-            taken: Vec::new(),
-            paused: false,
-            steps_left: 0,
-            reset_asked: false,
-            stopped: false,
-            request: None,
-            answered: Vec::new(),
-            refused: 0,
-            plant_refused: false,
-            plant_fails: false,
-            blamed: None,
-            told: None,
-            missed: 0,
-            deadline_ns: None,
+            invalid_untold: true,
             state_ns: now_ns,
             began_ns: now_ns,
-            end_ns: None,
-            ticks_after_end: 0,
-            stopped_ns: 0,
-            stops: (0, 0),
-            ended: false,
-            warnings_ns: Vec::new(),
+            ..Oracle::default()
         }
     }
 
@@ -368,7 +336,7 @@ impl Oracle {
         let placed = self.latched.is_none() && keyframe.tick == self.tick && due && !self.keyframe_of_tick;
         expect!(self, placed && sequence == expected, format!("{keyframe:?} out of its place"));
         self.keyframe_of_tick = true;
-        let mut copy = ChainPlant::new(Handle::default());
+        let mut copy = ChainPlant::default();
         let restored = copy.restore_keyframe(part).is_ok() && copy.state().hash == self.shadow.state().hash;
         expect!(self, restored, format!("the keyframe of tick {} does not restore it", keyframe.tick));
     }

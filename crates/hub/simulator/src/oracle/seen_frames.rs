@@ -1,6 +1,6 @@
 //! What must hold of the X-ray frames that controllers see.
 
-use hub::x_ray::FrameMark;
+use delivery::x_ray::FrameMark;
 use messages::{ControllerIndex, Tick};
 use scene::Mode;
 
@@ -18,7 +18,7 @@ struct Seen {
     told: u64,
 }
 
-/// An account of what controllers see, kept beside [`hub::x_ray::ControllerFrames`].
+/// An account of what controllers see, kept beside [`delivery::x_ray::ControllerFrames`].
 #[derive(Debug)]
 pub struct SeenFrames {
     mode: Mode,

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use hub::viewer::{Outgoing, Published};
+use delivery::viewer::{Outgoing, Published};
 
 use crate::plan::MS;
 use crate::viewer::{NOTICES, NOTICES_KEPT, STREAMS};
@@ -18,8 +18,8 @@ struct Due {
     bytes: usize,
 }
 
-/// An account of one client, kept beside [`hub::viewer::Client`].
-#[derive(Debug)]
+/// An account of one client, kept beside [`delivery::viewer::Client`].
+#[derive(Debug, Default)]
 pub struct WatcherAccount {
     /// The first thing that did not hold.
     pub failure: Option<String>,
@@ -43,19 +43,7 @@ pub struct WatcherAccount {
 impl WatcherAccount {
     /// Of a client whose streams may wait with so many bytes.
     pub fn new(stream_bytes: usize) -> WatcherAccount {
-        WatcherAccount {
-            failure: None,
-            stream_bytes,
-            kept: BTreeMap::new(),
-            subscriptions: BTreeMap::new(),
-            stream: VecDeque::new(),
-            waiting_bytes: 0,
-            newest: BTreeMap::new(),
-            slots: BTreeSet::new(),
-            delivered: BTreeMap::new(),
-            dropped: 0,
-            told_ns: None,
-        }
+        WatcherAccount { stream_bytes, ..WatcherAccount::default() }
     }
 
     fn fail(&mut self, what: String) {

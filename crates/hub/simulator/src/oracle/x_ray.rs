@@ -2,8 +2,8 @@
 
 use std::collections::VecDeque;
 
+use delivery::x_ray::{Due, Refusal, RemovedLost, RemovedSince};
 use hub::rate_limit::Connection;
-use hub::x_ray::{Due, Refusal, RemovedLost, RemovedSince};
 use messages::{DrrRequest, DrrStatus, GeometryChoice, Restores, Tick};
 use scene::Mode;
 
@@ -53,8 +53,8 @@ impl Gone {
     }
 }
 
-/// An account of the frames, kept beside [`hub::x_ray`].
-#[derive(Debug)]
+/// An account of the frames, kept beside [`delivery::x_ray`].
+#[derive(Debug, Default)]
 pub struct FrameAccount {
     plan: Plan,
     /// The first thing that did not hold.
@@ -86,24 +86,7 @@ pub struct FrameAccount {
 impl FrameAccount {
     /// Of a plan.
     pub fn new(plan: &Plan) -> FrameAccount {
-        FrameAccount {
-            plan: plan.clone(),
-            failure: None,
-            removed_dropped: false,
-            predrilled: Gone::default(),
-            gone: Gone::default(),
-            gone_at: Vec::new(),
-            rendered: Gone::default(),
-            next_period: 0,
-            shown_tick: None,
-            waiting: VecDeque::new(),
-            in_flight: 0,
-            frames: 0,
-            refused: 0,
-            taken: Vec::new(),
-            over_at: None,
-            refused_though_due: None,
-        }
+        FrameAccount { plan: plan.clone(), ..FrameAccount::default() }
     }
 
     fn fail(&mut self, what: String) {

@@ -1,8 +1,8 @@
 //! What the hub sees of its surroundings: its ports, and what it publishes.
 
-use hub::{Blame, Environment, Incoming, Note, Outputs, Report, Start};
+use hub::{Environment, Incoming, Note, Outputs, Report, Start};
 use messages::{
-    Command, ControllerIndex, Keyframe, Latched, Removed, RunControl, RunControlReply, RunStatus,
+    Blame, Command, ControllerIndex, Keyframe, Latched, Removed, RunControl, RunControlReply, RunStatus,
     SensorReading, State, TickTiming,
 };
 

@@ -1,6 +1,6 @@
 //! X-ray frames: the DRR process in the world, and the controllers that see its frames.
 
-use hub::x_ray::FrameMark;
+use delivery::x_ray::FrameMark;
 use messages::{ControllerIndex, Part};
 
 use super::{LAUNCHER_NOTICES_NS, World};

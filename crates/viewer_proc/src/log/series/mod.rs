@@ -10,7 +10,7 @@ mod place;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Mutex;
 
-use run_log::topics;
+use run_log::RUN_TOPICS;
 use serde::{Deserialize, Serialize};
 
 use super::file::{LogFile, body_of};
@@ -74,7 +74,7 @@ pub(super) enum Lane {
 
 impl Lane {
     fn of(topic: &str) -> Lane {
-        if topics::RUN.iter().any(|known| known.name() == topic) { Lane::Run } else { Lane::Timing }
+        if RUN_TOPICS.iter().any(|known| known.name() == topic) { Lane::Run } else { Lane::Timing }
     }
 }
 

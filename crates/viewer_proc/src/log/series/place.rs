@@ -1,9 +1,9 @@
 //! Where the values of a field are in the messages of its topic.
 
-use ipc_types::layout::{Description, Element, Message};
 use ipc_types::messages::Command;
+use ipc_types::messages::layout::{Description, Element, Message};
 use run_log::fields::{Scalar, find};
-use run_log::{Topic, topics};
+use run_log::{Topic, command_topic};
 
 use super::{FieldName, Lane};
 
@@ -50,6 +50,6 @@ impl FieldPlace {
 }
 
 fn description_of(topic: &str) -> Option<&'static Description> {
-    let is_command = topic.starts_with(&topics::command(""));
+    let is_command = topic.starts_with(&command_topic(""));
     is_command.then_some(Command::DESCRIPTION).or_else(|| Topic::of_name(topic).map(Topic::description))
 }

@@ -8,7 +8,7 @@
 //! channels; no channel waits for ever behind another.
 //!
 //! ```
-//! use hub::viewer::{Client, Kept, Limits, Policy, Published};
+//! use delivery::viewer::{Client, Kept, Limits, Policy, Published};
 //!
 //! let mut kept = Kept::default();
 //! let mut client = Client::new(Limits { stream_bytes: 100 }, 0);

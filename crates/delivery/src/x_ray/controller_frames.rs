@@ -4,7 +4,7 @@ use messages::{Frame, Tick};
 use scene::Mode;
 use thiserror::Error;
 
-use crate::patience::Patience;
+use hub::patience::Patience;
 
 /// In lockstep, how long a controller waits for a frame that is due, ns.
 const FRAME_LIMIT_NS: u64 = 120_000_000_000;
@@ -53,7 +53,7 @@ pub struct NoFrame {
 /// ([`Scene::frame_seen_at`](scene::Scene::frame_seen_at)), so that a run repeats bit for bit.
 ///
 /// ```
-/// use hub::x_ray::{ControllerFrames, FrameMark, FrameStep};
+/// use delivery::x_ray::{ControllerFrames, FrameMark, FrameStep};
 /// use messages::Tick;
 /// use scene::Mode;
 ///

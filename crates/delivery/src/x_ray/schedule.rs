@@ -7,7 +7,7 @@ use messages::{ControllerIndex, DrrRequest, DrrStatus, GeometryChoice, Tick};
 use scene::{Drives, Mode, Scene};
 use thiserror::Error;
 
-use crate::rate_limit::Connection;
+use hub::rate_limit::Connection;
 
 /// Requests that one program may have pending; further ones are refused as busy.
 const MAX_WAITING_EACH: usize = 8;

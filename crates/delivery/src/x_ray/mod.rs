@@ -8,7 +8,7 @@
 //! removed up to its tick, or the run fails; in lockstep a controller sees each scheduled frame at the same tick in every run.
 //!
 //! ```
-//! use hub::x_ray::{Due, Renderer, Schedule, ScheduleSettings};
+//! use delivery::x_ray::{Due, Renderer, Schedule, ScheduleSettings};
 //! use messages::Tick;
 //! use scene::Mode;
 //!

@@ -1,0 +1,12 @@
+//! Which messages a receiver gets, when, and what it misses: X-ray frames, and what the clients of a viewer see.
+//!
+//! **Boundary:** it only decides. The processes of the X-ray, the controllers and the viewer take the messages, render and send; the
+//! schedules of `hub_simulator` hold the same decisions against an oracle. None of them decides a tick.
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | [`x_ray`] | which X-ray frames are due at which tick, which removed voxels they show, and when a controller sees them |
+//! | [`viewer`] | what the clients of a viewer get and miss |
+
+pub mod viewer;
+pub mod x_ray;
