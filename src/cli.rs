@@ -6,25 +6,6 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use recorder_proc::build_info;
 
 use crate::commands;
-use crate::commands::bridge::BridgeCommand;
-use crate::commands::cache::CacheCommand;
-use crate::commands::calibrate::CalibrateArguments;
-use crate::commands::docs::DocsCommand;
-use crate::commands::doctor::DoctorArguments;
-use crate::commands::drr::DrrArguments;
-use crate::commands::log::LogCommand;
-use crate::commands::plan::PlanArguments;
-use crate::commands::plot::PlotArguments;
-use crate::commands::proc::ProcCommand;
-use crate::commands::replay::ReplayArguments;
-use crate::commands::run::RunArguments;
-use crate::commands::scene::SceneCommand;
-use crate::commands::session::SessionCommand;
-use crate::commands::stress::{LoadArguments, StressArguments};
-use crate::commands::sweep::SweepCommand;
-use crate::commands::tool::ToolCommand;
-use crate::commands::view::ViewArguments;
-use crate::commands::volume::{PhantomArguments, VolumeCommand};
 use crate::failure::Failure;
 use crate::help;
 use crate::program;
@@ -43,61 +24,61 @@ enum Command {
     User(UserCommand),
     /// Run one part of a session in this process.
     #[command(subcommand)]
-    Proc(ProcCommand),
+    Proc(commands::proc::ProcCommand),
 }
 
 #[derive(Debug, Subcommand)]
 enum UserCommand {
     /// Run a scene (the default: the femur).
-    Run(RunArguments),
+    Run(commands::run::RunArguments),
     /// Replay a log: step the physics through its recorded commands.
-    Replay(ReplayArguments),
+    Replay(commands::replay::ReplayArguments),
     /// Watch and control a running session in the browser, or browse logs on a timeline.
-    View(ViewArguments),
+    View(commands::view::ViewArguments),
     /// Connect a running session to other software.
     #[command(subcommand)]
-    Bridge(BridgeCommand),
+    Bridge(commands::bridge::BridgeCommand),
     /// Plot log fields over time.
-    Plot(PlotArguments),
+    Plot(commands::plot::PlotArguments),
     /// Inspect, convert and repair logs.
     #[command(subcommand)]
-    Log(LogCommand),
+    Log(commands::log::LogCommand),
     /// Sweep a tendon and record the tip position at each level.
-    Calibrate(CalibrateArguments),
+    Calibrate(commands::calibrate::CalibrateArguments),
     /// Choose the cheapest settings that meet a scene's tolerance, or measure the error of a finished run.
-    Plan(PlanArguments),
+    Plan(commands::plan::PlanArguments),
     /// Check a scene, or write a built-in one to start from.
     #[command(subcommand)]
-    Scene(SceneCommand),
+    Scene(commands::scene::SceneCommand),
     /// Run a scene many times with other values, and see what its results depend on.
     #[command(subcommand)]
-    Sweep(SweepCommand),
+    Sweep(commands::sweep::SweepCommand),
     /// List this user's running sessions; pause, resume or stop one.
     #[command(subcommand)]
-    Session(SessionCommand),
+    Session(commands::session::SessionCommand),
     /// Show or clear the volumes that are kept for the next run.
     #[command(subcommand)]
-    Cache(CacheCommand),
+    Cache(commands::cache::CacheCommand),
     /// Show the tool's dimensions.
     #[command(subcommand)]
-    Tool(ToolCommand),
+    Tool(commands::tool::ToolCommand),
     /// Inspect a CT volume, or export the drilled one.
     #[command(subcommand)]
-    Volume(VolumeCommand),
+    Volume(commands::volume::VolumeCommand),
     /// Write a synthetic CT volume to a file.
-    Phantom(PhantomArguments),
+    Phantom(commands::volume::PhantomArguments),
     /// Render X-ray images of a volume to files.
-    Drr(Box<DrrArguments>),
+    Drr(Box<commands::drr::DrrArguments>),
     /// Print generated documentation.
     #[command(subcommand)]
-    Docs(DocsCommand),
+    Docs(commands::docs::DocsCommand),
     /// Check this machine for real-time limits: what each one costs and how to lift it.
-    Doctor(DoctorArguments),
+    Doctor(commands::doctor::DoctorArguments),
     /// Run a scene on limited cores under competing load, and report why ticks were late.
-    Stress(StressArguments),
+    Stress(commands::stress::StressArguments),
     /// The competing load of a stress test.
     #[command(hide = true)]
-    Load(LoadArguments),
+    Load(commands::stress::LoadArguments),
 }
 
 /// Runs the program.

@@ -52,9 +52,6 @@ impl Started {
     }
 
     /// Reads the keeper's report.
-    ///
-    /// # Errors
-    /// The keeper ended before it reported.
     pub fn read(mut leash: &UnixStream) -> std::io::Result<Started> {
         let mut bytes = [0; 5];
         leash.read_exact(&mut bytes)?;
@@ -74,9 +71,6 @@ enum News {
 }
 
 /// Runs a program until it ends, and exits with the program's status.
-///
-/// # Errors
-/// The system refuses a required call.
 pub fn run(words: &[OsString]) -> Result<ExitCode, Failure> {
     let failed = |cause: std::io::Error| Failure::failed(format!("cannot supervise a program: {cause}"));
     let Some((program, arguments)) = words.split_first() else {

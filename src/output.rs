@@ -7,12 +7,12 @@
 
 use std::path::{Path, PathBuf};
 
+use figures::{Figure, FigureError};
+
 use crate::failure::Failure;
+use crate::report::ReportError;
 
 /// Refuses if one of the files exists in any form, even as a dangling link.
-///
-/// # Errors
-/// Bad input: names the first file that exists.
 pub fn refuse_existing<P: AsRef<Path>>(files: &[P]) -> Result<(), Failure> {
     Ok(output_file::refuse_existing(files)?)
 }
@@ -36,12 +36,19 @@ pub fn figure_place(path: &Path) -> Result<FigurePlace<'_>, Failure> {
 /// Where a figure goes.
 #[derive(Debug)]
 pub struct FigurePlace<'a> {
-    /// Its folder.
-    pub folder: &'a Path,
+    folder: &'a Path,
     /// Its name without an ending.
-    pub stem: String,
+    stem: String,
     /// Its files.
     pub files: [PathBuf; 2],
+}
+
+impl FigurePlace<'_> {
+    /// Writes the figure there.
+    pub fn write(&self, figure: Result<Figure, FigureError>) -> Result<(), Failure> {
+        let written = figure.and_then(|figure| figure.write(self.folder, &self.stem));
+        Ok(written.map_err(ReportError::from)?)
+    }
 }
 
 /// Paths of these names in a folder.

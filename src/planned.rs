@@ -1,6 +1,5 @@
 //! The scene of a plan, as text that its user goes on with.
 
-use std::fmt::Write;
 use std::path::Path;
 
 use markups::{Arc, Plan};
@@ -22,11 +21,9 @@ const RESAMPLED_MM: f64 = 0.75;
 /// What a scene is made of.
 #[derive(Debug)]
 pub struct Planned<'a> {
-    /// Name of the scene.
     pub name: String,
     /// The plan's file, as the scene names it.
     pub plan_file: &'a Path,
-    /// The plan.
     pub plan: Plan,
     /// The volume, as the scene names it.
     pub ct: &'a Path,
@@ -44,124 +41,60 @@ impl Planned<'_> {
 
     /// The scene's text.
     pub fn text(&self) -> String {
-        [self.head(), self.volume(), self.tool(), self.x_ray(), self.controller()].join("\n")
-    }
-
-    fn feed_mm_per_s(&self) -> f64 {
-        if self.plan.is_curved() { FEED_MM_PER_S } else { STRAIGHT_FEED_MM_PER_S }
-    }
-
-    fn head(&self) -> String {
-        let duration_s = (self.arc().length_mm / self.feed_mm_per_s() + REST_S).ceil();
-        let drilled = match self.plan.is_curved() {
-            true => "A pilot hole from the entry to the bend, and a curve from there to the target.",
-            false => "A pilot hole from the entry, and straight from its end to the target.",
-        };
-        format!(
-            "# Made by `trabecula scene from-markups`; yours to change. All places are in the patient frame (LPS: +x left, +y posterior, +z head).\n\
-             # Every key: docs/scene.md, or `trabecula docs scene`. Check it: `trabecula scene check`.\n\n\
-             name = {}\n\
-             description = {}\n\n\
-             [run]\n\
-             mode = \"lockstep\"        # as fast as it goes; \"realtime\" follows the wall clock\n\
-             duration_s = {duration_s:?}        # the feed, and {REST_S} s of rest\n",
-            quoted(&self.name),
-            quoted(drilled)
-        )
-    }
-
-    fn volume(&self) -> String {
-        let mut text = format!("[volume]\npath = {}\n", quoted(&self.ct.display().to_string()));
-        if let Some(segment) = self.segment {
-            let label = segment.parse::<i32>().map_or_else(|_| quoted(segment), |value| value.to_string());
-            let _ = write!(
-                text,
-                "mask = true              # a segmentation: filled with synthetic Hounsfield units\n\
-                 label = {label}          # the segment that is bone\n"
-            );
-        }
-        if self.thickest_mm > THICK_MM {
-            let _ = writeln!(
-                text,
-                "resample_mm = {RESAMPLED_MM:?}       # its slices are {:.2} mm apart; thick voxels make a rough wall that jams the tool",
-                self.thickest_mm
-            );
-        }
-        text.push_str("bone_threshold_hu = 150  # voxels at or above it are bone\n");
-        text
-    }
-
-    fn tool(&self) -> String {
-        let plan = &self.plan;
-        let mut text = format!(
-            "[tool]\n\
-             # The points of the plan stand there and nowhere else. Move them in 3D Slicer, save, and run again.\n\
-             plan = {}\n\
-             # What follows from it, when this was written. To go on by hand, delete `plan` and take the # off the lines that begin with #>.\n\
-             #> burr_start_mm = {}\n\
-             #> direction = {}\n\
-             #> bend_toward = {}\n",
-            quoted(&self.plan_file.display().to_string()),
-            place(plan.burr_start_mm()),
-            direction(plan.direction()),
-            direction(plan.bend_toward()),
-        );
-        let [from_mm, to_mm] = plan.pilot_hole_mm();
-        let _ = write!(
-            text,
-            "\n# The pilot hole, from 10 mm outside of the entry to the burr's start; 0.5 mm wider than the burr.\n\
-             #> [[predrill]]\n\
-             #> from_mm = {}\n\
-             #> to_mm = {}\n\
-             #> diameter_mm = 7.0\n",
-            place(from_mm),
-            place(to_mm),
-        );
-        text
-    }
-
-    fn x_ray(&self) -> String {
-        format!(
-            "[drr]\n\
-             rate_hz = 2.0\n\
-             #> isocentre_mm = {}\n\
-             primary_angle_deg = 0.0  # anterior-posterior; 90: from the patient's left\n\
-             columns = 384\n\
-             rows = 384\n\
-             pixel_pitch_mm = 0.5\n\
-             photons_per_pixel = 20000.0\n\
-             blur_pixels = 0.6\n",
-            place(self.plan.middle_mm())
-        )
-    }
-
-    fn controller(&self) -> String {
-        let arc = self.arc();
-        let feed_mm_per_s = self.feed_mm_per_s();
-        let guidance = match self.plan.is_curved() {
-            true => format!(
-                "tension_n = {:.2}         # at the end of the ramp; the arc turns by {:.1} deg\n\
-                 feedback = \"shape\"       # corrects the tension by the measured shape; \"image\": by the burr in X-ray frames\n\
-                 guidance_gain_n_per_mm = 0.2\n",
-                arc.turn_deg / BEND_DEG_PER_N,
-                arc.turn_deg,
+        let (plan, arc) = (&self.plan, self.arc());
+        let (feed_mm_per_s, drilled, guidance) = match plan.is_curved() {
+            true => (
+                FEED_MM_PER_S,
+                "A pilot hole from the entry to the bend, and a curve from there to the target.",
+                format!(
+                    "tension_n = {:.2}         # at the end of the ramp; the arc turns by {:.1} deg\n\
+                     feedback = \"shape\"       # corrects the tension by the measured shape; \"image\": by the burr in X-ray frames\n\
+                     guidance_gain_n_per_mm = 0.2\n",
+                    arc.turn_deg / BEND_DEG_PER_N,
+                    arc.turn_deg,
+                ),
             ),
-            false => "feedback = \"none\"\n#> tension_n = 0.0\n".to_owned(),
+            false => (
+                STRAIGHT_FEED_MM_PER_S,
+                "A pilot hole from the entry, and straight from its end to the target.",
+                "feedback = \"none\"\n#> tension_n = 0.0\n".to_owned(),
+            ),
         };
+        let label = |name: &str| name.parse::<i32>().map_or_else(|_| quoted(name), |value| value.to_string());
+        let mask = self.segment.map(|name| {
+            format!(
+                "mask = true              # a segmentation: filled with synthetic Hounsfield units\n\
+                 label = {}          # the segment that is bone\n",
+                label(name)
+            )
+        });
+        let resample = (self.thickest_mm > THICK_MM).then(|| {
+            format!(
+                "resample_mm = {RESAMPLED_MM:?}       # its slices are {:.2} mm apart; thick voxels make a rough wall that jams the tool\n",
+                self.thickest_mm
+            )
+        });
+        let [hole_from_mm, hole_to_mm] = plan.pilot_hole_mm().map(place);
         format!(
-            "[[controller]]\n\
-             name = \"reference\"\n\
-             drives = [\"tendon\", \"arm\", \"burr\"]\n\n\
-             [controller.curved_drilling]\n\
-             feed_mm_per_s = {feed_mm_per_s:?}\n\
-             #> target_mm = {}\n\
-             #> insertion_mm = {:.3}\n\
-             #> ramp_end_mm = {:.3}\n\
-             {guidance}\
-             burr_speed_rpm = 8000.0\n",
-            place(self.plan.target_mm()),
-            arc.length_mm,
-            arc.length_mm,
+            include_str!("../templates/planned.toml"),
+            name = quoted(&self.name),
+            drilled = quoted(drilled),
+            duration_s = (arc.length_mm / feed_mm_per_s + REST_S).ceil(),
+            rest_s = REST_S,
+            ct = quoted(&self.ct.display().to_string()),
+            mask = mask.unwrap_or_default(),
+            resample = resample.unwrap_or_default(),
+            plan = quoted(&self.plan_file.display().to_string()),
+            burr_start_mm = place(plan.burr_start_mm()),
+            direction = direction(plan.direction()),
+            bend_toward = direction(plan.bend_toward()),
+            hole_from_mm = hole_from_mm,
+            hole_to_mm = hole_to_mm,
+            isocentre_mm = place(plan.middle_mm()),
+            feed_mm_per_s = feed_mm_per_s,
+            target_mm = place(plan.target_mm()),
+            length_mm = arc.length_mm,
+            guidance = guidance,
         )
     }
 }

@@ -22,29 +22,30 @@ pub fn run<C>(
     dispatch: impl FnOnce(C) -> Result<Option<ExitCode>, Failure>,
 ) -> ExitCode {
     let command = start().and_then(|()| parsed(parse()));
-    match command.and_then(|command| command.map_or(Ok(None), dispatch)) {
-        Ok(Some(code)) => code,
-        Ok(None) => end(Ok(())),
-        Err(failure) => end(Err(failure)),
-    }
+    let code = match command.and_then(|command| command.map_or(Ok(None), dispatch)) {
+        Ok(Some(code)) => return code,
+        Ok(None) => EXIT_DONE,
+        Err(failure) => {
+            // An empty message has been reported.
+            if !failure.message.is_empty() {
+                tell!("trabecula: {failure}");
+            }
+            failure.code
+        }
+    };
+    ExitCode::from(with_its_answer(code))
 }
 
 /// Prepares this process: exceeding the file size limit becomes an error instead of killing the process, and remarks about the cache of
 /// volumes are told.
-///
-/// # Errors
-/// The system refuses the signal handler.
 fn start() -> Result<(), Failure> {
     crate::cache::tell_remarks_by(|text| tell!("trabecula: {text}"));
     signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::new(AtomicBool::new(false)))
         .map(drop)
-        .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))
+        .map_err(Failure::signals)
 }
 
 /// The parsed command line; none after printing help or the version.
-///
-/// # Errors
-/// Bad input, already reported.
 fn parsed<A>(parsed: Result<A, clap::Error>) -> Result<Option<A>, Failure> {
     match parsed {
         Ok(command) => Ok(Some(command)),
@@ -60,20 +61,6 @@ fn parsed<A>(parsed: Result<A, clap::Error>) -> Result<Option<A>, Failure> {
             }
         }
     }
-}
-
-/// Reports a failure unless it has been reported, waits until the answer is written, and returns the exit code.
-fn end(outcome: Result<(), Failure>) -> ExitCode {
-    let code = outcome.map_or_else(told, |()| EXIT_DONE);
-    ExitCode::from(with_its_answer(code))
-}
-
-/// Reports a failure unless it has been reported; returns its exit code.
-fn told(failure: Failure) -> u8 {
-    if !failure.message.is_empty() {
-        tell!("trabecula: {failure}");
-    }
-    failure.code
 }
 
 /// The exit code of a command that ends with `code`: if its answer could not be written, success or a gap becomes a

@@ -73,6 +73,14 @@ impl Figures {
     }
 }
 
+/// A JSON object with the members of another added.
+pub fn merged(mut object: serde_json::Value, more: serde_json::Value) -> serde_json::Value {
+    if let (Some(object), serde_json::Value::Object(more)) = (object.as_object_mut(), more) {
+        object.extend(more);
+    }
+    object
+}
+
 /// Writes our own text unescaped, such as shell completions.
 pub fn verbatim(text: &str) {
     // `Noting` remembers a failure.

@@ -26,7 +26,7 @@ use trabecula::commands::run::RunArguments;
 use trabecula::commands::stress::{LoadArguments, disturb};
 use trabecula::commands::view::ViewArguments;
 use trabecula::failure::Failure;
-use trabecula::help::{self, Examples};
+use trabecula::help;
 use trabecula::program;
 
 use commands::bench::BenchCommand;
@@ -78,47 +78,7 @@ fn command_line() -> clap::Command {
     help::completed(Arguments::command(), EXAMPLES)
 }
 
-const EXAMPLES: &[Examples] = &[
-    ("bench overhead", &["trabecula-lab bench overhead"]),
-    ("bench step", &["trabecula-lab bench step", "trabecula-lab bench step --instructions"]),
-    ("bench tools", &["trabecula-lab bench tools", "trabecula-lab bench tools my_tool.toml --instructions"]),
-    ("bench start", &["trabecula-lab bench start", "trabecula-lab bench start --rounds 9 --empty-cache"]),
-    ("bench memory", &["trabecula-lab bench memory"]),
-    ("bench drr", &["trabecula-lab bench drr", "trabecula-lab bench drr --poses 64"]),
-    ("bench latency", &["trabecula-lab bench latency --turns 5"]),
-    (
-        "bench lateness",
-        &["trabecula-lab bench lateness", "trabecula-lab bench lateness --load none --rounds 5"],
-    ),
-    ("bench viewer", &["trabecula-lab bench viewer"]),
-    (
-        "bench bridge",
-        &["trabecula-lab bench bridge", "trabecula-lab bench bridge --kind igtl --seconds 20 --rounds 5"],
-    ),
-    ("bench readings", &["trabecula-lab bench readings"]),
-    ("bench recorder", &["trabecula-lab bench recorder"]),
-    ("bench xray", &["trabecula-lab bench xray"]),
-    ("bench soak", &["trabecula-lab bench soak --minutes 10 -o out/soak"]),
-    ("chart drr", &["trabecula-lab chart drr --quick", "trabecula-lab chart drr -o out/charts --rounds 9"]),
-    ("chart physics", &["trabecula-lab chart physics --quick -o out/charts"]),
-    ("chart flexure", &["trabecula-lab chart flexure"]),
-    (
-        "chart promise",
-        &[
-            "trabecula-lab chart promise --free 10 --bone 10",
-            "trabecula-lab chart promise --tool configs/tools/two_segments.toml --bone 10",
-        ],
-    ),
-    (
-        "chart stability",
-        &[
-            "trabecula-lab chart stability --quick -o out/charts",
-            "trabecula-lab chart stability --tools my_tool.toml",
-            "trabecula-lab chart stability --bone",
-        ],
-    ),
-    ("reproduce", &["trabecula-lab reproduce", "trabecula-lab reproduce --only 2 --quick -o out/reproduce"]),
-];
+const EXAMPLES: &str = include_str!("examples.txt");
 
 fn main() -> ExitCode {
     let parse = || {

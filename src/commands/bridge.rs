@@ -5,13 +5,14 @@ use std::path::{Path, PathBuf};
 
 use bridge_proc::igtl::{self, IgtlOptions, Permission, Where};
 use bridge_proc::ros2::{self, Reach, Ready, Ros2Options};
-use clap::{ArgGroup, Args, Subcommand, ValueEnum};
+use clap::{ArgGroup, Args, Subcommand};
 use foreign_text::foreign_path;
 use ipc_types::process::EndRequest;
 use ipc_types::text_file;
 use ros_interface::image::ImageForm;
 use ros_interface::topics::Names;
 
+use super::{Choice, choice};
 use crate::failure::Failure;
 
 /// Port that OpenIGTLink is registered for.
@@ -31,17 +32,12 @@ pub enum BridgeCommand {
     Ros2(Box<Ros2Arguments>),
 }
 
-/// How far DDS reaches; the words of ROS_AUTOMATIC_DISCOVERY_RANGE.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-#[value(rename_all = "SCREAMING_SNAKE_CASE")]
-pub enum DiscoveryRange {
-    /// Programs on this machine.
-    Localhost,
-    /// Programs in this machine's networks too.
-    Subnet,
-    /// As LOCALHOST: this bridge's own default.
-    SystemDefault,
-}
+/// How far DDS reaches, by the words of ROS_AUTOMATIC_DISCOVERY_RANGE.
+const RANGES: [Choice<Reach>; 3] = [
+    ("LOCALHOST", "Programs on this machine", Reach::Localhost),
+    ("SUBNET", "Programs in this machine's networks too", Reach::Subnet),
+    ("SYSTEM_DEFAULT", "As LOCALHOST: this bridge's own default", Reach::Localhost),
+];
 
 /// Arguments of `bridge ros2`.
 #[derive(Debug, Args)]
@@ -62,9 +58,10 @@ pub struct Ros2Arguments {
         value_name = "RANGE",
         env = "ROS_AUTOMATIC_DISCOVERY_RANGE",
         default_value = "LOCALHOST",
-        ignore_case = true
+        ignore_case = true,
+        value_parser = choice(&RANGES)
     )]
-    discovery_range: DiscoveryRange,
+    discovery_range: Reach,
     /// States a second.
     #[arg(long, value_name = "HZ", default_value_t = 100.0)]
     rate: f64,
@@ -124,8 +121,7 @@ pub struct IgtlArguments {
 /// # Errors
 /// No session, a port in use, a value out of its range (2); the session's loss (1).
 pub fn run(command: &BridgeCommand) -> Result<(), Failure> {
-    let end = EndRequest::install()
-        .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
+    let end = EndRequest::install().map_err(Failure::signals)?;
     match command {
         BridgeCommand::Igtl(arguments) => igtl(arguments, &end),
         BridgeCommand::Ros2(arguments) => ros2(arguments, &end),
@@ -141,9 +137,8 @@ fn igtl(arguments: &IgtlArguments, end: &EndRequest) -> Result<(), Failure> {
             arguments.connect.map_or(String::new(), |to| to.to_string())
         ),
     };
-    let done = igtl::serve(&options, end, ready).map_err(|error| {
-        if error.is_bad_input() { Failure::bad_input(&error) } else { Failure::failed(error.to_string()) }
-    })?;
+    let done =
+        igtl::serve(&options, end, ready).map_err(|error| Failure::by_kind(error.is_bad_input(), error))?;
     say!(
         "{} peers; {} messages replaced by newer ones before a peer read them, {} of peers refused",
         done.peers,
@@ -170,9 +165,7 @@ fn ros2(arguments: &Ros2Arguments, end: &EndRequest) -> Result<(), Failure> {
         say!("ROS 2 domain {}, {reach}; {listens}", options.domain_id);
     };
     let done = ros2::serve(&options, end, ready, |line| say!("{}", foreign_text::foreign_line(line)))
-        .map_err(|error| {
-            if error.is_bad_input() { Failure::bad_input(&error) } else { Failure::failed(error.to_string()) }
-        })?;
+        .map_err(|error| Failure::by_kind(error.is_bad_input(), error))?;
     say!(
         "{} messages published, {} left out for subscribers that acknowledged none; {} came in, {} of them refused",
         done.published,
@@ -200,7 +193,7 @@ impl Ros2Arguments {
         // Older than the range, and stronger where it is set.
         let only_localhost = std::env::var_os("ROS_LOCALHOST_ONLY").is_some_and(|value| value == "1");
         let reach = match self.discovery_range {
-            DiscoveryRange::Subnet if !only_localhost => Reach::Subnet,
+            Reach::Subnet if !only_localhost => Reach::Subnet,
             _ => Reach::Localhost,
         };
         Ok(Ros2Options {

@@ -11,7 +11,7 @@ use simulation::{CtView, Simulation};
 use crate::failure::Failure;
 use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::output::{refuse_existing, within};
-use crate::report::calibration_figure;
+use crate::report::{ReportError, calibration_figure};
 use crate::say::Figures;
 use crate::scenes::{BuiltIn, SceneSource};
 
@@ -19,16 +19,14 @@ use crate::scenes::{BuiltIn, SceneSource};
 #[derive(Debug, Args)]
 pub struct CalibrateArguments {
     /// Scene whose only controller is a `tension_sweep`; default: the built-in sweep.
-    pub scene: Option<PathBuf>,
+    scene: Option<PathBuf>,
     /// Folder for `calibration.csv`, `.png` and `.svg`; created if missing.
     #[arg(short, long, default_value = "out/calibration")]
-    pub output: PathBuf,
-    /// Which files the volume may name.
+    output: PathBuf,
     #[command(flatten)]
-    pub volume_files: VolumeFiles,
-    /// How its figures are printed.
+    volume_files: VolumeFiles,
     #[command(flatten)]
-    pub figures: Figures,
+    figures: Figures,
 }
 
 /// Steps the physics through the sweep in this process, as fast as possible, and writes the measurements.
@@ -46,7 +44,9 @@ pub fn run(arguments: &CalibrateArguments) -> Result<(), Failure> {
     output_file::create_folder(folder).map_err(Failure::folder(folder))?;
     let file = folder.join("calibration.csv");
     let title = format!("{}: calibration of tendon 0, {} levels", scene.name, calibration.rows.len());
-    let [png, svg] = calibration_figure::draw(&title, &calibration)?.files(folder, "calibration")?;
+    let [png, svg] = calibration_figure::draw(&title, &calibration)
+        .and_then(|figure| figure.files(folder, "calibration"))
+        .map_err(ReportError::from)?;
     output_file::write_all(&[(file.clone(), calibration.to_csv().into_bytes()), png, svg])?;
     arguments.figures.say(
         || {
@@ -79,11 +79,11 @@ fn sweep(scene: &Scene, source: &SceneSource, files: VolumeFiles) -> Result<Cali
             controller.step(state, command);
             Answer::Command
         });
-        let latched = latched.map_err(|cause| Failure::failed(cause.to_string()))?;
+        let latched = latched.map_err(Failure::failed)?;
         if controller.is_done() {
             break;
         }
-        run.step(&latched).map_err(|cause| Failure::failed(cause.to_string()))?;
+        run.step(&latched).map_err(Failure::failed)?;
     }
     Ok(controller.calibration().clone())
 }

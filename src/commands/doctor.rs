@@ -12,10 +12,10 @@ use crate::machine::{Finding, Grade, Machine, facts};
 pub struct DoctorArguments {
     /// Print the report as JSON.
     #[arg(long)]
-    pub json: bool,
+    json: bool,
     /// How long to measure CPU steal time, in seconds, 0 to 600.
     #[arg(long, default_value_t = 1.0)]
-    pub seconds: f64,
+    seconds: f64,
 }
 
 /// Inspects the machine and prints the report.
@@ -30,8 +30,7 @@ pub fn run(arguments: &DoctorArguments) -> Result<(), Failure> {
     std::thread::sleep(Duration::from_secs_f64(arguments.seconds));
     let facts = facts(&machine);
     if arguments.json {
-        let text =
-            serde_json::to_string_pretty(&facts).map_err(|cause| Failure::failed(cause.to_string()))?;
+        let text = serde_json::to_string_pretty(&facts).map_err(Failure::failed)?;
         say!("{text}");
         return Ok(());
     }

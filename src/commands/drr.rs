@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use drr_proc::ThisMachine;
 use voxel_grid::Volume;
 use xray::{
@@ -11,6 +11,7 @@ use xray::{
     Spectrum, VolumeView,
 };
 
+use super::{Choice, choice};
 use crate::failure::Failure;
 use crate::launcher::volume_source::VolumeChoice;
 use crate::output::refuse_existing;
@@ -25,102 +26,95 @@ use inputs::suspicions;
 #[derive(Debug, Args)]
 pub struct DrrArguments {
     /// NIfTI, NRRD, MetaImage, or a DICOM folder.
-    pub volume: PathBuf,
-    /// What of it is read.
+    volume: PathBuf,
     #[command(flatten)]
-    pub choice: VolumeChoice,
+    choice: VolumeChoice,
     /// Output file: .png (16-bit), .nrrd (32-bit float) or .dcm (X-ray angiography). Several poses give numbered files.
     #[arg(short, long)]
-    pub output: PathBuf,
+    output: PathBuf,
     /// Pose file: .toml or .json with one pose or a list named `pose`, or .csv with angles. The keys are the same as in a
     /// scene's `[drr]` and `[drr.carm]`.
     #[arg(long)]
-    pub pose: Option<PathBuf>,
+    pose: Option<PathBuf>,
     /// DICOM primary angle, degrees: at 0 the detector is in front of the chest, at +90 on the patient's left.
     #[arg(long, allow_negative_numbers = true)]
-    pub primary_deg: Option<f64>,
+    primary_deg: Option<f64>,
     /// DICOM secondary angle, degrees: positive is cranial.
     #[arg(long, allow_negative_numbers = true)]
-    pub secondary_deg: Option<f64>,
+    secondary_deg: Option<f64>,
     /// Distance from the source to the isocentre.
     #[arg(long)]
-    pub source_isocentre_mm: Option<f64>,
+    source_isocentre_mm: Option<f64>,
     /// Distance from the source to the detector.
     #[arg(long)]
-    pub source_detector_mm: Option<f64>,
+    source_detector_mm: Option<f64>,
     /// Point that the C-arm rotates about, in the patient frame (LPS); default: the volume's centre.
     #[arg(long, num_args = 3, allow_negative_numbers = true, value_names = ["X", "Y", "Z"])]
-    pub isocentre_mm: Option<Vec<f64>>,
+    isocentre_mm: Option<Vec<f64>>,
     /// Pixel columns.
     #[arg(long, default_value_t = 512)]
-    pub columns: u32,
+    columns: u32,
     /// Pixel rows.
     #[arg(long, default_value_t = 512)]
-    pub rows: u32,
+    rows: u32,
     /// Distance between pixel centres on the detector.
     #[arg(long, default_value_t = 0.6)]
-    pub pixel_pitch_mm: f64,
+    pixel_pitch_mm: f64,
     /// Rotate the C-arm through this primary angle, degrees, in `--frames` steps.
     #[arg(long, allow_negative_numbers = true)]
-    pub sweep: Option<f64>,
+    sweep: Option<f64>,
     /// Number of frames in a sweep, 2 to 3600; 60 by default.
     #[arg(long, requires = "sweep", value_parser = clap::value_parser!(u32).range(2..=3600))]
-    pub frames: Option<u32>,
+    frames: Option<u32>,
     /// Write one animated .png instead of a numbered series.
     #[arg(long)]
-    pub animate: bool,
+    animate: bool,
     /// How line integrals are computed.
-    #[arg(long, value_enum, default_value = "slice-ordered")]
-    pub projector: ProjectorName,
+    #[arg(long, value_parser = choice(&PROJECTORS), default_value = "slice-ordered")]
+    projector: Projector,
     /// How the detector signal maps to grey values.
-    #[arg(long, value_enum, default_value = "bone-dark")]
-    pub display: DisplayName,
+    #[arg(long, value_parser = choice(&DISPLAYS), default_value = "bone-dark")]
+    display: DisplayMode,
     /// Photon energy, 30 to 120 keV.
     #[arg(long, default_value_t = 60.0, conflicts_with = "tube_kv")]
-    pub energy_kev: f64,
+    energy_kev: f64,
     /// Use the spectrum of this tube voltage, 50 to 120 kV, filtered by 3 mm of aluminium, instead of one energy.
     #[arg(long)]
-    pub tube_kv: Option<f64>,
+    tube_kv: Option<f64>,
     /// Photons per unattenuated pixel; without it, no noise.
     #[arg(long)]
-    pub photons: Option<f64>,
+    photons: Option<f64>,
     /// Detector blur (standard deviation), pixels.
     #[arg(long, default_value_t = 0.0)]
-    pub blur_pixels: f64,
+    blur_pixels: f64,
     /// Noise seed.
     #[arg(long, default_value_t = 0, requires = "photons")]
-    pub seed: u64,
+    seed: u64,
     /// Number of render threads.
     #[arg(long, default_value_t = 2)]
-    pub threads: usize,
-    /// How its figures are printed.
+    threads: usize,
     #[command(flatten)]
-    pub figures: Figures,
+    figures: Figures,
 }
 
 /// Projectors.
-#[derive(Debug, Clone, Copy, ValueEnum)]
-pub enum ProjectorName {
-    /// Exact for constant voxels; slow.
-    Siddon,
-    /// Bilinear interpolation, ray by ray.
-    Joseph,
-    /// Bilinear interpolation, slice by slice; the fastest at full resolution.
-    SliceOrdered,
-    /// The same on voxels binned 2 x 2 x 2.
-    Preview,
-}
+const PROJECTORS: [Choice<Projector>; 4] = [
+    ("siddon", "Exact for constant voxels; slow", Projector::Siddon),
+    ("joseph", "Bilinear interpolation, ray by ray", Projector::Joseph),
+    (
+        "slice-ordered",
+        "Bilinear interpolation, slice by slice; the fastest at full resolution",
+        Projector::SLICE_ORDERED,
+    ),
+    ("preview", "The same on voxels binned 2 x 2 x 2", Projector::PREVIEW),
+];
 
 /// Displays.
-#[derive(Debug, Clone, Copy, ValueEnum)]
-pub enum DisplayName {
-    /// Bone dark, as on the detector.
-    BoneDark,
-    /// Bone bright.
-    BoneBright,
-    /// The raw detector readout.
-    Linear,
-}
+const DISPLAYS: [Choice<DisplayMode>; 3] = [
+    ("bone-dark", "Bone dark, as on the detector", DisplayMode::BoneDark),
+    ("bone-bright", "Bone bright", DisplayMode::BoneBright),
+    ("linear", "The raw detector readout", DisplayMode::Linear),
+];
 
 /// Frames of a sweep that names no number.
 const SWEEP_FRAMES: u32 = 60;
@@ -170,8 +164,8 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
     let series = Series::new(volume_io::volume_hash(&volume), &placed, arguments.tube_kv);
     let look = Look {
         as_values: kind == Kind::Nrrd,
-        linear: matches!(arguments.display, DisplayName::Linear),
-        dense_is_dark: matches!(arguments.display, DisplayName::BoneDark),
+        linear: arguments.display == DisplayMode::Linear,
+        dense_is_dark: arguments.display == DisplayMode::BoneDark,
         seed: arguments.seed,
     };
     let animation = match arguments.animate {
@@ -269,12 +263,7 @@ fn place(poses: &[Pose], volume: &Volume) -> Result<Vec<Placed>, Failure> {
 
 fn parameters(arguments: &DrrArguments) -> DrrParameters {
     DrrParameters {
-        projector: match arguments.projector {
-            ProjectorName::Siddon => Projector::Siddon,
-            ProjectorName::Joseph => Projector::Joseph,
-            ProjectorName::SliceOrdered => Projector::SLICE_ORDERED,
-            ProjectorName::Preview => Projector::PREVIEW,
-        },
+        projector: arguments.projector,
         energy_kev: arguments.energy_kev,
         spectrum: arguments.tube_kv.map(|tube_kv| Spectrum { tube_kv, ..Spectrum::default() }),
         threads: arguments.threads,
@@ -284,14 +273,7 @@ fn parameters(arguments: &DrrArguments) -> DrrParameters {
             blur_sigma_px: arguments.blur_pixels,
             ..DetectorParameters::default()
         },
-        display: DisplayParameters {
-            mode: match arguments.display {
-                DisplayName::BoneDark => Display::BoneDark,
-                DisplayName::BoneBright => Display::BoneBright,
-                DisplayName::Linear => Display::Linear,
-            },
-            ..DisplayParameters::default()
-        },
+        display: DisplayParameters { mode: arguments.display, ..DisplayParameters::default() },
         ..DrrParameters::default()
     }
 }

@@ -31,10 +31,8 @@ pub struct FromMarkupsArguments {
     /// New scene file; default: named after the plan, in the current folder.
     #[arg(short, long)]
     output: Option<PathBuf>,
-    /// Which files the volume may name.
     #[command(flatten)]
     volume_files: VolumeFiles,
-    /// How its figures are printed.
     #[command(flatten)]
     figures: Figures,
 }

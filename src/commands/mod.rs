@@ -1,38 +1,50 @@
 //! The subcommands, one per file.
 
 pub mod bridge;
-pub mod cache;
-pub mod calibrate;
-pub mod docs;
-pub mod doctor;
-pub mod drr;
-pub mod from_markups;
-pub mod log;
-pub mod plan;
-pub mod plot;
+pub(crate) mod cache;
+pub(crate) mod calibrate;
+pub(crate) mod docs;
+pub(crate) mod doctor;
+pub(crate) mod drr;
+mod from_markups;
+pub(crate) mod log;
+pub(crate) mod plan;
+pub(crate) mod plot;
 pub mod proc;
-pub mod replay;
+pub(crate) mod replay;
 pub mod run;
-pub mod scene;
-pub mod session;
-pub mod show;
+pub(crate) mod scene;
+pub(crate) mod session;
+mod show;
 pub mod stress;
-pub mod sweep;
-pub mod tool;
+pub(crate) mod sweep;
+pub(crate) mod tool;
 pub mod view;
 pub mod view_arm;
-pub mod view_plan;
+mod view_plan;
 mod view_run;
-pub mod volume;
+pub(crate) mod volume;
 
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use ipc_types::messages::TickRange;
 
 use crate::failure::Failure;
 
+/// A value that an option may have: its name, its help, and what it stands for.
+pub type Choice<T> = (&'static str, &'static str, T);
+
+/// Parses the name of a choice.
+pub fn choice<T: Clone + Send + Sync + 'static>(
+    choices: &'static [Choice<T>],
+) -> impl TypedValueParser<Value = T> {
+    let names = choices.iter().map(|(name, help, _)| PossibleValue::new(*name).help(*help));
+    PossibleValuesParser::new(names).try_map(|given| {
+        let chosen = choices.iter().find(|(name, ..)| name.eq_ignore_ascii_case(&given));
+        chosen.map(|(.., value)| value.clone()).ok_or("no such value")
+    })
+}
+
 /// The ticks of `--from` and `--to`.
-///
-/// # Errors
-/// Bad input: the last lies before the first.
 fn in_order(ticks: TickRange) -> Result<TickRange, Failure> {
     let TickRange { first, last } = ticks;
     match last.filter(|last| *last < first) {

@@ -19,32 +19,30 @@ use crate::scenes::SceneSource;
 #[command(group = clap::ArgGroup::new("what").required(true).multiple(true).args(["scene", "check", "list"]))]
 pub struct PlanArguments {
     /// Scene file with a `tolerance`.
-    pub scene: Option<PathBuf>,
+    scene: Option<PathBuf>,
     /// Step a log's commands through the reference model and report the tip error; takes a run's folder or its `run.mcap`.
     #[arg(long, value_name = "LOG", conflicts_with_all = ["scene", "list"])]
-    pub check: Option<PathBuf>,
+    check: Option<PathBuf>,
     /// Print the table of errors and costs behind the choice; with a scene, that of its tool, which is measured if it is not the
     /// standard one.
     #[arg(long)]
-    pub list: bool,
+    list: bool,
     /// With `--check`: number of ticks to compare.
     #[arg(long, requires = "check", conflicts_with_all = ["scene", "list"], default_value_t = 500, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
-    pub samples: u64,
+    samples: u64,
     /// With `--check`: the last tick to re-run.
     #[arg(long, requires = "check", conflicts_with_all = ["scene", "list"], default_value_t = u64::MAX, hide_default_value = true)]
-    pub to: u64,
+    to: u64,
     /// With `--check`: current path of the log's CT file.
     #[arg(long, value_name = "PATH", requires = "check", conflicts_with_all = ["scene", "list"])]
-    pub volume: Option<PathBuf>,
+    volume: Option<PathBuf>,
     /// With `--check`: continue even if the log's build, layout or volume differs.
     #[arg(long, requires = "check", conflicts_with_all = ["scene", "list"])]
-    pub allow_mismatch: bool,
-    /// Which files the volume may name.
+    allow_mismatch: bool,
     #[command(flatten)]
-    pub volume_files: VolumeFiles,
-    /// How its figures are printed.
+    volume_files: VolumeFiles,
     #[command(flatten)]
-    pub figures: Figures,
+    figures: Figures,
 }
 
 /// Runs the command.

@@ -3,17 +3,15 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use figures::{Axis, Figure, FigureError, HEAD, Panel, Point, Rect, Stroke, WIDTH};
 use ipc_types::messages::{Tick, TickRange};
 use recorder_proc::log_file::{LogFile, log_path};
-use run_log::columns::{Column, Rows, columns, description_of_topic, read_rows};
+use run_log::columns::{Column, columns, description_of_topic, read_rows};
 use run_log::fields::Scalar;
 use run_log::{LogError, Topic};
 
 use crate::failure::Failure;
 use crate::output::figure_place;
-use crate::report::axis::{Axis, bounds};
-use crate::report::panel::{Panel, Rect};
-use crate::report::shapes::{Figure, HEAD, Point, Stroke, WIDTH};
 use crate::report::timeline::{Extremes, Timeline};
 
 const PANEL_HEIGHT: f64 = 250.0;
@@ -58,42 +56,32 @@ pub fn run(arguments: &PlotArguments) -> Result<(), Failure> {
         panels.push((field.as_str(), chosen));
     }
     let all: Vec<Column> = panels.iter().flat_map(|(_, columns)| columns.iter().cloned()).collect();
-    let mut lines = Lines(vec![Timeline::new(BINS, 1_000_000, Extremes::EMPTY); all.len()]);
-    read_rows(&LogFile::at(&log), &arguments.topic, &all, TickRange::ALL, &mut lines)?;
+    let mut lines = vec![Timeline::new(BINS, 1_000_000, Extremes::EMPTY); all.len()];
+    let mut add = |_: Tick, log_time_ns: u64, values: &[Scalar]| -> Result<(), LogError> {
+        lines.iter_mut().zip(values).for_each(|(line, value)| line.bin(log_time_ns).add(value.nearest_f64()));
+        Ok(())
+    };
+    read_rows(&LogFile::at(&log), &arguments.topic, &all, TickRange::ALL, &mut add)?;
     let title = format!("{}  {}", log.display(), arguments.topic);
-    draw(&title, &panels, &lines)?.write(place.folder, &place.stem)?;
+    place.write(draw(&title, &panels, &lines))?;
     place.files.iter().for_each(|path| say!("{}", path.display()));
     Ok(())
-}
-
-struct Lines(Vec<Timeline<Extremes>>);
-
-impl Rows for Lines {
-    fn row(&mut self, _tick: Tick, log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError> {
-        for (line, value) in self.0.iter_mut().zip(values) {
-            line.bin(log_time_ns).add(value.nearest_f64());
-        }
-        Ok(())
-    }
 }
 
 fn draw(
     title: &str,
     panels: &[(&str, Vec<Column>)],
-    lines: &Lines,
-) -> Result<Figure, crate::report::ReportError> {
+    lines: &[Timeline<Extremes>],
+) -> Result<Figure, FigureError> {
     let height = HEAD + PANEL_HEIGHT * panels.len() as f64;
     let mut figure = Figure::titled(height, title)?;
-    let mut rest = lines.0.iter();
+    let mut rest = lines.iter();
     for (row, (field, columns)) in panels.iter().enumerate() {
         let outer = Rect { x: 0.0, y: HEAD + PANEL_HEIGHT * row as f64, width: WIDTH, height: PANEL_HEIGHT };
         let values: Vec<Vec<Point>> = rest.by_ref().take(columns.len()).map(points).collect();
-        let around = |title: &str, pick: fn(&Point) -> f64| {
-            let (low, high) = bounds(values.iter().flatten().map(pick)).unwrap_or((0.0, 1.0));
-            let margin = 0.04 * (high - low).max(1e-12);
-            Axis::linear(title, low - margin, high + margin, 5)
-        };
-        let (x, y) = (around("simulated time (s)", |p| p.0), around("", |p| p.1));
+        let of = |pick: fn(&Point) -> f64| values.iter().flatten().map(pick);
+        let x = Axis::over("simulated time (s)", of(|p| p.0), 0.04, 5);
+        let y = Axis::over("", of(|p| p.1), 0.04, 5);
         let mut panel = Panel::new(&mut figure, outer, field, x, y);
         for (index, (points, column)) in values.iter().zip(columns).enumerate() {
             let label = if columns.len() > 1 { column.name.as_str() } else { "" };

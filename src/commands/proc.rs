@@ -54,21 +54,17 @@ pub struct Joined {
 }
 
 /// Runs the part until it ends.
-///
-/// # Errors
-/// Any error of the part.
 pub fn run(command: &ProcCommand) -> Result<ExitCode, Failure> {
     end_with_parent();
     // A part must come to its end even if its launcher was killed while it made a segment.
     let _sweeper = command.session().map(HalfMadeSweeper::after_host);
-    let failed = |error: &dyn std::error::Error| Failure::failed(error.to_string());
     match command {
         ProcCommand::Physics(joined) => {
-            physics_proc::process::run(joined.to_living()?).map_err(|e| failed(&e))?;
+            physics_proc::process::run(joined.to_living()?).map_err(Failure::failed)?;
         }
-        ProcCommand::Drr(joined) => drr_proc::process::run(joined.to_living()?).map_err(|e| failed(&e))?,
+        ProcCommand::Drr(joined) => drr_proc::process::run(joined.to_living()?).map_err(Failure::failed)?,
         ProcCommand::Controller { name, joined } => {
-            controller_proc::process::run(joined.to_living()?, name).map_err(|e| failed(&e))?;
+            controller_proc::process::run(joined.to_living()?, name).map_err(Failure::failed)?;
         }
         ProcCommand::Recorder { output, joined } => {
             let recorded = recorder_proc::process::run(joined.to_living()?, output);

@@ -6,6 +6,7 @@ use std::time::Instant;
 use clap::Args;
 use recorder_proc::exit_code::exit_code;
 use run_log::Verdict;
+use run_log::hash_text;
 use run_log::segments::{Passed, SegmentOptions, SegmentReport, keyframe_before, verify_segments};
 use run_log::verify::ReplayReport;
 use serde_json::json;
@@ -17,53 +18,53 @@ use crate::commands::in_order;
 use crate::failure::Failure;
 use crate::feasibility::is_program;
 use crate::launcher::volume_source::VolumeFiles;
-use crate::replay::{ComparedFrames, LivePlan, OpenedLog, Overrides, record, run_live, step, verify_frames};
+use crate::replay::{
+    ComparedFrames, LivePlan, OpenedLog, Overrides, Recorded, record, run_live, step, verify_frames,
+};
 use crate::say::Figures;
 
 /// Arguments of `replay`.
 #[derive(Debug, Args)]
 pub struct ReplayArguments {
     /// `run.mcap`, or the folder of a run.
-    pub log: PathBuf,
+    log: PathBuf,
     /// Compare hash, state and removed voxels at every tick, and every keyframe; report the first difference, exit code 1.
     #[arg(long)]
-    pub verify: bool,
+    verify: bool,
     /// Start here: a tick, or seconds such as `1.5s`. The replay starts at the last keyframe before it.
     #[arg(long, value_parser = Moment::parse)]
-    pub from: Option<Moment>,
+    from: Option<Moment>,
     /// Stop here: a tick, or seconds.
     #[arg(long, value_parser = Moment::parse)]
-    pub to: Option<Moment>,
+    to: Option<Moment>,
     /// Threads that step, compare and render; default: one per core.
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
-    pub threads: Option<u16>,
+    threads: Option<u16>,
     /// Render the X-ray frames again and compare them.
     #[arg(long)]
-    pub frames: bool,
+    frames: bool,
     /// Record the replay to `run.mcap` in this folder and compare it with the original file.
     #[arg(short, long, value_name = "FOLDER", conflicts_with_all = ["from", "to"])]
-    pub output: Option<PathBuf>,
+    output: Option<PathBuf>,
     /// Run this program as one of the scene's controllers, feed it the logged states and compare its commands. May be repeated.
     #[arg(long, value_name = "[NAME=]COMMAND", conflicts_with_all = ["verify", "from", "frames", "output"])]
-    pub controller: Vec<String>,
+    controller: Vec<String>,
     /// With `--controller`: step the physics with the program's commands, in lockstep.
     #[arg(long, requires = "controller")]
-    pub closed_loop: bool,
+    closed_loop: bool,
     /// Current path of the log's CT file; its content must be the same.
     #[arg(long, value_name = "PATH")]
-    pub volume: Option<PathBuf>,
+    volume: Option<PathBuf>,
     /// Replay the commands in this scene; if it differs from the log's, `--allow-mismatch` is needed.
     #[arg(long, value_name = "FILE")]
-    pub scene: Option<PathBuf>,
+    scene: Option<PathBuf>,
     /// Replay even if the log's build, layout, scene or volume differs; the result says so.
     #[arg(long)]
-    pub allow_mismatch: bool,
-    /// Which files the volume may name.
+    allow_mismatch: bool,
     #[command(flatten)]
-    pub volume_files: VolumeFiles,
-    /// How its figures are printed.
+    volume_files: VolumeFiles,
     #[command(flatten)]
-    pub figures: Figures,
+    figures: Figures,
 }
 
 /// A tick, or simulated time.
@@ -180,29 +181,19 @@ fn replay(
     let TickRange { first: from, last: to } = ticks;
     let began = Instant::now();
     let start = if from > Tick::START { keyframe_before(log.reader()?, from) } else { None };
+    let options = SegmentOptions { start, to_tick: to, threads: arguments.threads() };
     let (found, verdict) = if arguments.verify {
-        let options = SegmentOptions { start, to_tick: to, threads: arguments.threads() };
         let mut reader = log.reader()?;
         let found = verify_segments(&mut reader, &|| log.simulation(), &options);
         (found, reader.stream().verdict())
     } else {
-        step(log, SegmentOptions { start, to_tick: to, threads: arguments.threads() })?
+        step(log, options)?
     };
-    let SegmentReport { replay: report, first_tick: first, identical_keyframes: keyframes, gaps } = found;
+    let report = &found.replay;
     // A replay that stopped early on request has not read how the log ends.
     let at_end = to.is_none_or(|to| report.last_tick < to) && report.is_identical();
     let verdict = at_end.then_some(verdict);
     let wall_s = began.elapsed().as_secs_f64();
-    let told = ReplayOutcome {
-        verified: arguments.verify,
-        first,
-        keyframes,
-        gaps,
-        verdict,
-        label: log.label(),
-        wall_s,
-        figures: arguments.figures,
-    };
     let ended_early = report.log_error.is_none() && report.simulation_error.is_none();
     if ended_early && report.divergence.is_none() && from > Tick::START {
         let last = report.last_tick;
@@ -217,136 +208,106 @@ fn replay(
             )));
         }
     }
-    told.tell(&report)?;
-    Ok((told.exit_code(), told.json(&report)))
+    refuse_differences(report, &log.label())?;
+    if !arguments.figures.json {
+        tell(arguments, &found, verdict.as_ref(), &log.label(), wall_s);
+    }
+    let of_gaps = if found.gaps.is_empty() { 0 } else { EXIT_GAP };
+    let code = verdict.as_ref().map_or(of_gaps, |verdict| exit_code(verdict).max(of_gaps));
+    let ticks = |gap: &Passed| [gap.after, gap.resumed].map(|tick| tick.map(|tick| tick.0));
+    let figures = json!({
+        "verified": arguments.verify,
+        "first_tick": found.first_tick.0,
+        "ticks": report.identical_ticks,
+        "last_tick": report.last_tick.0,
+        "hash": hash_text(report.hash),
+        "simulated_s": report.simulated_ns as f64 * 1e-9,
+        "wall_s": wall_s,
+        "identical_keyframes": found.identical_keyframes,
+        "simulation_failed": report.failure,
+        "gaps_after_and_resumed": found.gaps.iter().map(ticks).collect::<Vec<_>>(),
+        "intact": verdict.as_ref().map(Verdict::is_intact),
+    });
+    Ok((code, figures))
+}
+
+/// Fails if the replay differs from the log, or if either could not go on.
+fn refuse_differences(report: &ReplayReport, label: &str) -> Result<(), Failure> {
+    if let Some(error) = &report.log_error {
+        let last = report.last_tick;
+        return Err(Failure::failed(format!("the log cannot be read beyond tick {last}: {error}")));
+    }
+    if let Some((tick, cause)) = &report.simulation_error {
+        return Err(Failure::failed(format!("the simulation fails at tick {tick}: {cause}{label}")));
+    }
+    match &report.divergence {
+        Some(divergence) => Err(Failure::failed(format!("{divergence}{label}"))),
+        None => Ok(()),
+    }
 }
 
 /// Maximum number of gaps listed individually.
 const MAX_GAPS_LISTED: usize = 64;
 
-/// What to print about a replay besides its report.
-struct ReplayOutcome {
-    verified: bool,
-    first: Tick,
-    keyframes: u64,
-    gaps: Vec<Passed>,
-    /// The log's verdict, if it was read to its end.
-    verdict: Option<Verdict>,
-    label: String,
+/// Says what came of a replay without differences; `verdict` is the log's, if it was read to its end.
+fn tell(
+    arguments: &ReplayArguments,
+    found: &SegmentReport,
+    verdict: Option<&Verdict>,
+    label: &str,
     wall_s: f64,
-    figures: Figures,
-}
-
-impl ReplayOutcome {
-    /// Exit code of a replay without differences.
-    fn exit_code(&self) -> u8 {
-        let of_gaps = if self.gaps.is_empty() { 0 } else { EXIT_GAP };
-        self.verdict.as_ref().map_or(of_gaps, |verdict| exit_code(verdict).max(of_gaps))
+) {
+    let report = &found.replay;
+    let simulated_s = report.simulated_ns as f64 * 1e-9;
+    let from = match found.first_tick > Tick::START {
+        true => format!(" from the keyframe of tick {}", found.first_tick),
+        false => String::new(),
+    };
+    say!(
+        "replayed {} ticks{from}{}{label}; last tick {}, hash {}; {simulated_s:.3} s simulated in {wall_s:.3} s, {:.1} times real time",
+        report.identical_ticks,
+        if arguments.verify { ", all identical" } else { "" },
+        report.last_tick,
+        hash_text(report.hash),
+        simulated_s / wall_s.max(1e-9)
+    );
+    if arguments.verify {
+        say!("{} keyframes, all identical", found.identical_keyframes);
     }
-
-    fn json(&self, report: &ReplayReport) -> serde_json::Value {
-        let gaps: Vec<[Option<u64>; 2]> = self
-            .gaps
-            .iter()
-            .map(|gap| [gap.after, gap.resumed].map(|tick| tick.map(|tick| tick.0)))
-            .collect();
-        json!({
-            "verified": self.verified,
-            "first_tick": self.first.0,
-            "ticks": report.identical_ticks,
-            "last_tick": report.last_tick.0,
-            "hash": run_log::hash_text(report.hash),
-            "simulated_s": report.simulated_ns as f64 * 1e-9,
-            "wall_s": self.wall_s,
-            "identical_keyframes": self.keyframes,
-            "simulation_failed": report.failure,
-            "gaps_after_and_resumed": gaps,
-            "intact": self.verdict.as_ref().map(Verdict::is_intact),
-        })
+    if let Some(failure) = &report.failure {
+        say!("then the simulation fails as it did in the run: {failure}");
     }
-
-    /// Says what came of it, but with `--json`, whose one document is written at the end.
-    fn tell(&self, report: &ReplayReport) -> Result<(), Failure> {
-        let simulated_s = report.simulated_ns as f64 * 1e-9;
-        let hash = run_log::hash_text(report.hash);
-        let label = &self.label;
-        if let Some(error) = &report.log_error {
-            return Err(Failure::failed(format!(
-                "the log cannot be read beyond tick {}: {error}",
-                report.last_tick
-            )));
+    found.gaps.iter().take(MAX_GAPS_LISTED).for_each(|gap| say!("{gap}"));
+    if let Some(more) = found.gaps.len().checked_sub(MAX_GAPS_LISTED).filter(|more| *more > 0) {
+        say!("and {more} more gaps");
+    }
+    if let Some(verdict) = verdict {
+        say!("{}", report.ending.describe());
+        if !verdict.is_intact() {
+            say!("{verdict}");
         }
-        if let Some((tick, cause)) = &report.simulation_error {
-            return Err(Failure::failed(format!("the simulation fails at tick {tick}: {cause}{label}")));
-        }
-        if let Some(divergence) = &report.divergence {
-            return Err(Failure::failed(format!("{divergence}{label}")));
-        }
-        if self.figures.json {
-            return Ok(());
-        }
-        let from = if self.first > Tick::START {
-            format!(" from the keyframe of tick {}", self.first)
-        } else {
-            String::new()
-        };
-        let what = if self.verified { format!("ticks{from}, all identical") } else { format!("ticks{from}") };
-        say!(
-            "replayed {} {what}{label}; last tick {}, hash {hash}; {simulated_s:.3} s simulated in {:.3} s, {:.1} times real time",
-            report.identical_ticks,
-            report.last_tick,
-            self.wall_s,
-            simulated_s / self.wall_s.max(1e-9)
-        );
-        if self.verified {
-            say!("{} keyframes, all identical", self.keyframes);
-        }
-        if let Some(failure) = &report.failure {
-            say!("then the simulation fails as it did in the run: {failure}");
-        }
-        for gap in self.gaps.iter().take(MAX_GAPS_LISTED) {
-            say!("{gap}");
-        }
-        if let Some(more) = self.gaps.len().checked_sub(MAX_GAPS_LISTED).filter(|more| *more > 0) {
-            say!("and {more} more gaps");
-        }
-        if let Some(verdict) = &self.verdict {
-            say!("{}", report.ending.describe());
-            if !verdict.is_intact() {
-                say!("{verdict}");
-            }
-        }
-        Ok(())
     }
 }
 
-fn tell_recorded(
-    recorded: &crate::replay::Recorded,
-    log: &OpenedLog,
-    figures: Figures,
-) -> Result<(), Failure> {
-    let [theirs, ours] = &recorded.sha256;
-    let label = log.label();
-    let differ =
-        || Failure::failed("every message is identical, but the files differ: see above how the log ends");
+fn tell_recorded(recorded: &Recorded, log: &OpenedLog, figures: Figures) -> Result<(), Failure> {
+    let Recorded { path, ticks, frames, sha256, remark } = recorded;
+    let [theirs, ours] = sha256;
     if figures.json {
-        let (ticks, frames) = (recorded.ticks, recorded.frames);
-        say!(
-            "{}",
-            json!({"output": recorded.path, "ticks": ticks, "frames": frames, "sha256": recorded.sha256})
-        );
-        return if theirs == ours { Ok(()) } else { Err(differ()) };
+        say!("{}", json!({"output": path, "ticks": ticks, "frames": frames, "sha256": sha256}));
+    } else {
+        say!("recorded {ticks} ticks and {frames} frames again{}", log.label());
+        say!("sha256 {theirs}  {}\nsha256 {ours}  {}", log.path.display(), path.display());
+        remark.iter().for_each(|remark| say!("{remark}"));
+        if theirs == ours {
+            say!("the files are identical");
+        }
     }
-    say!("recorded {} ticks and {} frames again{label}", recorded.ticks, recorded.frames);
-    say!("sha256 {theirs}  {}\nsha256 {ours}  {}", log.path.display(), recorded.path.display());
-    if let Some(remark) = &recorded.remark {
-        say!("{remark}");
+    match theirs == ours {
+        true => Ok(()),
+        false => Err(Failure::failed(
+            "every message is identical, but the files differ: see above how the log ends",
+        )),
     }
-    if theirs == ours {
-        say!("the files are identical");
-        return Ok(());
-    }
-    Err(differ())
 }
 
 fn live(arguments: &ReplayArguments, log: &OpenedLog, to_tick: Tick) -> Result<(), Failure> {

@@ -4,13 +4,15 @@ use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use clap::{Args, ValueEnum};
+use clap::Args;
+use figures::FigureError;
 use ipc_types::messages::services::RECORDER_QUEUE_TICKS;
 use ipc_types::process::{EXIT_GAP, Role, prioritise};
 use ipc_types::scene::{Images, LONGEST_RUN_S, Mode, Policy, Scene, Wait};
 use output_file::OutputError;
 use voxel_grid::Ct;
 
+use super::{Choice, choice};
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::feasibility;
 use crate::launcher::hub::View;
@@ -22,7 +24,7 @@ use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::plan;
 use crate::printer;
 use crate::redirect_file;
-use crate::report::{self, ReportError};
+use crate::report;
 use crate::scenes::{BuiltIn, SceneSource};
 
 /// Time between two looks for the end of the viewer.
@@ -32,49 +34,48 @@ const VIEWER_LOOK: Duration = Duration::from_millis(100);
 #[derive(Debug, Args)]
 pub struct RunArguments {
     /// Scene file; default: the built-in femur.
-    pub scene: Option<PathBuf>,
+    scene: Option<PathBuf>,
     /// Set a key of the scene, such as `run.duration_s=2` or `controller.0.optional=true` (may be repeated).
     #[arg(long = "set", value_name = "KEY=VALUE")]
-    pub settings: Vec<String>,
+    settings: Vec<String>,
     /// Lockstep or real time; overrides the scene.
-    #[arg(long, value_enum)]
-    pub mode: Option<ModeArgument>,
+    #[arg(long, value_parser = choice(&MODES))]
+    mode: Option<Mode>,
     /// Simulated seconds; overrides the scene.
     #[arg(long)]
-    pub duration_s: Option<f64>,
+    duration_s: Option<f64>,
     /// Parent of the run's folder.
     #[arg(short, long, default_value = "out")]
-    pub output: PathBuf,
+    output: PathBuf,
     /// Do not record.
     #[arg(long, conflicts_with_all = ["output", "images", "image_every"])]
-    pub no_record: bool,
+    no_record: bool,
     /// What to record of each X-ray frame; overrides the scene.
-    #[arg(long, value_enum)]
-    pub images: Option<ImagesArgument>,
+    #[arg(long, value_parser = choice(&IMAGES))]
+    images: Option<Images>,
     /// Record the image of every Nth frame and only the hash of the others; needs `--images full`.
     #[arg(long, value_name = "N")]
-    pub image_every: Option<u64>,
+    image_every: Option<u64>,
     /// How physics and controllers wait; overrides the scene.
-    #[arg(long, value_enum)]
-    pub wait: Option<WaitArgument>,
+    #[arg(long, value_parser = choice(&WAITS))]
+    wait: Option<Wait>,
     /// Scheduling policy of physics and controllers; overrides the scene.
-    #[arg(long, value_enum)]
-    pub policy: Option<PolicyArgument>,
+    #[arg(long, value_parser = choice(&POLICIES))]
+    policy: Option<Policy>,
     /// Show the run in the browser, on this port if given.
     #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "8765")]
-    pub view: Option<u16>,
+    view: Option<u16>,
     /// With `--view`: let anyone who can reach the port watch without the token.
     #[arg(long, requires = "view")]
-    pub watch_by_anyone: bool,
-    /// Which files the volume may name.
+    watch_by_anyone: bool,
     #[command(flatten)]
-    pub volume_files: VolumeFiles,
+    volume_files: VolumeFiles,
     /// No progress line.
     #[arg(long)]
-    pub quiet: bool,
+    quiet: bool,
     /// Print JSON lines on standard output, for scripts, instead of the progress line and the summary table.
     #[arg(long, conflicts_with = "quiet")]
-    pub json: bool,
+    json: bool,
 }
 
 impl RunArguments {
@@ -88,63 +89,30 @@ impl RunArguments {
 }
 
 /// How simulated time advances.
-#[derive(Debug, Clone, Copy, ValueEnum)]
-pub enum ModeArgument {
-    /// As fast as the parts allow.
-    Lockstep,
-    /// In step with the wall clock.
-    Realtime,
-}
+const MODES: [Choice<Mode>; 2] = [
+    ("lockstep", "As fast as the parts allow", Mode::Lockstep),
+    ("realtime", "In step with the wall clock", Mode::Realtime),
+];
 
 /// What to record of X-ray frames.
-#[derive(Debug, Clone, Copy, ValueEnum)]
-pub enum ImagesArgument {
-    /// The whole image.
-    Full,
-    /// Only geometry and hash.
-    HashOnly,
-    /// Nothing.
-    None,
-}
+const IMAGES: [Choice<Images>; 3] = [
+    ("full", "The whole image", Images::Full),
+    ("hash-only", "Only geometry and hash", Images::HashOnly),
+    ("none", "Nothing", Images::None),
+];
 
 /// How physics and controllers wait.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum WaitArgument {
-    /// Busy-wait, as long as there are more cores than spinning parts.
-    Spin,
-    /// Sleep at once.
-    Event,
-    /// Poll briefly while no other process needs the core, then sleep.
-    Hybrid,
-}
-
-impl From<WaitArgument> for Wait {
-    fn from(wait: WaitArgument) -> Wait {
-        match wait {
-            WaitArgument::Spin => Wait::Spin,
-            WaitArgument::Event => Wait::Event,
-            WaitArgument::Hybrid => Wait::Hybrid,
-        }
-    }
-}
+pub const WAITS: [Choice<Wait>; 3] = [
+    ("spin", "Busy-wait, as long as there are more cores than spinning parts", Wait::Spin),
+    ("event", "Sleep at once", Wait::Event),
+    ("hybrid", "Poll briefly while no other process needs the core, then sleep", Wait::Hybrid),
+];
 
 /// Scheduling policy of physics and controllers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum PolicyArgument {
-    /// `SCHED_OTHER` with a higher weight (a negative nice value).
-    Other,
-    /// `SCHED_FIFO`: ahead of all ordinary programs.
-    Fifo,
-}
-
-impl From<PolicyArgument> for Policy {
-    fn from(policy: PolicyArgument) -> Policy {
-        match policy {
-            PolicyArgument::Other => Policy::Other,
-            PolicyArgument::Fifo => Policy::Fifo,
-        }
-    }
-}
+pub const POLICIES: [Choice<Policy>; 2] = [
+    ("other", "`SCHED_OTHER` with a higher weight (a negative nice value)", Policy::Other),
+    ("fifo", "`SCHED_FIFO`: ahead of all ordinary programs", Policy::Fifo),
+];
 
 /// Runs a scene.
 ///
@@ -153,8 +121,7 @@ impl From<PolicyArgument> for Policy {
 /// be written (1); a log with a gap (3); Ctrl-C (130).
 pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     printer::start().map_err(|cause| Failure::failed(format!("cannot write to standard output: {cause}")))?;
-    let interrupts = Interrupts::install()
-        .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
+    let interrupts = Interrupts::install().map_err(Failure::signals)?;
     let source = SceneSource::new(arguments.scene.as_deref(), BuiltIn::Femur).with(&arguments.settings)?;
     let scene = scene_of(arguments, &source)?;
     if let Some(choice) = xray::from_scene::tolerance_text(&scene).filter(|_| !arguments.json) {
@@ -195,7 +162,7 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
             }
             display.show(snapshot);
         });
-        ran.map_err(|error| Failure::failed(error.to_string()))
+        ran.map_err(Failure::failed)
     });
     display.end();
     interrupts.report_begins();
@@ -207,11 +174,10 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
         _ => !interrupts.end.is_urgent(),
     };
     let output = plan.output.as_deref().filter(|output| is_to_report && output.exists());
-    let told = if arguments.json { Told::Json } else { Told::Text };
     let written = match output {
-        Some(output) => write_report(&result, output, told),
+        Some(output) => write_report(&result, output, arguments.json),
         None => {
-            tell_outcome(&result, told);
+            tell_outcome(&result, arguments.json);
             Ok(())
         }
     };
@@ -260,19 +226,10 @@ fn scene_of(arguments: &RunArguments, source: &SceneSource) -> Result<Scene, Fai
     if let Some(choice) = choice.filter(|_| !arguments.json) {
         say!("{choice}");
     }
-    match arguments.mode {
-        Some(ModeArgument::Lockstep) => scene.run.mode = Mode::Lockstep,
-        Some(ModeArgument::Realtime) => scene.run.mode = Mode::Realtime,
-        None => {}
-    }
-    match arguments.images {
-        Some(ImagesArgument::Full) => scene.recording.images = Images::Full,
-        Some(ImagesArgument::HashOnly) => scene.recording.images = Images::HashOnly,
-        Some(ImagesArgument::None) => scene.recording.images = Images::None,
-        None => {}
-    }
-    scene.run.wait = arguments.wait.map_or(scene.run.wait, Wait::from);
-    scene.run.policy = arguments.policy.map_or(scene.run.policy, Policy::from);
+    scene.run.mode = arguments.mode.unwrap_or(scene.run.mode);
+    scene.recording.images = arguments.images.unwrap_or(scene.recording.images);
+    scene.run.wait = arguments.wait.unwrap_or(scene.run.wait);
+    scene.run.policy = arguments.policy.unwrap_or(scene.run.policy);
     if let Some(every) = arguments.image_every {
         if !(1..=1_000_000).contains(&every) || scene.recording.images != Images::Full {
             return Err(Failure::bad_input(format!(
@@ -292,58 +249,44 @@ fn scene_of(arguments: &RunArguments, source: &SceneSource) -> Result<Scene, Fai
     Ok(scene)
 }
 
-/// How the end of a run is printed.
-#[derive(Clone, Copy)]
-enum Told {
-    /// For people: a table.
-    Text,
-    /// For programs (`--json`).
-    Json,
-}
-
 /// Writes the figures and numbers, and prints the final table.
-fn write_report(result: &RunResult, output: &Path, told: Told) -> Result<(), Failure> {
+fn write_report(result: &RunResult, output: &Path, json: bool) -> Result<(), Failure> {
     let replay_command = format!("{} replay {} --verify", program_name(), output.display());
     let facts = result.facts(replay_command);
     let report = report::write(output, &facts)?;
-    match told {
-        Told::Json => {
-            let (session, outcome) = (&result.session, &facts.outcome);
-            let ended = serde_json::json!({
-                "phase": "ended", "session": session, "folder": output, "outcome": outcome, "began_ns": result.began_ns,
-                "summary": report.summary,
-            });
-            say!("{ended}");
-        }
+    if json {
+        let (session, outcome) = (&result.session, &facts.outcome);
+        let ended = serde_json::json!({
+            "phase": "ended", "session": session, "folder": output, "outcome": outcome, "began_ns": result.began_ns,
+            "summary": report.summary,
+        });
+        say!("{ended}");
+    } else if result.has_started {
+        say!("{}", report.summary);
+        say!("\nfolder       {}", output.display());
+    } else {
         // Without a tick there is nothing to sum up or to replay.
-        Told::Text if !result.has_started => {
-            tell_outcome(result, told);
-            say!("folder       {}", output.display());
-        }
-        Told::Text => {
-            say!("{}", report.summary);
-            say!("\nfolder       {}", output.display());
-        }
+        tell_outcome(result, false);
+        say!("folder       {}", output.display());
     }
     complete(&report.missing)
 }
 
 /// Says how a run without a report ended.
-fn tell_outcome(result: &RunResult, told: Told) {
+fn tell_outcome(result: &RunResult, json: bool) {
     let outcome = result.outcome.text();
-    match told {
-        Told::Json => {
-            say!("{}", serde_json::json!({"phase": "ended", "session": result.session, "outcome": outcome}));
-        }
-        Told::Text => say!("outcome      {outcome}"),
+    if json {
+        say!("{}", serde_json::json!({"phase": "ended", "session": result.session, "outcome": outcome}));
+    } else {
+        say!("outcome      {outcome}");
     }
 }
 
 /// Fails if files of the report are missing, and names them.
-fn complete(missing: &[ReportError]) -> Result<(), Failure> {
+fn complete(missing: &[FigureError]) -> Result<(), Failure> {
     for error in missing {
         match error {
-            ReportError::Output(OutputError::Exists { path }) => {
+            FigureError::Output(OutputError::Exists { path }) => {
                 tell!(
                     "trabecula: {}: not written: {} that does not belong to this run is in the way",
                     path.display(),
@@ -376,6 +319,7 @@ fn program_name() -> String {
 }
 
 fn judge(result: &RunResult) -> Result<(), Failure> {
+    let early = |why: &str| Err(Failure::failed(format!("the run ended early because {why}")));
     match &result.outcome {
         Outcome::Completed | Outcome::Stopped if result.has_gap => Err(Failure {
             message: format!(
@@ -388,17 +332,10 @@ fn judge(result: &RunResult) -> Result<(), Failure> {
         Outcome::Interrupted => Err(Failure { message: "interrupted".to_owned(), code: EXIT_INTERRUPTED }),
         // The launcher has already said how.
         Outcome::ControllerFailed(blame) => {
-            let name = blame.controller.as_deref().unwrap_or_default();
-            Err(Failure::failed(format!("the run ended early because of controller `{name}`")))
+            early(&format!("of controller `{}`", blame.controller.as_deref().unwrap_or_default()))
         }
-        Outcome::SimulationFailed(_) => {
-            Err(Failure::failed("the run ended early because the simulation failed"))
-        }
-        Outcome::PartDied { name, .. } => {
-            Err(Failure::failed(format!("the run ended early because `{name}` ended")))
-        }
-        Outcome::LogGone(_) => {
-            Err(Failure::failed("the run ended early because its log was removed or moved"))
-        }
+        Outcome::SimulationFailed(_) => early("the simulation failed"),
+        Outcome::PartDied { name, .. } => early(&format!("`{name}` ended")),
+        Outcome::LogGone(_) => early("its log was removed or moved"),
     }
 }

@@ -22,10 +22,8 @@ pub enum SceneCommand {
     Check {
         /// Scene file.
         file: PathBuf,
-        /// Which files the volume may name.
         #[command(flatten)]
         volume_files: VolumeFiles,
-        /// How its figures are printed.
         #[command(flatten)]
         figures: Figures,
     },

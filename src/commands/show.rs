@@ -4,13 +4,14 @@ use std::path::PathBuf;
 
 use clap::Args;
 use foreign_text::foreign_path;
-use serde_json::{Value, json};
+use serde_json::json;
 use voxel_grid::Ct;
 
 use crate::failure::Failure;
 use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::output::refuse_existing;
-use crate::say::Figures;
+use crate::report::ReportError;
+use crate::say::{Figures, merged};
 use crate::scene_picture::facts::Facts;
 use crate::scene_picture::figure::{Pictured, draw};
 use crate::scene_picture::shape::Shapes;
@@ -25,10 +26,8 @@ pub struct ShowArguments {
     /// New PNG file.
     #[arg(short, long)]
     output: PathBuf,
-    /// Which files the volume may name.
     #[command(flatten)]
     volume_files: VolumeFiles,
-    /// How its figures are printed.
     #[command(flatten)]
     figures: Figures,
 }
@@ -59,16 +58,10 @@ pub fn run(arguments: &ShowArguments) -> Result<(), Failure> {
     let surroundings = Surroundings::of(&volume, threshold_hu);
     let facts = Facts::of(&scene, &volume, &surroundings, &shapes)?;
     let pictured = Pictured { scene: &scene, volume: &volume, shapes: &shapes, facts: &facts };
-    draw(&pictured)?.write_png(output)?;
+    draw(&pictured).and_then(|figure| figure.write_png(output)).map_err(ReportError::from)?;
     arguments.figures.say(
         || text_of(arguments, &facts),
-        || {
-            let mut all = json!({"scene": scene.name, "output": output});
-            if let (Value::Object(all), Value::Object(figures)) = (&mut all, facts.json(&shapes)) {
-                all.extend(figures);
-            }
-            all
-        },
+        || merged(json!({"scene": scene.name, "output": output}), facts.json(&shapes)),
     );
     Ok(())
 }

@@ -1,14 +1,14 @@
 //! `trabecula stress SCENE`, and the competing processes that it starts.
 
-use crate::stress::KeptLogs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Policy, Scene, Wait};
 
-use crate::commands::run::{PolicyArgument, WaitArgument};
+use super::choice;
+use super::run::{POLICIES, WAITS};
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::run::output_folder;
 use crate::launcher::volume_source::VolumeFiles;
@@ -23,46 +23,44 @@ use crate::stress::{self, StressPlan, load};
 #[derive(Debug, Args)]
 pub struct StressArguments {
     /// Scene file, run in real time; default: the built-in femur.
-    pub scene: Option<PathBuf>,
+    scene: Option<PathBuf>,
     /// Numbers of cores to test; the hub and the competing load share them.
     #[arg(long, value_delimiter = ',', default_value = "1,2")]
-    pub cores: Vec<usize>,
+    cores: Vec<usize>,
     /// Competing load: none, spin, memory, disk or fork; spin:2 starts two.
     #[arg(long, value_delimiter = ',', default_value = "none,spin:2")]
-    pub load: Vec<Load>,
+    load: Vec<Load>,
     /// Scheduling policies of physics and controllers.
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "other")]
-    pub policy: Vec<PolicyArgument>,
+    #[arg(long, value_parser = choice(&POLICIES), value_delimiter = ',', default_value = "other")]
+    policy: Vec<Policy>,
     /// How physics and controllers wait.
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "hybrid")]
-    pub wait: Vec<WaitArgument>,
+    #[arg(long, value_parser = choice(&WAITS), value_delimiter = ',', default_value = "hybrid")]
+    wait: Vec<Wait>,
     /// Seconds per combination, 0.1 to 3600.
     #[arg(long, default_value_t = 20.0)]
-    pub seconds: f64,
+    seconds: f64,
     /// Seed for the load and for `--subset`.
     #[arg(long, default_value_t = 7)]
-    pub seed: u64,
+    seed: u64,
     /// Run only N combinations, chosen to cover as many pairs of settings as possible.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
-    pub subset: Option<u64>,
+    subset: Option<u64>,
     /// CPU quota of hub and load together, in percent of one core; needs permission to create a control group.
     #[arg(long, value_name = "PERCENT", value_parser = clap::value_parser!(u64).range(1..=100_000))]
-    pub quota: Option<u64>,
+    quota: Option<u64>,
     /// Compare with an earlier test's stress.json.
     #[arg(long, value_name = "JSON")]
-    pub compare: Option<PathBuf>,
+    compare: Option<PathBuf>,
     /// Parent of the test's folder.
     #[arg(short, long, default_value = "out")]
-    pub output: PathBuf,
+    output: PathBuf,
     /// Keep the runs' folders.
     #[arg(long)]
-    pub keep_logs: bool,
-    /// How a series of the scene is read.
+    keep_logs: bool,
     #[command(flatten)]
-    pub volume_files: VolumeFiles,
-    /// How its figures are printed.
+    volume_files: VolumeFiles,
     #[command(flatten)]
-    pub figures: Figures,
+    figures: Figures,
 }
 
 /// Runs a stress test.
@@ -72,8 +70,7 @@ pub struct StressArguments {
 /// holds the finished runs.
 pub fn run(arguments: &StressArguments) -> Result<(), Failure> {
     let plan = plan_of(arguments)?;
-    let end = EndRequest::install()
-        .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
+    let end = EndRequest::install().map_err(Failure::signals)?;
     let (report, interrupted) = stress::run(&plan, &end)?;
     let page = plan.output.join("index.html");
     arguments.figures.say(
@@ -139,9 +136,7 @@ fn plan_of(arguments: &StressArguments) -> Result<StressPlan, Failure> {
         )));
     }
     let compare = arguments.compare.as_deref().map(StressReport::read).transpose()?;
-    let policies: Vec<Policy> = arguments.policy.iter().map(|policy| Policy::from(*policy)).collect();
-    let waits: Vec<Wait> = arguments.wait.iter().map(|wait| Wait::from(*wait)).collect();
-    let mut combinations = plan::all(&arguments.cores, &arguments.load, &policies, &waits);
+    let mut combinations = plan::all(&arguments.cores, &arguments.load, &arguments.policy, &arguments.wait);
     if let Some(count) = arguments.subset {
         combinations = plan::subset(&combinations, count as usize, arguments.seed);
     }
@@ -156,50 +151,30 @@ fn plan_of(arguments: &StressArguments) -> Result<StressPlan, Failure> {
         seed: arguments.seed,
         quota_percent: arguments.quota,
         output,
-        kept_logs: if arguments.keep_logs { KeptLogs::All } else { KeptLogs::None },
+        keeps_logs: arguments.keep_logs,
         volume_files: arguments.volume_files,
         compare,
     })
 }
+
 /// Arguments of a competing load.
 #[derive(Debug, Args)]
 pub struct LoadArguments {
     /// Kind of load.
     #[arg(value_enum)]
-    pub kind: LoadKindArgument,
+    kind: LoadKind,
     /// Seed.
     #[arg(long)]
-    pub seed: u64,
+    seed: u64,
     /// Folder for a disk load.
     #[arg(long)]
-    pub folder: PathBuf,
+    folder: PathBuf,
     /// Seconds after which it ends by itself.
     #[arg(long)]
-    pub limit_s: u64,
+    limit_s: u64,
 }
-/// Kinds of competing load.
-#[derive(Debug, Clone, Copy, ValueEnum)]
-pub enum LoadKindArgument {
-    /// Computes.
-    Spin,
-    /// Streams through memory.
-    Memory,
-    /// Writes to the disk.
-    Disk,
-    /// Starts processes.
-    Fork,
-}
-
 /// Disturbs until killed.
-///
-/// # Errors
-/// The disk cannot be written, or no process can be started.
 pub fn disturb(arguments: &LoadArguments) -> Result<(), Failure> {
-    let kind = match arguments.kind {
-        LoadKindArgument::Spin => LoadKind::Spin,
-        LoadKindArgument::Memory => LoadKind::Memory,
-        LoadKindArgument::Disk => LoadKind::Disk,
-        LoadKindArgument::Fork => LoadKind::Fork,
-    };
-    load::disturb(kind, arguments.seed, &arguments.folder, Duration::from_secs(arguments.limit_s))
+    let limit = Duration::from_secs(arguments.limit_s);
+    load::disturb(arguments.kind, arguments.seed, &arguments.folder, limit)
 }

@@ -56,7 +56,6 @@ pub struct RunArguments {
     /// No line for each run.
     #[arg(long)]
     quiet: bool,
-    /// How its figures are printed.
     #[command(flatten)]
     figures: Figures,
 }
@@ -80,7 +79,6 @@ pub struct GatherArguments {
     /// New `.parquet` file.
     #[arg(short, long)]
     output: PathBuf,
-    /// How its figures are printed.
     #[command(flatten)]
     figures: Figures,
 }
@@ -93,7 +91,6 @@ pub struct ReportArguments {
     /// Figure of the rows (may be repeated).
     #[arg(long, value_name = "FIGURE", default_value = "target_error_mm")]
     of: Vec<String>,
-    /// How its figures are printed.
     #[command(flatten)]
     figures: Figures,
 }
@@ -144,8 +141,7 @@ fn folder_of(output: Option<&Path>, study: &Path) -> PathBuf {
 }
 
 fn run_points(arguments: &RunArguments) -> Result<(), Failure> {
-    let end = EndRequest::install()
-        .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
+    let end = EndRequest::install().map_err(Failure::signals)?;
     let study = OpenedStudy::read(&arguments.study)?;
     let count = study.study.count();
     if let Some(point) = arguments.point.iter().find(|point| **point >= count) {
@@ -226,12 +222,12 @@ fn line(row: &Row, progress: Progress, jobs: usize) -> String {
 fn list(arguments: &ListArguments) -> Result<(), Failure> {
     let study = OpenedStudy::read(&arguments.study)?;
     let absolute = |path: &Path| {
-        let path = std::path::absolute(path).map_err(|cause| Failure::failed(cause.to_string()))?;
+        let path = std::path::absolute(path).map_err(Failure::failed)?;
         Ok::<String, Failure>(path.display().to_string())
     };
     let file = absolute(&arguments.study)?;
     let folder = absolute(&folder_of(arguments.output.as_deref(), &arguments.study))?;
-    let own = std::env::current_exe().map_err(|cause| Failure::failed(cause.to_string()))?;
+    let own = std::env::current_exe().map_err(Failure::failed)?;
     let own = own.display().to_string();
     for point in 0..study.study.count() {
         let point = point.to_string();
@@ -302,7 +298,7 @@ fn print_report(arguments: &ReportArguments) -> Result<(), Failure> {
     let found = found.collect::<Result<Vec<_>, _>>()?;
     arguments.figures.say(
         || found.iter().map(report::Sensitivity::text).collect::<Vec<_>>().join("\n\n"),
-        || json!({"figures": found.iter().map(report::Sensitivity::json).collect::<Vec<_>>()}),
+        || json!({"figures": found}),
     );
     Ok(())
 }
@@ -312,8 +308,7 @@ fn plot(arguments: &PlotArguments) -> Result<(), Failure> {
     let folder = Folder::open(&arguments.folder)?;
     let rows = folder.rows()?;
     let place = figure_place(&arguments.output)?;
-    let picture = report::draw(&folder.study()?, &rows, &arguments.of)?;
-    picture.write(place.folder, &place.stem)?;
+    place.write(report::draw(&folder.study()?, &rows, &arguments.of))?;
     say!("written      {}, .svg", place.files[0].display());
     Ok(())
 }

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::Subcommand;
 
 use crate::failure::Failure;
-use crate::say::Figures;
+use crate::say::{Figures, merged};
 use crate::tool::response::{Cost, Response, Shape, Workspace, response};
 use crate::tool::source::ToolSource;
 use crate::tool::{Dimension, dimensions, rounded};
@@ -18,7 +18,6 @@ pub enum ToolCommand {
     Show {
         /// Scene or tool file; default: the built-in femur, whose tool is the standard one.
         file: Option<PathBuf>,
-        /// How they are printed.
         #[command(flatten)]
         figures: Figures,
     },
@@ -36,12 +35,8 @@ pub fn run(command: &ToolCommand) -> Result<(), Failure> {
     figures.say(
         || format!("the tool of {source}{}", text(&dimensions, &response)),
         || {
-            let mut all: serde_json::Map<_, _> =
-                dimensions.iter().map(|it| (it.name.to_owned(), it.value.into())).collect();
-            if let Ok(serde_json::Value::Object(more)) = serde_json::to_value(&response) {
-                all.extend(more);
-            }
-            all.into()
+            let dimensions = dimensions.iter().map(|it| (it.name.to_owned(), it.value.into()));
+            merged(serde_json::Value::Object(dimensions.collect()), serde_json::json!(response))
         },
     );
     Ok(())

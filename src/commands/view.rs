@@ -98,7 +98,7 @@ pub fn run(arguments: &ViewArguments) -> Result<(), Failure> {
             std::process::exit(EXIT_INTERRUPTED.into());
         });
     })
-    .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
+    .map_err(Failure::signals)?;
     redirect_file::sweep(&redirect_file::folder());
     if let Some(scene) = arguments.log.as_deref().filter(|path| is_scene(path)) {
         return view_plan(scene, arguments, &end);
@@ -181,7 +181,7 @@ fn show_logs(
 
 /// How the command fails.
 pub(super) fn failure(error: &ViewerError) -> Failure {
-    if error.is_bad_input() { Failure::bad_input(error) } else { Failure::failed(error.to_string()) }
+    Failure::by_kind(error.is_bad_input(), error)
 }
 
 /// Tool and arm of a scene as the page draws them. A mesh that is no longer there is told, and its arm drawn as tubes: a log may be shown
@@ -196,24 +196,21 @@ fn shapes(scene: &Scene) -> (ToolShape, ArmLooks) {
 
 /// The scene's tool as the page draws it; a bare burr if the scene's tool is invalid.
 pub fn tool_shape(scene: &Scene) -> ToolShape {
-    match manipulator_parameters(scene) {
-        Ok(parameters) => ToolShape {
-            joint_positions_m: parameters.joint_positions_m,
-            tip_offset_m: parameters.tip_offset_m,
-            outer_radius_m: parameters.tube_radii_m[0],
-            outer_tube: scene.manipulator.radii().outer_tube,
-            cutter: parameters.cutter,
-            holder: scene.arm.holder(),
-            arm_parts: arm_parts(scene),
-        },
-        Err(_) => ToolShape {
-            joint_positions_m: Vec::new(),
-            tip_offset_m: 0.0,
-            outer_radius_m: scene.manipulator.radii().tube_outer_m,
-            outer_tube: scene.manipulator.radii().outer_tube,
-            cutter: scene.manipulator.radii().cutter,
-            holder: scene.arm.holder(),
-            arm_parts: arm_parts(scene),
-        },
+    let radii = scene.manipulator.radii();
+    let mut shape = ToolShape {
+        joint_positions_m: Vec::new(),
+        tip_offset_m: 0.0,
+        outer_radius_m: radii.tube_outer_m,
+        outer_tube: radii.outer_tube,
+        cutter: radii.cutter,
+        holder: scene.arm.holder(),
+        arm_parts: arm_parts(scene),
+    };
+    if let Ok(parameters) = manipulator_parameters(scene) {
+        shape.joint_positions_m = parameters.joint_positions_m;
+        shape.tip_offset_m = parameters.tip_offset_m;
+        shape.outer_radius_m = parameters.tube_radii_m[0];
+        shape.cutter = parameters.cutter;
     }
+    shape
 }

@@ -22,9 +22,6 @@ pub fn arm_parts(scene: &Scene) -> Option<Vec<Pose>> {
 }
 
 /// The links of a scene's arm that have meshes.
-///
-/// # Errors
-/// A mesh file is not there, or is broken.
 pub fn arm_looks(scene: &Scene) -> Result<ArmLooks, ArmMeshError> {
     let loaded = arm_meshes::load(&scene.arm)?;
     let geometry = geometry(scene);

@@ -93,7 +93,7 @@ impl Editor<'_> {
     fn take(&mut self, places: Places) -> Result<Planned, String> {
         let OpenedScene { file, text, scene, ct, .. } = self.opened;
         let volume = ct.as_ref().map(|ct| &ct.volume);
-        let text = moved(text, scene, file, &places).map_err(|cause| cause.to_string())?;
+        let text = moved(text, scene, &places).map_err(|cause| format!("{}: {cause}", file.display()))?;
         let source = SceneSource::Changed { source: Box::new(SceneSource::File(file.clone())), text };
         let planned = crate::plan::load_scene(&source)
             .and_then(|(scene, _)| measure(&scene, volume, self.surroundings))

@@ -32,9 +32,6 @@ pub struct StartedRun {
 
 impl StartedRun {
     /// Starts it.
-    ///
-    /// # Errors
-    /// The program cannot be started.
     pub fn start(scene: &Path, files: VolumeFiles) -> Result<StartedRun, String> {
         let refused = |cause: std::io::Error| format!("`trabecula run` cannot be started: {cause}");
         let mut command = Command::new(std::env::current_exe().map_err(refused)?);

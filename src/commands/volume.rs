@@ -20,10 +20,8 @@ pub enum VolumeCommand {
     Info {
         /// NIfTI, NRRD, MetaImage, or a DICOM folder.
         file: PathBuf,
-        /// What of it is read.
         #[command(flatten)]
         choice: VolumeChoice,
-        /// How its figures are printed.
         #[command(flatten)]
         figures: Figures,
     },
@@ -44,10 +42,8 @@ pub struct ProbeArguments {
     /// The places are in RAS, as 3D Slicer shows them.
     #[arg(long)]
     ras: bool,
-    /// What of it is read.
     #[command(flatten)]
     choice: VolumeChoice,
-    /// How its figures are printed.
     #[command(flatten)]
     figures: Figures,
 }
@@ -109,7 +105,6 @@ pub struct DrilledArguments {
     volume: Option<PathBuf>,
     #[command(flatten)]
     volume_files: VolumeFiles,
-    /// How its figures are printed.
     #[command(flatten)]
     figures: Figures,
 }
@@ -191,16 +186,15 @@ fn json_of(info: &VolumeInfo) -> serde_json::Value {
 pub struct PhantomArguments {
     /// The volume to generate.
     #[arg(value_enum)]
-    pub kind: PhantomKind,
+    kind: PhantomKind,
     /// New file: NIfTI if it ends in `.nii` or `.nii.gz`, otherwise NRRD (gzip).
     #[arg(short, long)]
-    pub output: PathBuf,
+    output: PathBuf,
     /// Voxel size in millimetres, 0.25 to 2 (a pelvis from 0.34, or it has too many voxels); 0.5 by default, 1 for the pelvis.
     #[arg(long)]
-    pub spacing_mm: Option<f64>,
-    /// How its figures are printed.
+    spacing_mm: Option<f64>,
     #[command(flatten)]
-    pub figures: Figures,
+    figures: Figures,
 }
 
 /// Built-in synthetic volumes.

@@ -6,7 +6,8 @@ use std::path::PathBuf;
 use serde_json::{Value, json};
 use xray::{Class, Visibility};
 
-use super::{Dataset, DatasetFile, Part, Run, Sample, bounds, grey16};
+use super::{Dataset, DatasetFile, Part, Run, Sample, bounds};
+use figures::picture::grey16;
 
 impl Dataset {
     pub(super) fn add_coco(&mut self, sample: &Sample, run: &Run) -> Result<Vec<DatasetFile>, String> {

@@ -3,7 +3,6 @@
 mod coco;
 mod npz;
 mod outline;
-mod picture;
 mod split;
 mod yolo;
 
@@ -15,7 +14,6 @@ use ipc_types::scene::LabelImage;
 use serde_json::{Value, json};
 use xray::{Labels, keypoint_name};
 
-pub use picture::{grey8, grey16};
 pub use split::Split;
 
 /// Format of a data set.
@@ -34,11 +32,9 @@ pub enum Format {
 /// A frame with its labels.
 #[derive(Debug, Clone)]
 pub struct Sample {
-    /// Its metadata.
     pub frame: Frame,
     /// Greys, row-major from the top.
     pub greys: Vec<u16>,
-    /// Its labels.
     pub labels: Labels,
 }
 

@@ -11,17 +11,15 @@ use xray::Class;
 use zerocopy::{Immutable, IntoBytes};
 
 use super::{Dataset, DatasetFile, Run, Sample};
+use crate::say::merged;
 
 impl Dataset {
     pub(super) fn add_npz(&mut self, sample: &Sample, run: &Run) -> Result<Vec<DatasetFile>, String> {
         let part = &mut self.parts[run.part];
         let file = part.folder("").join(format!("{}.npz", run.name_of(sample)));
-        let mut entry = json!({"file": file});
+        let mut entry = merged(json!({"file": file}), sample.pose(run));
         if let Some(name) = part.name {
             entry["split"] = json!(name);
-        }
-        if let (Value::Object(entry), Value::Object(pose)) = (&mut entry, sample.pose(run)) {
-            entry.extend(pose);
         }
         part.images.push(entry.to_string());
         Ok(vec![(file, archive(sample, &run.images)?)])

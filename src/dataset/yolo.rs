@@ -9,7 +9,8 @@ use std::path::PathBuf;
 use xray::{Class, Visibility};
 
 use super::outline::polygons;
-use super::{Dataset, DatasetFile, Format, Part, Run, Sample, bounds, grey8};
+use super::{Dataset, DatasetFile, Format, Part, Run, Sample, bounds};
+use figures::picture::grey8;
 
 impl Dataset {
     pub(super) fn add_yolo(&mut self, sample: &Sample, run: &Run) -> Result<Vec<DatasetFile>, String> {

@@ -1,5 +1,7 @@
 //! A surface of triangles.
 
+use markups::vector::{cross, dot, minus};
+
 /// Triangles that share their corners; LPS, mm.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Mesh {
@@ -19,11 +21,9 @@ impl Mesh {
     /// field x/3). The first point and not the origin, because a patient's tunnel lies far from the origin and the parts would cancel.
     pub fn volume_mm3(&self) -> f64 {
         let Some(origin) = self.points_mm.first() else { return 0.0 };
-        let from_origin = |point: [f64; 3]| [0, 1, 2].map(|axis| point[axis] - origin[axis]);
         let six_times = |triangle: &[u32; 3]| {
-            let [a, b, c] = self.corners_mm(*triangle).map(from_origin);
-            let cross = cross(b, c);
-            a[0] * cross[0] + a[1] * cross[1] + a[2] * cross[2]
+            let [a, b, c] = self.corners_mm(*triangle).map(|point| minus(point, *origin));
+            dot(a, cross(b, c))
         };
         self.triangles.iter().map(six_times).sum::<f64>() / 6.0
     }
@@ -34,11 +34,6 @@ impl Mesh {
         self.points_mm.extend(&other.points_mm);
         self.triangles.extend(other.triangles.iter().map(|triangle| triangle.map(|corner| corner + first)));
     }
-}
-
-/// Product of two vectors, across both.
-pub fn cross([ax, ay, az]: [f64; 3], [bx, by, bz]: [f64; 3]) -> [f64; 3] {
-    [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]
 }
 
 #[cfg(test)]

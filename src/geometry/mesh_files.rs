@@ -6,7 +6,9 @@
 
 use std::fmt::Write;
 
-use super::mesh::{Mesh, cross};
+use markups::vector::{cross, length, minus};
+
+use super::mesh::Mesh;
 
 /// Binary STL: single precision, no shared corners.
 pub fn stl(mesh: &Mesh) -> Vec<u8> {
@@ -18,9 +20,8 @@ pub fn stl(mesh: &Mesh) -> Vec<u8> {
     for triangle in &mesh.triangles {
         let corners = mesh.corners_mm(*triangle);
         let [a, b, c] = corners;
-        let along = |to: [f64; 3]| [0, 1, 2].map(|axis| to[axis] - a[axis]);
-        let normal = cross(along(b), along(c));
-        let length = normal.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let normal = cross(minus(b, a), minus(c, a));
+        let length = length(normal);
         let normal = if length > 0.0 { normal.map(|x| x / length) } else { normal };
         for number in normal.iter().chain(corners.iter().flatten()) {
             bytes.extend((*number as f32).to_le_bytes());

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 
+use markups::vector::{cross, dot};
 use viewer_proc::surface::{Blocks, Field};
 use voxel_grid::VoxelGrid;
 
@@ -49,8 +50,7 @@ pub fn surface(grid: &VoxelGrid, gone: &[u32]) -> Mesh {
 /// Whether the voxels' axes are a mirror image of the patient's.
 fn is_left_handed(grid: &VoxelGrid) -> bool {
     let [i, j, k] = grid.axes();
-    let across = super::mesh::cross(i, j);
-    across[0] * k[0] + across[1] * k[1] + across[2] * k[2] < 0.0
+    dot(cross(i, j), k) < 0.0
 }
 
 #[cfg(test)]

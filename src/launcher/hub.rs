@@ -112,9 +112,6 @@ pub enum Recording {
 const LEAST_FILES: u64 = 256;
 
 /// Raises the limit of open files, which the parts inherit, to what a session needs.
-///
-/// # Errors
-/// [`HubError::Files`]: the system allows fewer.
 fn allow_files() -> Result<(), HubError> {
     let limit = getrlimit(Resource::Nofile);
     if limit.current.is_none_or(|most| most >= LEAST_FILES) {
@@ -122,6 +119,12 @@ fn allow_files() -> Result<(), HubError> {
     }
     let raised = Rlimit { current: Some(LEAST_FILES), maximum: limit.maximum };
     setrlimit(Resource::Nofile, raised).map_err(|_| HubError::Files { most: limit.current.unwrap_or(0) })
+}
+
+/// A command of this program, for a part.
+fn own_program(part: &str) -> Result<Command, HubError> {
+    let cannot = |cause| HubError::Start { part: part.to_owned(), program: "trabecula".to_owned(), cause };
+    std::env::current_exe().map(Command::new).map_err(cannot)
 }
 
 impl Hub {
@@ -185,16 +188,8 @@ impl Hub {
     }
 
     /// Starts one of our own parts as `trabecula proc NAME …`.
-    ///
-    /// # Errors
-    /// [`HubError::Start`].
     pub fn start(&self, part: &str, arguments: &[&str], output: Option<&Path>) -> Result<Part, HubError> {
-        let program = std::env::current_exe().map_err(|cause| HubError::Start {
-            part: part.to_owned(),
-            program: "trabecula".to_owned(),
-            cause,
-        })?;
-        let mut command = Command::new(&program);
+        let mut command = own_program(part)?;
         command.arg("proc").args(arguments).arg("--session").arg(self.folder());
         if let Some(output) = output {
             command.arg("--output").arg(output);
@@ -203,29 +198,21 @@ impl Hub {
     }
 
     /// Starts an external controller program.
-    ///
-    /// # Errors
-    /// [`HubError::Start`].
     pub fn start_program(&self, name: &str, words: &[String]) -> Result<Part, HubError> {
         let start_error = |cause| HubError::Start {
             part: name.to_owned(),
             program: words.first().cloned().unwrap_or_default(),
             cause,
         };
-        let mut keeper = Command::new(std::env::current_exe().map_err(start_error)?);
+        let mut keeper = own_program(name)?;
         keeper.args(["proc", "keep", "--"]).args(words);
         keeper.env(CONTROLLER_VARIABLE, name).env(SESSION_VARIABLE, self.folder());
         Part::start_kept(name, &mut keeper, ProgramOutput::Shown).map_err(start_error)
     }
 
     /// Starts the viewer as `trabecula view`; the viewer prints its page's address.
-    ///
-    /// # Errors
-    /// [`HubError::Start`].
     pub fn start_viewer(&self, view: View) -> Result<Part, HubError> {
-        let start_error =
-            |cause| HubError::Start { part: VIEWER.to_owned(), program: "trabecula".to_owned(), cause };
-        let mut command = Command::new(std::env::current_exe().map_err(start_error)?);
+        let mut command = own_program(VIEWER)?;
         command.args(["view", "--port", &view.port.to_string(), "--session"]).arg(self.folder());
         if view.watch_by_anyone {
             command.arg("--watch-by-anyone");

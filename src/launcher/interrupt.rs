@@ -50,9 +50,6 @@ impl Interrupts {
 
     /// Creates the run's folder. A signal before the run begins removes it, along with any parent folders created for
     /// it.
-    ///
-    /// # Errors
-    /// Any error of `make`.
     pub fn make_folder(
         &self,
         parent: &Path,

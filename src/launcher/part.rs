@@ -168,17 +168,11 @@ pub enum ProgramOutput {
 
 impl Part {
     /// Starts a program. Keeps its last output lines.
-    ///
-    /// # Errors
-    /// The program cannot be started.
     pub fn start(name: &str, command: &mut Command, output: ProgramOutput) -> std::io::Result<Part> {
         Part::start_with(name, command.stdin(Stdio::null()), None, output)
     }
 
     /// Starts a program through its keeper's command line (`src/keeper.rs`).
-    ///
-    /// # Errors
-    /// The keeper or its program cannot be started.
     pub fn start_kept(name: &str, keeper: &mut Command, output: ProgramOutput) -> std::io::Result<Part> {
         let (ours, its) = UnixStream::pair()?;
         ours.set_read_timeout(Some(START_LIMIT))?;

@@ -42,11 +42,8 @@ pub enum ProgressStyle {
 
 impl Display {
     /// Creates a display.
-    ///
-    /// # Errors
-    /// The statistics cannot be set up.
     pub fn new(style: ProgressStyle) -> Result<Display, Failure> {
-        let stats = LiveStats::new().map_err(|error| Failure::failed(error.to_string()))?;
+        let stats = LiveStats::new().map_err(Failure::failed)?;
         let terminal = stderr().is_terminal();
         Ok(Display {
             style,

@@ -46,9 +46,6 @@ impl Replacements {
     }
 
     /// Restarts the part at this index, or removes it. False if the run cannot continue without it.
-    ///
-    /// # Errors
-    /// Any error of the transport.
     pub(super) fn replace(
         &mut self,
         plan: &RunPlan,

@@ -202,9 +202,6 @@ pub fn run(plan: &RunPlan, end: &EndRequest, show: impl FnMut(&RunSnapshot)) -> 
 }
 
 /// Runs a scene with a volume that has been loading since `began`.
-///
-/// # Errors
-/// As [`run`].
 pub fn run_with(
     plan: &RunPlan,
     ct: Option<Ct>,
@@ -434,9 +431,6 @@ pub(super) fn has_gap(part: &mut Part) -> bool {
 }
 
 /// Creates a fresh folder `<scene>-<date-time>` below `parent`.
-///
-/// # Errors
-/// Any system error.
 pub fn output_folder(parent: &Path, scene: &Scene) -> std::io::Result<PathBuf> {
     let stamp = jiff::Zoned::now().strftime("%Y%m%d-%H%M%S").to_string();
     output_file::create_folder(parent)?;

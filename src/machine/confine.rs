@@ -29,9 +29,6 @@ struct Group {
 }
 
 /// Numbers of the cores that this thread may use.
-///
-/// # Errors
-/// The system call fails.
 pub fn allowed() -> std::io::Result<Vec<usize>> {
     let set = sched_getaffinity(None)?;
     Ok((0..CpuSet::MAX_CPU).filter(|core| set.is_set(*core)).collect())

@@ -65,24 +65,86 @@ pub fn facts(steal: &Machine) -> MachineFacts {
         processor: format!("{model}{place}"),
         cores,
         kernel: format!("{} {}", read("/proc/sys/kernel/osrelease"), read("/proc/sys/kernel/version")),
-        findings: vec![
-            fifo(),
-            nice(),
-            memory_lock(),
-            affinity(cores),
-            quota(),
-            huge_pages(),
-            shared_memory(),
-            clock_source(),
-            preemption(),
-            stolen(steal, virtual_machine),
-        ],
+        findings: findings(steal, virtual_machine, cores),
     }
 }
 
-fn finding(name: &str, grade: Grade, found: String, cost: &str, grant: &str) -> Finding {
-    let [name, cost, grant] = [name, cost, grant].map(str::to_owned);
-    Finding { name, grade, found, cost, grant }
+/// Whether a requirement is met, and what was found.
+type Answer = (Grade, String);
+
+fn findings(steal: &Machine, virtual_machine: bool, cores: usize) -> Vec<Finding> {
+    let all: [(&str, Answer, &str, &str); 10] = [
+        (
+            "SCHED_FIFO",
+            fifo(),
+            "`--policy fifo` has no effect: on a busy core, ticks wait for up to a scheduler slice (3 to 4 ms)",
+            "`ulimit -r 50` after `<user> - rtprio 50` in /etc/security/limits.conf, or `setcap cap_sys_nice+ep trabecula`; in a container `--cap-add SYS_NICE --ulimit rtprio=50`",
+        ),
+        (
+            "nice below 0",
+            nice(),
+            "the physics gets no more CPU weight than other programs; DRR and viewer still yield to it",
+            "`<user> - nice -15` in /etc/security/limits.conf, or `setcap cap_sys_nice+ep trabecula`",
+        ),
+        (
+            "mlockall",
+            memory_lock(),
+            "memory may be paged out; reading a page back from disk takes milliseconds",
+            "`<user> - memlock unlimited` in /etc/security/limits.conf, or `ulimit -l unlimited`; in a container `--ulimit memlock=-1`",
+        ),
+        (
+            "affinity",
+            affinity(cores),
+            "`trabecula stress --cores` cannot limit a run",
+            "`taskset -p -c 0-N PID` of the shell, or a wider cpuset of the container (`--cpuset-cpus`)",
+        ),
+        (
+            "control groups",
+            quota(),
+            "`trabecula stress --quota` cannot limit a run's share of a core; affinity does not need it",
+            "`systemd-run --user --scope -p Delegate=yes -p CPUQuota=150% trabecula …`, or run as root",
+        ),
+        (
+            "huge pages",
+            huge_pages(),
+            "rendering reads the CT in small pages, with more TLB misses; nothing fails",
+            "`echo madvise > /sys/kernel/mm/transparent_hugepage/enabled`",
+        ),
+        (
+            "/dev/shm",
+            shared_memory(),
+            "a session keeps the CT volume and its frames there; too little space is an error at the start",
+            "`mount -o remount,size=4G /dev/shm`; in a container `--shm-size 4g`",
+        ),
+        (
+            "clock source",
+            clock_source(),
+            "reading a slow clock (hpet, acpi_pm) is a system call of about a microsecond; a tick does it about ten times",
+            "`echo tsc > /sys/devices/system/clocksource/clocksource0/current_clocksource`",
+        ),
+        (
+            "preemption model",
+            preemption(),
+            "another program's long system call (a write of megabytes) can delay a tick of any priority by milliseconds",
+            "boot with `preempt=full` where the version says PREEMPT_DYNAMIC, or a PREEMPT_RT kernel",
+        ),
+        (
+            "steal",
+            stolen(steal, virtual_machine),
+            "the hypervisor delays ticks by milliseconds at any priority; such misses are counted separately",
+            "dedicated cores from the provider (pinned vCPUs), or a physical machine",
+        ),
+    ];
+    let finding = |(name, (grade, found), cost, grant): (&str, Answer, &str, &str)| {
+        let [name, cost, grant] = [name, cost, grant].map(str::to_owned);
+        Finding { name, grade, found, cost, grant }
+    };
+    all.into_iter().map(finding).collect()
+}
+
+/// The answer of something that the system refuses.
+fn refused(cause: impl std::fmt::Display) -> Answer {
+    (Grade::Missing, format!("not permitted ({cause})"))
 }
 
 /// Tries something in a separate thread, so that any change ends with the thread.
@@ -90,77 +152,49 @@ fn tried(what: impl FnOnce() -> std::io::Result<()> + Send + 'static) -> std::io
     std::thread::spawn(what).join().unwrap_or_else(|_| Err(std::io::Error::other("the thread panicked")))
 }
 
-fn fifo() -> Finding {
+fn fifo() -> Answer {
     let throttle =
         (read("/proc/sys/kernel/sched_rt_runtime_us"), read("/proc/sys/kernel/sched_rt_period_us"));
-    let (grade, found) = match tried(|| set_fifo(10)) {
+    match tried(|| set_fifo(10)) {
         Ok(()) if throttle.0 == "-1" => (Grade::Good, "permitted, not throttled".to_owned()),
         Ok(()) => (Grade::Good, format!("permitted, throttled to {} of {} µs", throttle.0, throttle.1)),
-        Err(cause) => (Grade::Missing, format!("not permitted ({cause})")),
-    };
-    finding(
-        "SCHED_FIFO",
-        grade,
-        found,
-        "`--policy fifo` has no effect: on a busy core, ticks wait for up to a scheduler slice (3 to 4 ms)",
-        "`ulimit -r 50` after `<user> - rtprio 50` in /etc/security/limits.conf, or `setcap cap_sys_nice+ep trabecula`; in a container `--cap-add SYS_NICE --ulimit rtprio=50`",
-    )
+        Err(cause) => refused(cause),
+    }
 }
 
-fn nice() -> Finding {
+fn nice() -> Answer {
     let outcome = tried(|| Ok(rustix::process::setpriority_process(None, -15)?));
-    let (grade, found) = match outcome {
+    match outcome {
         Ok(()) => (Grade::Good, "permitted".to_owned()),
-        Err(cause) => (Grade::Missing, format!("not permitted ({cause})")),
-    };
-    finding(
-        "nice below 0",
-        grade,
-        found,
-        "the physics gets no more CPU weight than other programs; DRR and viewer still yield to it",
-        "`<user> - nice -15` in /etc/security/limits.conf, or `setcap cap_sys_nice+ep trabecula`",
-    )
+        Err(cause) => refused(cause),
+    }
 }
 
-fn memory_lock() -> Finding {
+fn memory_lock() -> Answer {
     // The parts lock their own memory; here we only try.
     let outcome = rustix::mm::mlockall(MlockAllFlags::CURRENT);
     let _ = rustix::mm::munlockall();
     let limit = rustix::process::getrlimit(rustix::process::Resource::Memlock).current;
     let limit = limit.map_or("no limit".to_owned(), |bytes| format!("limit {} KiB", bytes / 1024));
-    let (grade, found) = match outcome {
+    match outcome {
         Ok(()) => (Grade::Good, format!("permitted, {limit}")),
         Err(cause) => (Grade::Missing, format!("not permitted ({cause}), {limit}")),
-    };
-    finding(
-        "mlockall",
-        grade,
-        found,
-        "memory may be paged out; reading a page back from disk takes milliseconds",
-        "`<user> - memlock unlimited` in /etc/security/limits.conf, or `ulimit -l unlimited`; in a container `--ulimit memlock=-1`",
-    )
+    }
 }
 
-fn affinity(cores: usize) -> Finding {
+fn affinity(cores: usize) -> Answer {
     let outcome = tried(|| super::confine::Confinement::enter(1, None).map(|_| ()));
     let online = std::fs::read_to_string("/proc/cpuinfo")
         .map_or(cores, |text| text.lines().filter(|line| line.starts_with("processor")).count());
-    let (grade, found) = match outcome {
+    match outcome {
         Ok(()) if cores == online => (Grade::Good, format!("permitted, {cores} of {online} cores")),
         Ok(()) => (Grade::Limited, format!("permitted, {cores} of {online} cores")),
-        Err(cause) => (Grade::Missing, format!("not permitted ({cause})")),
-    };
-    finding(
-        "affinity",
-        grade,
-        found,
-        "`trabecula stress --cores` cannot limit a run",
-        "`taskset -p -c 0-N PID` of the shell, or a wider cpuset of the container (`--cpuset-cpus`)",
-    )
+        Err(cause) => refused(cause),
+    }
 }
 
-fn quota() -> Finding {
-    let (grade, found) = match cpu_group() {
+fn quota() -> Answer {
+    match cpu_group() {
         Some((folder, first)) => {
             let version = if first { 1 } else { 2 };
             let probe = folder.join(format!("trabecula-doctor-{}", std::process::id()));
@@ -172,21 +206,11 @@ fn quota() -> Finding {
             }
         }
         None => (Grade::Missing, "no hierarchy has the `cpu` controller".to_owned()),
-    };
-    finding(
-        "control groups",
-        grade,
-        found,
-        "`trabecula stress --quota` cannot limit a run's share of a core; affinity does not need it",
-        "`systemd-run --user --scope -p Delegate=yes -p CPUQuota=150% trabecula …`, or run as root",
-    )
+    }
 }
 
-fn huge_pages() -> Finding {
-    huge_pages_of(&read("/sys/kernel/mm/transparent_hugepage/enabled"), &read("/proc/meminfo"))
-}
-
-fn huge_pages_of(transparent: &str, memory: &str) -> Finding {
+fn huge_pages() -> Answer {
+    let (transparent, memory) = (read("/sys/kernel/mm/transparent_hugepage/enabled"), read("/proc/meminfo"));
     let total = memory.lines().find_map(|line| line.strip_prefix("HugePages_Total:")).map_or("0", str::trim);
     let chosen = transparent.split(['[', ']']).nth(1).unwrap_or("unavailable").to_owned();
     let (grade, granted) = match chosen.as_str() {
@@ -194,30 +218,20 @@ fn huge_pages_of(transparent: &str, memory: &str) -> Finding {
         "always" | "madvise" => (Grade::Good, "granted to the X-ray's copies of the CT, which request them"),
         _ => (Grade::Limited, "refused to the X-ray's copies of the CT, which request them"),
     };
-    finding(
-        "huge pages",
-        grade,
-        format!("transparent: {chosen}: {granted}; {total} reserved, which the hub does not use"),
-        "rendering reads the CT in small pages, with more TLB misses; nothing fails",
-        "`echo madvise > /sys/kernel/mm/transparent_hugepage/enabled`",
-    )
+    (grade, format!("transparent: {chosen}: {granted}; {total} reserved, which the hub does not use"))
 }
 
-fn shared_memory() -> Finding {
-    let cost =
-        "a session keeps the CT volume and its frames there; too little space is an error at the start";
-    let grant = "`mount -o remount,size=4G /dev/shm`; in a container `--shm-size 4g`";
+fn shared_memory() -> Answer {
     let Ok(info) = rustix::fs::statvfs("/dev/shm") else {
-        return finding("/dev/shm", Grade::Missing, "does not exist".to_owned(), cost, grant);
+        return (Grade::Missing, "does not exist".to_owned());
     };
     let mebibytes = |blocks: u64| blocks * info.f_frsize / (1 << 20);
     let free = mebibytes(info.f_bavail);
     let grade = if free >= 512 { Grade::Good } else { Grade::Limited };
-    let found = format!("{} MiB, {free} MiB of it free", mebibytes(info.f_blocks));
-    finding("/dev/shm", grade, found, cost, grant)
+    (grade, format!("{} MiB, {free} MiB of it free", mebibytes(info.f_blocks)))
 }
 
-fn clock_source() -> Finding {
+fn clock_source() -> Answer {
     let folder = "/sys/devices/system/clocksource/clocksource0";
     let current = read(&format!("{folder}/current_clocksource"));
     let available = read(&format!("{folder}/available_clocksource"));
@@ -225,16 +239,10 @@ fn clock_source() -> Finding {
         "tsc" | "kvm-clock" | "arch_sys_counter" => Grade::Good,
         _ => Grade::Limited,
     };
-    finding(
-        "clock source",
-        grade,
-        format!("{current} (available: {available})"),
-        "reading a slow clock (hpet, acpi_pm) is a system call of about a microsecond; a tick does it about ten times",
-        "`echo tsc > /sys/devices/system/clocksource/clocksource0/current_clocksource`",
-    )
+    (grade, format!("{current} (available: {available})"))
 }
 
-fn preemption() -> Finding {
+fn preemption() -> Answer {
     let version = read("/proc/sys/kernel/version");
     let command_line = read("/proc/cmdline");
     let given = command_line.split(' ').find(|word| word.starts_with("preempt="));
@@ -257,13 +265,7 @@ fn preemption() -> Finding {
         "real time" | "full" => Grade::Good,
         _ => Grade::Limited,
     };
-    finding(
-        "preemption model",
-        grade,
-        format!("{model} ({version})"),
-        "another program's long system call (a write of megabytes) can delay a tick of any priority by milliseconds",
-        "boot with `preempt=full` where the version says PREEMPT_DYNAMIC, or a PREEMPT_RT kernel",
-    )
+    (grade, format!("{model} ({version})"))
 }
 
 /// The kernel's configuration, from the uncompressed file.
@@ -279,18 +281,15 @@ fn unpacked(path: &Path) -> std::io::Result<String> {
     Ok(text)
 }
 
-fn stolen(watched: &Machine, virtual_machine: bool) -> Finding {
+fn stolen(watched: &Machine, virtual_machine: bool) -> Answer {
     let (busy, stolen) = watched.shares_percent();
     let grade = match stolen {
         _ if !virtual_machine => Grade::Good,
         stolen if stolen < 0.5 => Grade::Good,
         _ => Grade::Limited,
     };
-    finding(
-        "steal",
+    (
         grade,
         format!("{stolen:.2} % of the machine while {busy:.0} % was busy, over {:.1} s", watched.seconds()),
-        "the hypervisor delays ticks by milliseconds at any priority; such misses are counted separately",
-        "dedicated cores from the provider (pinned vCPUs), or a physical machine",
     )
 }

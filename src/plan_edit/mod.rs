@@ -9,15 +9,13 @@
 
 mod name;
 
-use std::path::Path;
-
 use ipc_types::scene::{CurvedDrilling, Scene};
 use markups::Arc;
 use markups::vector::{dot, length, minus, plus, unit};
 use toml_edit::{DocumentMut, Item, TableLike, Value};
 use viewer_proc::services::Places;
 
-pub use name::{NameError, SceneName};
+pub use name::SceneName;
 
 /// A hole whose end is this near to the burr's start, mm, leads to it; as `planned_path_mm` has it.
 const SAME_MM: f64 = 0.01;
@@ -31,54 +29,37 @@ const SAME_DIRECTION: f64 = 2e-3;
 pub enum EditError {
     /// It stands in a file of 3D Slicer.
     #[error(
-        "{file}: `{key}` follows from `tool.plan`: move the point in 3D Slicer, or take `plan` out of the scene and write its points there"
+        "`{0}` follows from `tool.plan`: move the point in 3D Slicer, or take `plan` out of the scene and write its points there"
     )]
-    OfPlan {
-        /// The scene's file.
-        file: String,
-        /// The key.
-        key: &'static str,
-    },
+    OfPlan(&'static str),
     /// Nothing drills to a target.
-    #[error("{file}: has no `[controller.curved_drilling]`, expected one: only that drills to a target")]
-    NoDrilling {
-        /// The scene's file.
-        file: String,
-    },
+    #[error("has no `[controller.curved_drilling]`, expected one: only that drills to a target")]
+    NoDrilling,
     /// There is no C-arm.
-    #[error("{file}: has no `[drr]`, expected one: without X-ray there is no isocentre")]
-    NoXRay {
-        /// The scene's file.
-        file: String,
-    },
+    #[error("has no `[drr]`, expected one: without X-ray there is no isocentre")]
+    NoXRay,
     /// The text is not the scene's.
-    #[error("{file}: {cause}")]
-    Text {
-        /// The scene's file.
-        file: String,
-        /// What is wrong with it.
-        cause: String,
-    },
+    #[error("{0}")]
+    Text(String),
 }
 
 /// The text of `scene` with places moved. `scene` is what the text says, plan file included.
 ///
 /// # Errors
 /// [`EditError`]. Whether the values are allowed, the parser of scenes says.
-pub fn moved(text: &str, scene: &Scene, file: &Path, places: &Places) -> Result<String, EditError> {
-    let name = || file.display().to_string();
-    let broken = |cause: String| EditError::Text { file: name(), cause };
-    let mut document: DocumentMut = text.parse().map_err(|cause| broken(format!("{cause}")))?;
+pub fn moved(text: &str, scene: &Scene, places: &Places) -> Result<String, EditError> {
+    let mut document: DocumentMut =
+        text.parse().map_err(|cause: toml_edit::TomlError| EditError::Text(cause.to_string()))?;
     let of_plan = document.get("tool").and_then(|tool| tool.get("plan")).is_some();
     for (key, given) in [
         ("tool.burr_start_mm", places.burr_start_mm),
         ("controller.curved_drilling.target_mm", places.target_mm),
     ] {
         if of_plan && given.is_some() {
-            return Err(EditError::OfPlan { file: name(), key });
+            return Err(EditError::OfPlan(key));
         }
     }
-    let missing = |key: &str| broken(format!("`{key}` is not where it was expected"));
+    let missing = |key: &str| EditError::Text(format!("`{key}` is not where it was expected"));
     if let Some(start_mm) = places.burr_start_mm {
         let tool = table(document.get_mut("tool")).ok_or_else(|| missing("tool"))?;
         set(tool, "burr_start_mm", start_mm, 3);
@@ -92,7 +73,7 @@ pub fn moved(text: &str, scene: &Scene, file: &Path, places: &Places) -> Result<
     let drilling = scene.controller.iter().enumerate();
     let mut drilling = drilling.filter_map(|(index, entry)| Some((index, entry.curved_drilling.as_ref()?)));
     match (drilling.next(), places.target_mm) {
-        (None, Some(_)) => return Err(EditError::NoDrilling { file: name() }),
+        (None, Some(_)) => return Err(EditError::NoDrilling),
         (Some((index, drilling)), target_mm) if !of_plan => {
             let bend = {
                 let controller = entry(document.get_mut("controller"), index);
@@ -111,7 +92,7 @@ pub fn moved(text: &str, scene: &Scene, file: &Path, places: &Places) -> Result<
         _ => {}
     }
     if let Some(isocentre_mm) = places.isocentre_mm {
-        let drr = table(document.get_mut("drr")).ok_or_else(|| EditError::NoXRay { file: name() })?;
+        let drr = table(document.get_mut("drr")).ok_or(EditError::NoXRay)?;
         set(drr, "isocentre_mm", isocentre_mm, 3);
     }
     Ok(document.to_string())
@@ -201,6 +182,8 @@ fn rounded(x: f64, decimals: i32) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use super::*;
 
     const TEXT: &str = "# Mine.\nname = \"a\"   # a name\n[run]\nmode = \"lockstep\"\nduration_s = 30.0\n[volume]\nphantom = \"block\"\n\
@@ -215,7 +198,7 @@ mod tests {
     }
 
     fn edited(places: &Places) -> String {
-        moved(TEXT, &scene(TEXT), Path::new("a.toml"), places).unwrap()
+        moved(TEXT, &scene(TEXT), places).unwrap()
     }
 
     #[test]
@@ -260,13 +243,12 @@ mod tests {
     #[test]
     fn what_the_scene_has_not_or_has_from_a_plan_is_refused_by_name() {
         let bare = TEXT.split("[drr]").next().unwrap();
-        let file = Path::new("a.toml");
-        let try_with = |text: &str, places: Places| moved(text, &scene(bare), file, &places).unwrap_err();
+        let try_with = |text: &str, places: Places| moved(text, &scene(bare), &places).unwrap_err();
         let place = Some([0.0; 3]);
         let target = try_with(bare, Places { target_mm: place, ..Places::default() });
-        assert_eq!(target, EditError::NoDrilling { file: "a.toml".to_owned() });
+        assert_eq!(target, EditError::NoDrilling);
         let isocentre = try_with(bare, Places { isocentre_mm: place, ..Places::default() });
-        assert_eq!(isocentre, EditError::NoXRay { file: "a.toml".to_owned() });
+        assert_eq!(isocentre, EditError::NoXRay);
         let planned = bare.replace("[tool]", "[tool]\nplan = \"p.mrk.json\"");
         let start = try_with(&planned, Places { burr_start_mm: place, ..Places::default() });
         assert!(start.to_string().contains("`tool.burr_start_mm` follows from `tool.plan`"), "{start}");
@@ -288,7 +270,7 @@ mod tests {
         let inline = "predrill = [{ from_mm = [0.0, 0.0, -10.0], to_mm = [0.0, 0.0, 40.0], diameter_mm = 7.0 }]\n[run]\nmode";
         let text = TEXT.replace(hole, "").replace("[run]\nmode", inline);
         let places = Places { burr_start_mm: Some([0.0, 0.0, 41.0]), ..Places::default() };
-        let edited = moved(&text, &scene(&text), Path::new("a.toml"), &places).unwrap();
+        let edited = moved(&text, &scene(&text), &places).unwrap();
         let hole = scene(&edited).predrill[0].clone();
         assert_eq!((hole.from_mm, hole.to_mm), ([0.0, 0.0, -9.0], [0.0, 0.0, 41.0]));
     }

@@ -43,8 +43,7 @@ impl<'l> FrameReplay<'l> {
     /// The renderer refuses the scene, a mesh of the arm that frames show is not there or another one, or the file cannot be opened.
     pub fn new(log: &'l OpenedLog, threads: usize) -> Result<Option<FrameReplay<'l>>, Failure> {
         let (Some(drr), Some(ct)) = (&log.scene.drr, &log.ct) else { return Ok(None) };
-        let failed = |cause: String| Failure::failed(cause);
-        let view = VolumeView::try_from(&ct.volume).map_err(|cause| failed(cause.to_string()))?;
+        let view = VolumeView::try_from(&ct.volume).map_err(Failure::failed)?;
         let parameters =
             xray::DrrParameters { threads, ..renderer_parameters(drr, log.scene.tolerance.as_ref()) };
         let ticks = log.reader()?;
@@ -53,8 +52,7 @@ impl<'l> FrameReplay<'l> {
             Some(keyframe) => gone_at(log, keyframe)?,
         };
         Ok(Some(FrameReplay {
-            renderer: DrrRenderer::new(&view, parameters, &ThisMachine)
-                .map_err(|cause| failed(cause.to_string()))?,
+            renderer: DrrRenderer::new(&view, parameters, &ThisMachine).map_err(Failure::failed)?,
             view,
             recorded: frames(&LogFile::at(&log.path), log.options())?,
             state: Box::new(*ticks.initial()),
@@ -69,15 +67,12 @@ impl<'l> FrameReplay<'l> {
     }
 
     /// The next frame as recorded. The caller may skip it without rendering it.
-    ///
-    /// # Errors
-    /// The log cannot be read further.
     pub fn next_recorded(&mut self) -> Result<Option<FrameRecord>, Failure> {
         loop {
             match self.recorded.next().transpose() {
                 // The log's verdict reports the missing frames.
                 Err(LogError::Gap { .. }) if self.recorded.go_on() => {}
-                other => return other.map_err(|cause| Failure::failed(cause.to_string())),
+                other => return other.map_err(Failure::failed),
             }
         }
     }
@@ -93,9 +88,6 @@ impl<'l> FrameReplay<'l> {
     }
 
     /// Renders a recorded frame again, and labels what it shows; voxels at or above `bone_from_hu` are bone.
-    ///
-    /// # Errors
-    /// As [`FrameReplay::render`].
     pub fn label(
         &mut self,
         recorded: &Frame,
@@ -153,12 +145,12 @@ impl<'l> FrameReplay<'l> {
             let Some(record) = self.ticks.next() else { break };
             let record = match record {
                 Err(LogError::Gap { .. }) => {
-                    let Some(behind) = self.ticks.go_on().map_err(failed)? else { return Ok(false) };
+                    let Some(behind) = self.ticks.go_on().map_err(Failure::failed)? else { return Ok(false) };
                     (_, self.removed) = gone_at(self.log, &behind.keyframe)?;
                     (self.state, self.restores) = (behind.state, Restores::Drilled);
                     continue;
                 }
-                record => record.map_err(failed)?,
+                record => record.map_err(Failure::failed)?,
             };
             if record.latched.reset != 0 {
                 self.restores = Restores::Drilled;
@@ -181,15 +173,11 @@ fn of_frame(sequence: u64, tick: u64) -> impl Fn(xray::DrrError) -> Failure {
     move |cause| Failure::failed(format!("frame {sequence} of tick {tick}: {cause}"))
 }
 
-fn failed(cause: LogError) -> Failure {
-    Failure::failed(cause.to_string())
-}
-
 /// The predrilled voxels, and all voxels removed by the time of a keyframe.
 fn gone_at(log: &OpenedLog, keyframe: &SavedState) -> Result<(Vec<u32>, Vec<u32>), Failure> {
     let mut simulation = log.simulation().map_err(Failure::failed)?;
     let predrilled = simulation.predrilled().to_vec();
-    simulation.restore_keyframe(&keyframe.bytes).map_err(|cause| Failure::failed(cause.to_string()))?;
+    simulation.restore_keyframe(&keyframe.bytes).map_err(Failure::failed)?;
     Ok((predrilled, simulation.gone()))
 }
 

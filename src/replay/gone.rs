@@ -29,7 +29,7 @@ impl Gone {
             verdict: Verdict::default(),
         };
         for record in reader.by_ref() {
-            let record = record.map_err(|cause| Failure::failed(cause.to_string()))?;
+            let record = record.map_err(Failure::failed)?;
             if record.state.tick > wanted {
                 break;
             }

@@ -58,8 +58,8 @@ pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> R
     output_file::create_folder(folder).map_err(Failure::folder(folder))?;
     let file = OutputFile::create(&path)?;
     let written = BufWriter::with_capacity(1 << 16, file.handle()?);
-    let mut out =
-        RunLog::create_named(written, &path, index_beside(&path), stream.header()).map_err(failed)?;
+    let mut out = RunLog::create_named(written, &path, index_beside(&path), stream.header())
+        .map_err(Failure::failed)?;
     out.keep_places();
     let mut copy = ReplayCopy {
         log,
@@ -74,7 +74,7 @@ pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> R
         // The first chunk is open from the start.
         chunk: 1,
     };
-    while let Some(message) = stream.next_message().map_err(failed)? {
+    while let Some(message) = stream.next_message().map_err(Failure::failed)? {
         copy.handle(&message)?;
     }
     copy.put_frame(None)?;
@@ -87,7 +87,7 @@ pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> R
         copy.fail(text)?;
     }
     let lost = marker.map(|marker| marker.lost.clone()).unwrap_or_default();
-    let (_, mut written) = copy.out.0.finish(reason, &lost).map_err(failed)?;
+    let (_, mut written) = copy.out.0.finish(reason, &lost).map_err(Failure::failed)?;
     // A failed flush must be an error, or the file would silently lack its end.
     std::io::Write::flush(&mut written).map_err(OutputError::write(&path))?;
     let recorded = file.finish()?;
@@ -122,7 +122,7 @@ impl ReplayCopy<'_> {
         }
         self.put_frame(None)?;
         if chunk_ended {
-            self.out.0.close_chunk().map_err(failed)?;
+            self.out.0.close_chunk().map_err(Failure::failed)?;
         }
         match message.known {
             Some(Topic::Latched) => self.latched = Latched::read_from_bytes(message.body).ok().map(Box::new),
@@ -140,7 +140,7 @@ impl ReplayCopy<'_> {
             }
             Some(Topic::DrrReply) => {
                 if let Ok(reply) = DrrReply::read_from_bytes(message.body) {
-                    self.out.0.drr_reply(&reply).map_err(failed)?;
+                    self.out.0.drr_reply(&reply).map_err(Failure::failed)?;
                 }
             }
             Some(Topic::DrrFrame) => self.frame = Frame::read_from_bytes(message.body).ok(),
@@ -160,12 +160,10 @@ impl ReplayCopy<'_> {
         match self.latched.take() {
             Some(latched) => {
                 let marks = self.lane.tick(plant, &latched, &mut self.out, |_| 0);
-                marks.map_err(|cause| Failure::failed(cause.to_string()))?;
+                marks.map_err(Failure::failed)?;
                 self.ticks += 1;
             }
-            None => {
-                self.lane.begin(plant, &mut self.out).map_err(|cause| Failure::failed(cause.to_string()))?
-            }
+            None => self.lane.begin(plant, &mut self.out).map_err(Failure::failed)?,
         }
         match compare_state(recorded, self.simulation.state()) {
             None => Ok(()),
@@ -178,7 +176,7 @@ impl ReplayCopy<'_> {
         let Some(latched) = self.latched.take() else { return Ok(()) };
         let told = match self.lane.tick(&mut self.simulation, &latched, &mut self.out, |_| 0) {
             Ok(_) => "the simulation does not fail here".to_owned(),
-            Err(LaneError::Output(cause)) => return Err(failed(cause)),
+            Err(LaneError::Output(cause)) => return Err(Failure::failed(cause)),
             Err(LaneError::Plant(cause)) => format!("tick {}: {cause}", latched.tick),
         };
         let differs = || Failure::failed(format!("{told}; the log says: {text}"));
@@ -192,7 +190,7 @@ impl ReplayCopy<'_> {
 
     fn keyframe(&mut self) -> Result<(), Failure> {
         let written = self.lane.keyframe(&self.simulation, &mut self.out);
-        written.map_err(|cause| Failure::failed(cause.to_string()))
+        written.map_err(Failure::failed)
     }
 
     /// Writes the waiting frame, with its image if the image comes next in the log.
@@ -220,11 +218,11 @@ impl ReplayCopy<'_> {
             }
         }
         match &record.image {
-            None => self.out.0.frame_without_image(&record.frame).map_err(failed),
+            None => self.out.0.frame_without_image(&record.frame).map_err(Failure::failed),
             Some(prefix) => {
                 let bytes = [record.frame.as_bytes(), prefix.as_bytes(), &record.pixels].concat();
                 debug_assert!(bytes.len() > Frame::DESCRIPTION.size);
-                self.out.0.frame(&bytes).map_err(failed)
+                self.out.0.frame(&bytes).map_err(Failure::failed)
             }
         }
     }
@@ -257,14 +255,9 @@ impl Outputs for Out {
     }
 }
 
-fn failed(cause: LogError) -> Failure {
-    Failure::failed(cause.to_string())
-}
-
 fn sha256(path: &Path) -> Result<String, Failure> {
     let failed = |cause: std::io::Error| Failure::failed(format!("{}: {cause}", path.display()));
-    let mut hasher = Sha256::new();
-    let mut file = File::open(path).map_err(failed)?;
+    let (mut hasher, mut file) = (Sha256::new(), File::open(path).map_err(failed)?);
     let mut buffer = vec![0; 1 << 20];
     loop {
         match std::io::Read::read(&mut file, &mut buffer).map_err(failed)? {

@@ -37,11 +37,8 @@ pub struct Replies {
 
 impl Replies {
     /// Opens the replies of a log, with the requests of the timing lane beside it.
-    ///
-    /// # Errors
-    /// The log cannot be opened, or the scene has no C-arm.
     pub fn open(log: &OpenedLog, drr: &Drr) -> Result<Replies, Failure> {
-        let scene = scene_c_arm(drr).map_err(|cause| Failure::failed(cause.to_string()))?;
+        let scene = scene_c_arm(drr).map_err(Failure::failed)?;
         let scene = c_arm_message(&scene);
         let wanted = [Topic::DrrReply.name().to_owned()];
         let stream = MessageStream::open_topics(&LogFile::at(&log.path), &wanted, log.options())?;
@@ -57,9 +54,6 @@ impl Replies {
     }
 
     /// The C-arm that a frame should have: the scene's or the requested one.
-    ///
-    /// # Errors
-    /// The reply disagrees with the frame or with the request.
     pub fn geometry_of(&mut self, frame: &Frame) -> Result<CArmGeometry, String> {
         let Some(reply) = self.reply_of(frame.sequence)? else {
             // A log that lacks replies says so. An unrequested frame shows the scene's C-arm either way.

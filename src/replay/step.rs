@@ -39,7 +39,7 @@ fn in_one_pass(
         gaps.push(Passed { after: None, resumed: Some(beginning.tick) });
     }
     if let Some(start) = start.or(reader.beginning()) {
-        simulation.restore_keyframe(&start.bytes).map_err(|cause| Failure::failed(cause.to_string()))?;
+        simulation.restore_keyframe(&start.bytes).map_err(Failure::failed)?;
     }
     let (first, mut ticks) = (Tick(simulation.state().tick), 0);
     while to.is_none_or(|to| Tick(simulation.state().tick) < to) {
@@ -47,7 +47,7 @@ fn in_one_pass(
             None => break,
             Some(Err(LogError::Gap { .. })) => {
                 let (after, read) = (Tick(simulation.state().tick), reader.last_complete_tick());
-                let behind = reader.go_on().map_err(|cause| Failure::failed(cause.to_string()))?;
+                let behind = reader.go_on().map_err(Failure::failed)?;
                 let resumed = behind.as_ref().map(|behind| Tick(behind.state.tick));
                 // A gap before the start is skipped silently.
                 if read >= first {
@@ -55,16 +55,14 @@ fn in_one_pass(
                 }
                 let Some(behind) = behind else { break };
                 if Tick(behind.state.tick) >= first {
-                    simulation
-                        .restore_keyframe(&behind.keyframe.bytes)
-                        .map_err(|cause| Failure::failed(cause.to_string()))?;
+                    simulation.restore_keyframe(&behind.keyframe.bytes).map_err(Failure::failed)?;
                 }
                 continue;
             }
-            Some(record) => record.map_err(|cause| Failure::failed(cause.to_string()))?,
+            Some(record) => record.map_err(Failure::failed)?,
         };
         if Tick(record.latched.tick) >= first {
-            simulation.step(&record.latched).map_err(|cause| Failure::failed(cause.to_string()))?;
+            simulation.step(&record.latched).map_err(Failure::failed)?;
             ticks += 1;
         }
     }
@@ -92,9 +90,6 @@ fn in_one_pass(
 }
 
 /// Time of a verification between keyframes, in seconds, with one thread per core.
-///
-/// # Errors
-/// A log that cannot be read, or a tick with a different hash.
 pub fn timed_verification(log: &Path) -> Result<(f64, usize), Failure> {
     let opened = OpenedLog::open(log, &Overrides::default())?;
     let threads = std::thread::available_parallelism().map_or(1, usize::from);

@@ -1,19 +1,12 @@
 //! The calibration figure: bend and tip position over the tendon's tension or displacement.
 
 use controllers::{Calibration, CalibrationRow};
-
-use super::ReportError;
-use super::axis::Axis;
-use super::panel::Panel;
-use super::shapes::{Figure, Point, Stroke};
+use figures::{Axis, Figure, FigureError, Panel, Point, Stroke};
 
 const HEIGHT: f64 = 400.0;
 
 /// Draws bend over tension, bend over displacement, and the tip's path in the bending plane.
-///
-/// # Errors
-/// The built-in font is refused.
-pub fn draw(title: &str, calibration: &Calibration) -> Result<Figure, ReportError> {
+pub fn draw(title: &str, calibration: &Calibration) -> Result<Figure, FigureError> {
     let mut figure = Figure::titled(HEIGHT, title)?;
     let cells = figure.cells(3, 1, 0.0);
     type Pick = fn(&CalibrationRow) -> Point;
@@ -28,13 +21,8 @@ pub fn draw(title: &str, calibration: &Calibration) -> Result<Figure, ReportErro
     ];
     for (cell, (title, x, y, pick)) in cells.into_iter().zip(panels) {
         let points: Vec<Point> = calibration.rows.iter().map(pick).collect();
-        let around = |title: &str, values: Vec<f64>| {
-            let (low, high) = super::axis::bounds(values.into_iter()).unwrap_or((0.0, 1.0));
-            let margin = 0.06 * (high - low).max(1e-9);
-            Axis::linear(title, low - margin, high + margin, 5)
-        };
-        let x = around(x, points.iter().map(|p| p.0).collect());
-        let y = around(y, points.iter().map(|p| p.1).collect());
+        let x = Axis::over(x, points.iter().map(|p| p.0), 0.06, 5);
+        let y = Axis::over(y, points.iter().map(|p| p.1), 0.06, 5);
         let mut panel = Panel::new(&mut figure, cell, title, x, y);
         for (index, (rising, label)) in [(true, "up"), (false, "down")].into_iter().enumerate() {
             let rows = calibration.rows.iter().filter(|row| row.rising == rising);

@@ -34,7 +34,8 @@ fn force(run: &RunLane) -> Option<String> {
     let of_scene = |scene: &Scene| ArmParameters::of(&scene.arm, scene.dt_s());
     let arm = run.scene.as_ref().map_or_else(|| ArmParameters::ur5(1e-3), of_scene);
     let most_n = arm.payload_kg? * GRAVITY_M_PER_S2;
-    let (burr_n, contact_n) = (run.course.peaks.burr_force_n, run.course.peaks.contact_force_n);
+    let drilling = &run.course.peaks.drilling;
+    let (burr_n, contact_n) = (drilling.max_burr_force_n, drilling.max_contact_force_n);
     let (what, force_n) = if burr_n > most_n { ("the burr", burr_n) } else { ("a contact", contact_n) };
     (force_n > most_n).then(|| {
         format!("{what} pressed with up to {force_n:.1} N, more than the arm's payload of {most_n:.1} N")

@@ -2,6 +2,7 @@
 
 use ipc_types::messages::{MAX_TENDONS, State};
 use ipc_types::scene::Scene;
+use markups::vector::{cross, dot, length, minus};
 use simulation::manipulator_parameters;
 
 use super::summary::{DrillingSummary, ToolSummary, ratio};
@@ -24,16 +25,13 @@ impl Plane {
 
     /// Coordinates of a world point along the bend and insertion axes, mm.
     pub fn project_mm(&self, point_m: [f64; 3]) -> [f64; 2] {
-        let d = [0, 1, 2].map(|i| point_m[i] - self.origin_m[i]);
-        [self.bend_axis, self.insertion_axis].map(|axis| (0..3).map(|i| axis[i] * d[i]).sum::<f64>() * 1e3)
+        let away = minus(point_m, self.origin_m);
+        [self.bend_axis, self.insertion_axis].map(|axis| dot(axis, away) * 1e3)
     }
 }
 
 /// Rotates a vector by a quaternion x y z w: v + 2w (u × v) + 2 u × (u × v).
 fn rotate(q: [f64; 4], v: [f64; 3]) -> [f64; 3] {
-    let cross = |a: [f64; 3], b: [f64; 3]| {
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    };
     let u = [q[0], q[1], q[2]];
     let uv = cross(u, v);
     let uuv = cross(u, uv);
@@ -42,7 +40,7 @@ fn rotate(q: [f64; 4], v: [f64; 3]) -> [f64; 3] {
 
 /// Distance of two points, m.
 pub fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
-    (0..3).map(|i| (a[i] - b[i]) * (a[i] - b[i])).sum::<f64>().sqrt()
+    length(minus(a, b))
 }
 
 /// Maximum values over a run.
@@ -50,18 +48,8 @@ pub fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
 pub struct Peaks {
     /// Tension of any tendon.
     pub tension_n: f64,
-    /// Normal force of the burr.
-    pub burr_force_n: f64,
-    /// Normal force of any contact.
-    pub contact_force_n: f64,
-    /// Sum of the walls' forces in one tick.
-    pub wall_force_n: f64,
-    /// Force of the tool on the flange.
-    pub flange_force_n: f64,
-    /// How far a flexure was past its stop.
-    pub stop_excess_rad: f64,
-    /// Maximum number of contacts in one tick.
-    pub contacts: u32,
+    /// The maxima of drilling.
+    pub drilling: DrillingSummary,
     /// Ticks with at least one contact.
     pub ticks_in_contact: u64,
     /// Farthest place of the tip from where it was at the start.
@@ -80,15 +68,16 @@ impl Peaks {
         // f64::max ignores NaN.
         let tendons = (state.tendon_count as usize).min(MAX_TENDONS);
         self.tension_n = state.tendon_tension_n[..tendons].iter().copied().fold(self.tension_n, f64::max);
-        self.burr_force_n = self.burr_force_n.max(state.burr_force_n);
-        self.wall_force_n = self.wall_force_n.max(state.wall_force_n);
+        let most = &mut self.drilling;
+        most.max_burr_force_n = most.max_burr_force_n.max(state.burr_force_n);
+        most.max_wall_force_n = most.max_wall_force_n.max(state.wall_force_n);
         let [x, y, z] = state.flange_wrench.force_n;
-        self.flange_force_n = self.flange_force_n.max((x * x + y * y + z * z).sqrt());
-        self.stop_excess_rad = self.stop_excess_rad.max(state.stop_excess_rad);
+        most.max_flange_force_n = most.max_flange_force_n.max((x * x + y * y + z * z).sqrt());
+        most.max_stop_excess_deg = most.max_stop_excess_deg.max(state.stop_excess_rad.to_degrees());
         let listed = (state.contact_count as usize).min(state.contacts.len());
         let forces = state.contacts[..listed].iter().map(|contact| contact.normal_force_n);
-        self.contact_force_n = forces.fold(self.contact_force_n, f64::max);
-        self.contacts = self.contacts.max(state.contact_total);
+        most.max_contact_force_n = forces.fold(most.max_contact_force_n, f64::max);
+        most.max_contacts = most.max_contacts.max(state.contact_total);
         self.ticks_in_contact += u64::from(state.contact_total > 0);
     }
 }
@@ -169,13 +158,8 @@ impl Course {
             removed_volume_mm3: self.voxel_volume_mm3.map(|volume| volume * last.removed_total as f64),
             cutting_energy_j: last.cutting_energy_j,
             crushing_energy_j: last.crushing_energy_j,
-            max_burr_force_n: peaks.burr_force_n,
-            max_contact_force_n: peaks.contact_force_n,
-            max_wall_force_n: peaks.wall_force_n,
-            max_flange_force_n: peaks.flange_force_n,
-            max_stop_excess_deg: peaks.stop_excess_rad.to_degrees(),
-            max_contacts: peaks.contacts,
             contact_share: ratio(peaks.ticks_in_contact as f64, self.ticks as f64).unwrap_or(0.0).min(1.0),
+            ..peaks.drilling
         })
     }
 }

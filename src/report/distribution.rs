@@ -30,6 +30,13 @@ pub struct Quantiles {
     pub max: f64,
 }
 
+impl Quantiles {
+    /// Median, 90th, 99th and 99.9th percentile, and the longest.
+    pub fn values(&self) -> [f64; 5] {
+        [self.p50, self.p90, self.p99, self.p99_9, self.max]
+    }
+}
+
 impl Distribution {
     /// An empty distribution. Values keep `significant_digits` (1 to 5) decimal digits.
     pub fn new(significant_digits: u8) -> Result<Distribution, ReportError> {

@@ -12,19 +12,14 @@
 //!
 //! Each file is on the disk before the next is begun. A log that is cut, damaged or not there gives what it holds; what is wrong stands in `LogSummary::notes`.
 
-pub mod axis;
 pub mod calibration_figure;
 mod cautions;
-mod collisions;
 pub mod course;
 pub mod distribution;
 mod end_table;
-mod grey;
 mod live;
 mod page;
-pub mod panel;
 mod run_lane;
-pub mod shapes;
 mod summary;
 mod table;
 pub mod timing_figure;
@@ -35,10 +30,10 @@ mod tip_figure;
 mod tests;
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
+use figures::FigureError;
 use inputs::failure::Failure;
-use output_file::OutputError;
 
 pub use run_log::timeline;
 
@@ -87,59 +82,22 @@ pub struct RunFacts {
 /// Why a report could not be written.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
-    /// A file could not be written.
+    /// One of its files could not be drawn or written.
     #[error(transparent)]
-    Output(#[from] OutputError),
-    /// A picture could not be encoded.
-    #[error("{}: cannot be written as PNG: {source}", path.display())]
-    Png {
-        /// The file.
-        path: PathBuf,
-        /// The encoder's reason.
-        source: png::EncodingError,
-    },
-    /// A figure could not be drawn.
-    #[error("{}: cannot be drawn: {cause}", path.display())]
-    Draw {
-        /// The file.
-        path: PathBuf,
-        /// The drawing library's reason.
-        cause: String,
-    },
-    /// The built-in font was refused.
-    #[error(
-        "the built-in font of the figures cannot be read by the drawing library; rebuild with the locked dependencies"
-    )]
-    Font,
+    Figure(#[from] FigureError),
     /// A histogram could not be made.
     #[error("cannot create a histogram of durations: {source}")]
     Histogram {
         /// The library's reason.
         source: hdrhistogram::CreationError,
     },
-    /// The page could not be written.
-    #[error("{}: cannot be filled in: {source}", path.display())]
-    Page {
-        /// The file.
-        path: PathBuf,
-        /// The template's reason.
-        source: askama::Error,
-    },
-    /// The summary could not be encoded.
-    #[error("{}: cannot be written as JSON: {source}", path.display())]
-    Json {
-        /// The file.
-        path: PathBuf,
-        /// The encoder's reason.
-        source: serde_json::Error,
-    },
 }
 
 impl From<ReportError> for Failure {
     fn from(error: ReportError) -> Failure {
         match error {
-            ReportError::Output(error) => Failure::from(error),
-            other => Failure::failed(other.to_string()),
+            ReportError::Figure(FigureError::Output(error)) => Failure::from(error),
+            other => Failure::failed(other),
         }
     }
 }
@@ -150,7 +108,7 @@ pub struct Report {
     /// Its numbers.
     pub summary: Summary,
     /// Why files are missing, one error per file or figure.
-    pub missing: Vec<ReportError>,
+    pub missing: Vec<FigureError>,
 }
 
 /// Writes the report of a run into its folder. Files are independent: if one cannot be written, the others still are,
@@ -166,17 +124,17 @@ pub fn write(folder: &Path, facts: &RunFacts) -> Result<Report, ReportError> {
     let bytes = paths.map(|path| path.metadata().map_or(0, |metadata| metadata.len()));
     let frames = [("before", &run.frames.before), ("half", &run.frames.half), ("after", &run.frames.after)];
     let summary = Summary::new(&run, &timing, facts, bytes);
-    let mut missing: Vec<ReportError> = Vec::new();
+    let mut missing: Vec<FigureError> = Vec::new();
     // Write the numbers first: they need the least space on a nearly full disk.
     missing.extend(write_json(&folder.join("summary.json"), &summary).err());
     let (mut pictures, mut drawn) = (Vec::new(), Vec::new());
     for (name, image) in frames {
         let Some(image) = image else { continue };
         let path = folder.join(format!("drr_{name}.png"));
-        match image.png(&path) {
+        match image.png().map_err(FigureError::content(&path, "written as PNG")) {
             Ok(bytes) => {
                 pictures.push(Picture::png(name, &bytes));
-                missing.extend(output_file::write(&path, bytes).err().map(ReportError::from));
+                missing.extend(output_file::write(&path, bytes).err().map(FigureError::from));
             }
             Err(error) => missing.push(error),
         }
@@ -188,14 +146,13 @@ pub fn write(folder: &Path, facts: &RunFacts) -> Result<Report, ReportError> {
             timing_figure::draw(&timing, run.end_ns).and_then(|figure| figure.files(folder, "timing"));
         (tip.join(), over_time)
     });
-    let lost =
-        || ReportError::Draw { path: folder.join("tip_path.png"), cause: "its thread failed".to_owned() };
+    let lost = || FigureError::content(&folder.join("tip_path.png"), "drawn")("its thread failed");
     for (stem, files) in [("tip_path", tip.unwrap_or_else(|_| Err(lost()))), ("timing", over_time)] {
         match files {
             Ok(files) => {
                 drawn.push(Picture::svg(stem, &files[1].1));
                 let written = files.iter().map(|(path, bytes)| output_file::write(path, bytes));
-                missing.extend(written.filter_map(Result::err).map(ReportError::from));
+                missing.extend(written.filter_map(Result::err).map(FigureError::from));
             }
             Err(error) => missing.push(error),
         }
@@ -203,14 +160,14 @@ pub fn write(folder: &Path, facts: &RunFacts) -> Result<Report, ReportError> {
     let scene = run.header.as_ref().map_or("", |header| header.scene_toml.as_str());
     let path = folder.join("report.html");
     let page = page::page(&summary, scene, &pictures, &drawn);
-    let page = page.map_err(|source| ReportError::Page { path: path.clone(), source });
+    let page = page.map_err(FigureError::content(&path, "filled in"));
     missing.extend(page.and_then(|page| Ok(output_file::write(&path, page)?)).err());
     Ok(Report { summary, missing })
 }
 
-fn write_json(path: &Path, summary: &Summary) -> Result<(), ReportError> {
-    let mut text = serde_json::to_string_pretty(summary)
-        .map_err(|source| ReportError::Json { path: path.into(), source })?;
+fn write_json(path: &Path, summary: &Summary) -> Result<(), FigureError> {
+    let text = serde_json::to_string_pretty(summary);
+    let mut text = text.map_err(FigureError::content(path, "written as JSON"))?;
     text.push('\n');
     Ok(output_file::write(path, text)?)
 }

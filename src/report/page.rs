@@ -40,9 +40,6 @@ struct Page<'a> {
 }
 
 /// The page of a run; `scene` is its scene as TOML.
-///
-/// # Errors
-/// The template cannot be filled in.
 pub fn page(
     summary: &Summary,
     scene: &str,

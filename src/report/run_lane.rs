@@ -10,8 +10,8 @@ use run_log::{LogError, LogHeader, LogMessage, MessageStream, ReadOptions, Topic
 use zerocopy::FromBytes;
 
 use super::course::{Course, Plane};
-use super::grey::GreyImage;
 use super::timeline::{Extremes, Timeline};
+use figures::picture::GreyImage;
 
 /// Number of time bins for the curves.
 const TIME_BINS: usize = 1200;

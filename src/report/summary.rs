@@ -84,7 +84,7 @@ pub struct ToolSummary {
 }
 
 /// Drilling and contact.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct DrillingSummary {
     /// Voxels removed since the start or the last reset.
     pub removed_voxels: u64,

@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use serde_json::{Value, json};
 
 use super::live::{LiveSnapshot, progress_line};
+use crate::say::merged;
 
 /// Number of values in a sparkline.
 const WIDTH: usize = 48;
@@ -36,7 +37,7 @@ impl History {
         let mut lines = vec![progress_line(live)];
         let latency = live.missed_ticks.map(|_| ("latency p99", &self.late_us));
         for (name, values) in core::iter::once(("step    p99", &self.step_us)).chain(latency) {
-            let Some((low, high)) = super::axis::bounds(values.iter().copied()) else { continue };
+            let Some((low, high)) = figures::bounds(values.iter().copied()) else { continue };
             lines.push(format!(
                 "  {name}  {:<WIDTH$}  {low:.0} to {high:.0} us",
                 sparkline(values, low, high)
@@ -57,20 +58,7 @@ fn sparkline(values: &VecDeque<f64>, low: f64, high: f64) -> String {
 
 /// One line of JSON.
 pub fn json_line(live: &LiveSnapshot, phase: &str) -> Value {
-    let interval = &live.interval;
-    json!({
-        "phase": phase,
-        "sim_time_s": live.sim_time_s,
-        "real_time_factor": live.real_time_factor,
-        "tip_position_m": live.tip_position_m,
-        "tension_n": live.tension_n,
-        "removed_total": live.removed_total,
-        "step_us": interval.step_us,
-        "lateness_us": interval.lateness_us,
-        "missed_in_interval": interval.missed,
-        "missed_ticks": live.missed_ticks,
-        "drr_rate_hz": live.drr_rate_hz,
-    })
+    merged(json!({"phase": phase}), json!(live))
 }
 
 #[cfg(test)]

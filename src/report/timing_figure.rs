@@ -1,13 +1,12 @@
 //! The timing figure of a run.
 
-use plotters::style::RGBColor;
+use figures::{
+    Axis, COLOURS, Figure, FigureError, HEAD, INK, Key, Panel, Point, RGBColor, Rect, Stroke, WIDTH,
+    count_label, duration_label,
+};
 use run_log::RunMode;
 
-use super::ReportError;
-use super::axis::{Axis, count_label, duration_label};
 use super::distribution::{Distribution, Quantiles};
-use super::panel::{COLOURS, INK, Key, Panel, Rect};
-use super::shapes::{Figure, HEAD, Point, Stroke, WIDTH};
 use super::timing_lane::TimingLane;
 use super::tip_figure::lighter;
 
@@ -23,7 +22,7 @@ const EMPTY: &str = "no data in the log";
 const GREY: RGBColor = RGBColor(110, 110, 110);
 
 /// Draws the figure; a panel without data says so. `end_ns` is the simulated length of the run.
-pub fn draw(timing: &TimingLane, end_ns: u64) -> Result<Figure, ReportError> {
+pub fn draw(timing: &TimingLane, end_ns: u64) -> Result<Figure, FigureError> {
     let header = timing.header.as_ref();
     let (scene, mode) = header.map_or(("run", ""), |h| (h.scene_name.as_str(), h.mode.name()));
     let mode = if mode.is_empty() { String::new() } else { format!(", {mode}") };

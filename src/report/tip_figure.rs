@@ -1,14 +1,12 @@
 //! The figure of the tool's motion: the tip path with the manipulator's shape, and the forces over time.
 
+use figures::{
+    Axis, COLOURS, Figure, FigureError, HEAD, INK, Key, Panel, Point, RGBColor, Rect, Stroke, WIDTH, bounds,
+};
 use ipc_types::messages::State;
-use plotters::style::RGBColor;
 
-use super::ReportError;
-use super::axis::{Axis, bounds};
 use super::course::{Plane, distance_m};
-use super::panel::{COLOURS, INK, Key, Panel, Rect};
 use super::run_lane::{Curves, RunLane, links};
-use super::shapes::{Figure, HEAD, Point, Stroke, WIDTH};
 use super::timeline::{Extremes, Timeline};
 
 const HEIGHT: f64 = 720.0;
@@ -17,7 +15,7 @@ const BURR: RGBColor = RGBColor(178, 178, 178);
 const START: RGBColor = RGBColor(222, 222, 222);
 
 /// Draws the figure; without states it says so.
-pub fn draw(run: &RunLane) -> Result<Figure, ReportError> {
+pub fn draw(run: &RunLane) -> Result<Figure, FigureError> {
     let scene = run.header.as_ref().map_or("run", |header| header.scene_name.as_str());
     let title =
         format!("{scene}: tool motion over {:.2} s (bands: least to greatest)", run.end_ns as f64 * 1e-9);

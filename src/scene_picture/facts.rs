@@ -26,7 +26,6 @@ const FEED_STEP_MM: u32 = 2;
 pub struct Sample {
     /// Distance from the path's beginning along it, mm; negative before it.
     pub along_mm: f64,
-    /// Where, mm.
     pub place_mm: Vector3<f64>,
     /// Hounsfield units; `None` outside of the volume.
     pub hu: Option<f64>,
@@ -39,7 +38,6 @@ pub struct Facts {
     pub profile: Vec<Sample>,
     /// Where the path comes into bone.
     pub entry: Option<Sample>,
-    /// The burr's start.
     pub start: Sample,
     /// The end of the path.
     pub target: Sample,
@@ -57,9 +55,6 @@ pub struct Facts {
 
 impl Facts {
     /// Measures a scene; `surroundings` are those of its volume, which many measurements share.
-    ///
-    /// # Errors
-    /// Bad input: the simulation refuses the scene.
     pub fn of(
         scene: &Scene,
         volume: &Volume,

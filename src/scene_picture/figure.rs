@@ -1,18 +1,17 @@
 //! The picture of a scene before its run.
 
+use figures::{
+    Anchor, Axis, BLACK, COLOURS, Figure, FigureError, INK, Panel, Point, RGBColor, Rect, Shape, Stroke,
+    TextSize, WHITE, WIDTH, clip, text_width,
+};
 use ipc_types::scene::Scene;
 use nalgebra::Vector3;
-use plotters::style::RGBColor;
 use voxel_grid::Volume;
 use voxel_grid::slice::ANATOMICAL;
 
 use super::facts::{Facts, Sample};
 use super::shape::{Shapes, length};
 use super::slice::{END, HOLE, Plane, START};
-use crate::report::ReportError;
-use crate::report::axis::Axis;
-use crate::report::panel::{COLOURS, INK, Panel, Rect, clip};
-use crate::report::shapes::{Anchor, Figure, Point, Shape, Stroke, TextSize, WIDTH, text_width};
 
 const MARGIN: f64 = 10.0;
 const GAP: f64 = 8.0;
@@ -30,27 +29,18 @@ const AROUND_MM: f64 = 14.0;
 const NEAR_MM: f64 = 1.5;
 const ALONG_HEIGHT: f64 = 300.0;
 const PROFILE_HEIGHT: f64 = 230.0;
-const WHITE: RGBColor = RGBColor(255, 255, 255);
 const PATH: RGBColor = RGBColor(204, 121, 167);
-const BLACK: RGBColor = RGBColor(0, 0, 0);
 
 /// What a picture shows.
 pub struct Pictured<'a> {
-    /// The scene.
     pub scene: &'a Scene,
-    /// Its volume.
     pub volume: &'a Volume,
-    /// What lies in it.
     pub shapes: &'a Shapes,
-    /// What was measured.
     pub facts: &'a Facts,
 }
 
 /// Draws the picture.
-///
-/// # Errors
-/// The font is refused.
-pub fn draw(of: &Pictured<'_>) -> Result<Figure, ReportError> {
+pub fn draw(of: &Pictured<'_>) -> Result<Figure, FigureError> {
     let lines = words(of);
     let places = places(of.facts);
     let side = (WIDTH - 2.0 * MARGIN - 2.0 * GAP) / 3.0;
@@ -205,11 +195,8 @@ impl Slice<'_> {
             let points: Vec<Point> = placed[from..=to].iter().map(|(point, _)| *point).collect();
             let dash: &[f64] = if kind { &[] } else { &[5.0, 4.0] };
             for run in clip(&points, self.area) {
-                figure.add(Shape::Line {
-                    points: run.clone(),
-                    stroke: Stroke::full(BLACK, if kind { 4.0 } else { 0.1 }),
-                });
-                figure.add(Shape::Line { points: run, stroke: Stroke { colour: PATH, width: 2.2, dash } });
+                figure.line(run.clone(), Stroke::full(BLACK, if kind { 4.0 } else { 0.1 }));
+                figure.line(run, Stroke { colour: PATH, width: 2.2, dash });
             }
             from = to;
         }
@@ -229,8 +216,8 @@ impl Slice<'_> {
         }
         for (colour, size) in [(BLACK, 4.0), (WHITE, 2.0)] {
             let stroke = Stroke::full(colour, size);
-            figure.add(Shape::Line { points: vec![(x - 6.0, y), (x + 6.0, y)], stroke });
-            figure.add(Shape::Line { points: vec![(x, y - 6.0), (x, y + 6.0)], stroke });
+            figure.line([(x - 6.0, y), (x + 6.0, y)], stroke);
+            figure.line([(x, y - 6.0), (x, y + 6.0)], stroke);
         }
         chip(figure, (x + 13.0, y - 13.0), letter(name));
     }
@@ -240,10 +227,7 @@ impl Slice<'_> {
         let Rect { x, y, width, height } = self.area;
         let (right, foot) = (x + width - 8.0, y + height - 8.0);
         for (colour, size) in [(BLACK, 5.0), (WHITE, 3.0)] {
-            figure.add(Shape::Line {
-                points: vec![(right - length, foot), (right, foot)],
-                stroke: Stroke::full(colour, size),
-            });
+            figure.line([(right - length, foot), (right, foot)], Stroke::full(colour, size));
         }
         chip(figure, (right - 0.5 * length, foot - 14.0), "10 mm");
     }
@@ -261,9 +245,7 @@ fn letter(name: &str) -> &'static str {
 /// A text on a white ground, at its middle.
 fn chip(figure: &mut Figure, (x, y): Point, text: &str) {
     let (half, tall) = (0.5 * text_width(text, TEXT) + 3.0, 9.0);
-    let corners =
-        vec![(x - half, y - tall), (x + half, y - tall), (x + half, y + tall), (x - half, y + tall)];
-    figure.add(Shape::Area { corners, fill: WHITE });
+    figure.rectangle(Rect { x: x - half, y: y - tall, width: 2.0 * half, height: 2.0 * tall }, WHITE);
     figure.text((x, y), text, TEXT, INK, Anchor::Centre);
 }
 
@@ -281,10 +263,9 @@ fn draw_legend(figure: &mut Figure, y: f64, is_planned: bool) {
     }
     let mut x = MARGIN;
     for (colour, dash, text) in entries {
-        let points = vec![(x, y), (x + 26.0, y)];
-        figure
-            .add(Shape::Line { points: points.clone(), stroke: Stroke::full(RGBColor(120, 120, 120), 7.0) });
-        figure.add(Shape::Line { points, stroke: Stroke { colour, width: 4.0, dash } });
+        let points = [(x, y), (x + 26.0, y)];
+        figure.line(points, Stroke::full(RGBColor(120, 120, 120), 7.0));
+        figure.line(points, Stroke { colour, width: 4.0, dash });
         figure.text((x + 32.0, y), text, TEXT, INK, Anchor::Left);
         x += 46.0 + text_width(text, TEXT);
     }

@@ -15,9 +15,7 @@ const STEP_MM: f64 = 1.0;
 /// A tube with round ends: all points within a radius of a line through points.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tube {
-    /// The line, mm.
     pub line_mm: Vec<Vector3<f64>>,
-    /// The radius, mm.
     pub radius_mm: f64,
 }
 
@@ -107,7 +105,6 @@ impl ToolShape {
 /// Everything of a scene that lies in the CT.
 #[derive(Debug, Clone)]
 pub struct Shapes {
-    /// Pilot holes.
     pub holes: Vec<Hole>,
     /// The planned path of the burr's centre, from the beginning of its pilot hole; without a controller that drills, a line ahead.
     pub path_mm: Vec<Vector3<f64>>,
@@ -119,7 +116,6 @@ pub struct Shapes {
     pub along: Vector3<f64>,
     /// Toward which the tool bends, perpendicular to it.
     pub toward: Vector3<f64>,
-    /// The tool at the start.
     pub at_start: ToolShape,
     /// The tool where the burr has come to the end of the path, drawn along the path.
     pub at_end: ToolShape,
@@ -131,9 +127,6 @@ pub struct Shapes {
 
 impl Shapes {
     /// The shapes of a scene.
-    ///
-    /// # Errors
-    /// Bad input: no such tool.
     pub fn of(scene: &Scene) -> Result<Shapes, Failure> {
         let tool = manipulator_parameters(scene).map_err(Failure::bad_input)?;
         let tool_mm = 1e3 * tool.burr_centre_m();

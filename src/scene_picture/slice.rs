@@ -21,7 +21,6 @@ pub const END: [u8; 3] = [255, 140, 60];
 /// A rectangle in the patient frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plane {
-    /// Its middle, mm.
     pub centre_mm: Vector3<f64>,
     /// Unit vector to the right of the picture.
     pub right: Vector3<f64>,
@@ -105,23 +104,11 @@ fn outline(pixels: &mut [u8], inside: &[Inside], columns: usize, rows: usize) {
 mod tests {
     use super::*;
     use crate::scene_picture::shape::{ToolShape, Tube};
-    use voxel_grid::VoxelGrid;
+    use crate::scene_picture::surroundings::tests::ball as ball_of;
 
     /// A ball of bone of 10 mm in air, and nothing else in it.
     fn ball() -> (Volume, Shapes) {
-        let count = 81;
-        let far = |index: usize| (index as f64 - 40.0) * 0.5;
-        let mut hu = Vec::new();
-        for k in 0..count {
-            for j in 0..count {
-                for i in 0..count {
-                    let radius_mm = (far(i).powi(2) + far(j).powi(2) + far(k).powi(2)).sqrt();
-                    hu.push(if radius_mm <= 10.0 { 1300 } else { -1000 });
-                }
-            }
-        }
-        let grid = VoxelGrid::axis_aligned([count; 3], [0.5e-3; 3], [-20e-3; 3]).unwrap();
-        let volume = Volume { grid, hu };
+        let volume = ball_of(81, |radius_mm| if radius_mm <= 10.0 { 1300 } else { -1000 });
         let tool = |at: [f64; 3]| {
             let tube = Tube { line_mm: vec![Vector3::from(at)], radius_mm: 3.0 };
             ToolShape { burr: vec![tube.clone()], outer: None, tube }

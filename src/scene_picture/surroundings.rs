@@ -138,36 +138,28 @@ impl<'a> Surroundings<'a> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use voxel_grid::VoxelGrid;
 
-    /// A ball of bone of 10 mm with marrow of 4 mm in it, in voxels of half a millimetre.
-    fn ball() -> Volume {
-        let count = 61;
-        let far = |index: usize| (index as f64 - 30.0) * 0.5;
-        let mut hu = Vec::new();
-        for k in 0..count {
-            for j in 0..count {
-                for i in 0..count {
-                    let radius_mm = (far(i).powi(2) + far(j).powi(2) + far(k).powi(2)).sqrt();
-                    hu.push(if radius_mm <= 4.0 {
-                        -50
-                    } else if radius_mm <= 10.0 {
-                        900
-                    } else {
-                        -1000
-                    });
-                }
-            }
-        }
-        let grid = VoxelGrid::axis_aligned([count; 3], [0.5e-3; 3], [-15e-3; 3]).unwrap();
-        Volume { grid, hu }
+    /// A cube of this many voxels of half a millimetre a side, of Hounsfield units by the distance from its middle, mm.
+    pub fn ball(count: usize, hu_at: impl Fn(f64) -> i16) -> Volume {
+        let half_mm = 0.25 * (count - 1) as f64;
+        let far = |index: usize| 0.5 * index as f64 - half_mm;
+        let voxel = |index: usize| [index % count, index / count % count, index / count / count].map(far);
+        let radius_mm = |index: usize| Vector3::from(voxel(index)).norm();
+        let grid = VoxelGrid::axis_aligned([count; 3], [0.5e-3; 3], [-1e-3 * half_mm; 3]).unwrap();
+        Volume { grid, hu: (0..count * count * count).map(|index| hu_at(radius_mm(index))).collect() }
     }
 
+    /// A ball of bone of 10 mm with marrow of 4 mm in it.
     #[test]
     fn marrow_is_inside_and_distances_are_those_of_the_ball_to_a_voxel() {
-        let volume = ball();
+        let volume = ball(61, |radius_mm| match radius_mm {
+            ..=4.0 => -50,
+            ..=10.0 => 900,
+            _ => -1000,
+        });
         let map = Surroundings::of(&volume, 150);
         assert!(!map.is_outside(&Vector3::zeros()) && map.is_outside(&Vector3::new(12.0, 0.0, 0.0)));
         for (point, depth_mm) in

@@ -1,15 +1,14 @@
 //! The figures of a stress test.
 
-use plotters::style::RGBColor;
+use figures::{
+    Anchor, Axis, COLOURS, Figure, FigureError, HEAD, INK, Key, Panel, Point, RGBColor, Rect, Stroke,
+    TextSize, WIDTH, duration_label, text_width,
+};
 use run_log::misses::Cause;
 
 use super::measure::{Curves, DRAWN_MISSES, Measured};
 use super::plan::{Combination, policy_name, wait_name};
 use super::report::Tested;
-use crate::report::ReportError;
-use crate::report::axis::{Axis, duration_label};
-use crate::report::panel::{COLOURS, INK, Key, Panel, Rect};
-use crate::report::shapes::{Anchor, Figure, HEAD, Point, Shape, Stroke, TextSize, WIDTH, text_width};
 use crate::report::timing_figure::draw_histogram;
 
 const HEIGHT: f64 = 640.0;
@@ -40,7 +39,7 @@ pub fn combination(
     tested: &Combination,
     measured: &Measured,
     curves: &Curves,
-) -> Result<Figure, ReportError> {
+) -> Result<Figure, FigureError> {
     let title = format!("{tested}: {} of {} ticks missed", measured.missed, measured.ticks);
     let mut figure = Figure::titled(HEIGHT, &title)?;
     let cells = figure.cells(3, 2, 0.0);
@@ -101,7 +100,7 @@ fn time_line(figure: &mut Figure, outer: Rect, measured: &Measured, curves: &Cur
 }
 
 /// p99 of the lateness over cores and loads: a colour table for each policy and wait strategy.
-pub fn map(all: &[Tested]) -> Result<Figure, ReportError> {
+pub fn map(all: &[Tested]) -> Result<Figure, FigureError> {
     let mut groups: Vec<(String, Vec<&Tested>)> = Vec::new();
     for tested in all {
         let of = &tested.combination;
@@ -160,9 +159,9 @@ fn map_cell(figure: &mut Figure, (x, y): Point, cell: (f64, f64), p99_us: Option
     let mix = |from: f64, to: f64| shade.map_or(245, |s| (from + (to - from) * s) as u8);
     let fill = RGBColor(mix(255.0, 8.0), mix(255.0, 48.0), mix(255.0, 107.0));
     let (right, lower) = (x + cell.0 - 3.0, y + cell.1 - 3.0);
-    figure.add(Shape::Area { corners: vec![(x, y), (right, y), (right, lower), (x, lower)], fill });
-    let outline = vec![(x, y), (right, y), (right, lower), (x, lower), (x, y)];
-    figure.add(Shape::Line { points: outline, stroke: Stroke::full(RGBColor(190, 190, 190), 0.8) });
+    figure.rectangle(Rect { x, y, width: cell.0 - 3.0, height: cell.1 - 3.0 }, fill);
+    let outline = [(x, y), (right, y), (right, lower), (x, lower), (x, y)];
+    figure.line(outline, Stroke::full(RGBColor(190, 190, 190), 0.8));
     let ink = if shade.is_some_and(|s| s > 0.5) { RGBColor(255, 255, 255) } else { INK };
     let text = p99_us.map_or("not run".to_owned(), duration_label);
     figure.text((0.5 * (x + right), 0.5 * (y + lower)), &text, TextSize::Label, ink, Anchor::Centre);

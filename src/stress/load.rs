@@ -28,9 +28,6 @@ pub struct Loads(Vec<Child>);
 
 impl Loads {
     /// Starts the neighbours, each with its own seed, on this thread's cores. A disk load writes below `folder`.
-    ///
-    /// # Errors
-    /// A process cannot be started.
     pub fn start(load: Load, seed: u64, folder: &Path, limit: Duration) -> std::io::Result<Loads> {
         let program = std::env::current_exe()?;
         let mut loads = Loads::default();
@@ -58,9 +55,6 @@ impl Drop for Loads {
 }
 
 /// Causes load until killed, or for `limit`.
-///
-/// # Errors
-/// The disk cannot be written, or no process can be started.
 pub fn disturb(kind: LoadKind, seed: u64, folder: &Path, limit: Duration) -> Result<(), Failure> {
     end_with_parent();
     let failed = |cause: std::io::Error| Failure::failed(format!("load {}: {cause}", kind.name()));

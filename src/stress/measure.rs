@@ -24,19 +24,14 @@ pub const DRAWN_MISSES: usize = 200;
 /// A deadline miss.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Miss {
-    /// Simulated time.
     pub time_s: f64,
-    /// How late the tick began.
     pub late_us: f64,
-    /// Main cause.
     pub cause: Cause,
 }
 
 /// Distributions of a run, for figures.
 pub struct Curves {
-    /// How late ticks began.
     pub lateness: Distribution,
-    /// Physics steps.
     pub step: Distribution,
     /// From state to command, over all controllers.
     pub round_trip: Distribution,
@@ -44,9 +39,7 @@ pub struct Curves {
     pub latest: Timeline<Extremes>,
     /// The worst misses, in order of time.
     pub misses: Vec<Miss>,
-    /// Length of the run.
     pub end_s: f64,
-    /// Length of a tick.
     pub period_us: f64,
     latch_age: Distribution,
     frame_age: Distribution,
@@ -57,9 +50,7 @@ pub struct Curves {
 pub struct Measured {
     /// Number of ticks in the log.
     pub ticks: u64,
-    /// How late ticks began.
     pub lateness_us: Option<Quantiles>,
-    /// Physics step.
     pub step_us: Option<Quantiles>,
     /// Age of the command used in a tick, counted from the state that it answers.
     pub latch_age_us: Option<Quantiles>,
@@ -67,11 +58,8 @@ pub struct Measured {
     pub round_trip_us: Option<Quantiles>,
     /// Simulated time that had passed when a frame was published.
     pub frame_age_us: Option<Quantiles>,
-    /// Frames per second of wall time.
     pub frames_per_s: Option<f64>,
-    /// Simulated over wall time.
     pub real_time_factor: Option<f64>,
-    /// Messages lost.
     pub dropped: u64,
     /// Ticks that began more than a period late.
     pub missed: u64,
@@ -94,8 +82,7 @@ pub struct Measured {
 /// # Errors
 /// A histogram cannot be made. Faults of the logs become remarks.
 pub fn measure(folder: &Path, expected_ticks: u64) -> Result<(Measured, Curves), Failure> {
-    let failed = |error: crate::report::ReportError| Failure::failed(error.to_string());
-    let duration = Distribution::new(3).map_err(failed)?;
+    let duration = Distribution::new(3)?;
     let mut reader = Reader {
         measured: Measured::default(),
         curves: Curves {

@@ -24,6 +24,7 @@ use crate::launcher::part::{Part, ProgramOutput};
 use crate::launcher::volume_source::VolumeFiles;
 use crate::machine::Confinement;
 use crate::machine::Machine;
+use crate::report::ReportError;
 use crate::scenes::SceneSource;
 use load::Loads;
 use plan::{Combination, policy_name, wait_name};
@@ -51,7 +52,7 @@ pub struct StressPlan {
     /// Folder of the report.
     pub output: PathBuf,
     /// Whether to keep the runs' folders.
-    pub kept_logs: KeptLogs,
+    pub keeps_logs: bool,
     /// Which files the volume may name.
     pub volume_files: VolumeFiles,
     /// An earlier test to compare with.
@@ -107,12 +108,13 @@ impl Written {
     }
 
     fn save(&mut self, report: &StressReport, plan: &StressPlan) -> Result<(), Failure> {
-        let map = figures::map(&report.tested)?;
-        self.map.save(map.svg(&plan.output.join("map.svg"))?)?;
+        let map = figures::map(&report.tested).and_then(|map| map.svg(&plan.output.join("map.svg")));
+        self.map.save(map.map_err(ReportError::from)?)?;
         self.json.save(report.json()?)?;
         self.csv.save(report.csv())?;
         // The page embeds the map from the folder.
-        Ok(self.page.save(page::html(report, plan.compare.as_ref(), &plan.output))?)
+        let page = page::html(report, plan.compare.as_ref(), &plan.output).map_err(Failure::failed)?;
+        Ok(self.page.save(page)?)
     }
 }
 
@@ -150,7 +152,7 @@ fn test(
             if end.is_set() {
                 part.ask_to_end();
                 part.wait(END_LIMIT);
-                remove(&logs, plan.kept_logs);
+                remove(&logs, plan.keeps_logs);
                 return Ok(None);
             }
             match part.ended() {
@@ -170,9 +172,10 @@ fn test(
     let (measured, curves) = measure::measure(folder.as_deref().unwrap_or(&logs), expected.tick_count())?;
     not_permitted.extend(folder.as_deref().map(refused_priority).unwrap_or_default());
     let name = format!("combination_{:02}.svg", index + 1);
-    let (figure, path) = (figures::combination(combination, &measured, &curves)?, plan.output.join(&name));
-    output_file::write(&path, figure.svg(&path)?)?;
-    remove(&logs, plan.kept_logs);
+    let path = plan.output.join(&name);
+    let figure = figures::combination(combination, &measured, &curves).and_then(|figure| figure.svg(&path));
+    output_file::write(&path, figure.map_err(ReportError::from)?)?;
+    remove(&logs, plan.keeps_logs);
     Ok(Some(Tested {
         combination: *combination,
         measured,
@@ -223,18 +226,9 @@ fn refused_priority(folder: &Path) -> Vec<String> {
     said
 }
 
-/// Which runs' folders stay after a stress test.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum KeptLogs {
-    /// No run's.
-    None,
-    /// Every run's.
-    All,
-}
-
 /// Removes the files that runs have written into their folders, and the folders if they are then empty.
-fn remove(logs: &Path, kept: KeptLogs) {
-    if kept == KeptLogs::All {
+fn remove(logs: &Path, keeps_logs: bool) {
+    if keeps_logs {
         return;
     }
     // Anything that cannot be removed stays in the user's own output folder, under a telling name.
@@ -261,9 +255,9 @@ mod tests {
             crate::report::FILES.iter().for_each(|name| fs::write(folder.join(name), name).unwrap());
         }
         fs::write(mixed.join("notes.txt"), "a user's own").unwrap();
-        remove(logs.path(), KeptLogs::All);
+        remove(logs.path(), true);
         assert_eq!(fs::read_dir(&ours).unwrap().count(), crate::report::FILES.len());
-        remove(logs.path(), KeptLogs::None);
+        remove(logs.path(), false);
         assert!(!ours.exists());
         let left: Vec<_> = fs::read_dir(&mixed).unwrap().flatten().map(|entry| entry.file_name()).collect();
         assert_eq!(left, ["notes.txt"]);

@@ -9,7 +9,7 @@ use ipc_types::scene::{Policy, Wait};
 use serde::{Deserialize, Serialize};
 
 /// What a neighbour on the hub's cores does.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
 pub enum LoadKind {
     /// Computes in an endless loop.
     Spin,

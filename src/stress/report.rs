@@ -3,6 +3,7 @@
 use std::fmt;
 use std::path::Path;
 
+use figures::duration_label;
 use run_log::misses::Cause;
 use serde::{Deserialize, Serialize};
 
@@ -10,7 +11,6 @@ use super::measure::Measured;
 use super::plan::{Combination, policy_name, wait_name};
 use crate::failure::Failure;
 use crate::machine::MachineFacts;
-use crate::report::axis::duration_label;
 use crate::report::distribution::Quantiles;
 
 /// A combination that was run.
@@ -92,9 +92,6 @@ impl fmt::Display for ExplainedShare {
 
 impl StressReport {
     /// Reads the JSON of an earlier test.
-    ///
-    /// # Errors
-    /// Bad input: not such a file.
     pub fn read(path: &Path) -> Result<StressReport, Failure> {
         let bad = |cause: String| {
             Failure::bad_input(format!(
@@ -107,11 +104,8 @@ impl StressReport {
     }
 
     /// The whole report as JSON.
-    ///
-    /// # Errors
-    /// It cannot be encoded.
     pub fn json(&self) -> Result<String, Failure> {
-        let json = serde_json::to_string_pretty(self).map_err(|cause| Failure::failed(cause.to_string()))?;
+        let json = serde_json::to_string_pretty(self).map_err(Failure::failed)?;
         Ok(format!("{json}\n"))
     }
 
@@ -144,14 +138,7 @@ impl StressReport {
                 yes_or_no(m.replays),
             );
             for (_, of) in COLUMNS {
-                let q = of(m);
-                for value in [
-                    q.map(|q| q.p50),
-                    q.map(|q| q.p90),
-                    q.map(|q| q.p99),
-                    q.map(|q| q.p99_9),
-                    q.map(|q| q.max),
-                ] {
+                for value in of(m).map_or([None; 5], |q| q.values().map(Some)) {
                     text += &format!(",{}", value.map_or(String::new(), |value| format!("{value:.3}")));
                 }
             }

@@ -28,7 +28,6 @@ struct Identity {
 /// A study with the files that it names.
 #[derive(Debug)]
 pub struct OpenedStudy {
-    /// The study.
     pub study: Study,
     /// Its scene, before any setting.
     pub scene: Option<PathBuf>,
@@ -44,7 +43,7 @@ impl OpenedStudy {
         let text = inputs::text::read(file)?;
         let place = |named: PathBuf| {
             let above = file.parent().unwrap_or(Path::new(""));
-            std::path::absolute(above.join(named)).map_err(|cause| Failure::failed(cause.to_string()))
+            std::path::absolute(above.join(named)).map_err(Failure::failed)
         };
         let points = Study::points_file(&text, file).map_err(Failure::bad_input)?.map(&place).transpose()?;
         let points = points.map(|points| inputs::text::read(&points)).transpose()?;
@@ -69,20 +68,21 @@ impl OpenedStudy {
         [self.study.set.clone(), point.settings()].concat()
     }
 
-    /// The command that makes a run again.
-    pub fn command(&self, point: &sweep::Point) -> Result<String, Failure> {
-        let mut words = vec!["trabecula".to_owned(), "run".to_owned()];
-        words.extend(self.scene.as_ref().map(|scene| scene.display().to_string()));
+    /// Arguments of `trabecula run` for a run.
+    pub fn arguments(&self, point: &sweep::Point) -> Vec<String> {
+        let mut words: Vec<String> = self.scene.iter().map(|scene| scene.display().to_string()).collect();
         words.extend(["--mode".to_owned(), "lockstep".to_owned()]);
         words.extend(self.settings(point).into_iter().flat_map(|setting| ["--set".to_owned(), setting]));
-        joined(&words)
+        words
+    }
+
+    /// The command that makes a run again.
+    pub fn command(&self, point: &sweep::Point) -> Result<String, Failure> {
+        joined(&[vec!["trabecula".to_owned(), "run".to_owned()], self.arguments(point)].concat())
     }
 }
 
 /// Words as a shell takes them.
-///
-/// # Errors
-/// A word with a NUL, which no command line can hold.
 pub fn joined(words: &[String]) -> Result<String, Failure> {
     shlex::try_join(words.iter().map(String::as_str)).map_err(Failure::bad_input)
 }
@@ -112,7 +112,7 @@ impl Folder {
             )));
         }
         output_file::create_folder(path).map_err(Failure::folder(path))?;
-        let text = serde_json::to_vec_pretty(&study.identity).map_err(|e| Failure::failed(e.to_string()))?;
+        let text = serde_json::to_vec_pretty(&study.identity).map_err(Failure::failed)?;
         match output_file::write(&identity, text) {
             // Of this sweep, or of another worker of it that has just begun.
             Ok(()) | Err(OutputError::Exists { .. }) => {}
@@ -143,9 +143,6 @@ impl Folder {
     }
 
     /// Opens a folder with rows.
-    ///
-    /// # Errors
-    /// Bad input: not a sweep's folder.
     pub fn open(path: &Path) -> Result<Folder, Failure> {
         let file = path.join("study.json");
         let bad = |why: String| Failure::bad_input(format!("{}: {why}", foreign_path(path)));
@@ -179,9 +176,6 @@ impl Folder {
     }
 
     /// The study's text and the text of its table of points, as it was run.
-    ///
-    /// # Errors
-    /// It is none, which no sweep has written.
     pub fn study(&self) -> Result<Study, Failure> {
         let file = self.path.join("study.json");
         Study::parse(&self.identity.study, &file, self.identity.points.as_deref()).map_err(Failure::bad_input)
@@ -193,9 +187,6 @@ impl Folder {
 
     /// Makes a folder for a run's log, from the sweep's. A run that was killed may have left one, and another worker may be making the same
     /// run: nobody gets a folder twice.
-    ///
-    /// # Errors
-    /// It cannot be created.
     pub fn claim_run(&self, point: u64) -> Result<PathBuf, Failure> {
         let first = format!("{point:07}");
         let names = std::iter::once(first.clone()).chain((2_u32..).map(|number| format!("{first}-{number}")));
@@ -211,9 +202,6 @@ impl Folder {
     }
 
     /// A point's row, if its run has ended.
-    ///
-    /// # Errors
-    /// The file is no row, or cannot be read.
     pub fn row(&self, point: u64) -> Result<Option<Row>, Failure> {
         let file = self.row_file(point);
         let text = match std::fs::read(&file) {
@@ -236,19 +224,13 @@ impl Folder {
     }
 
     /// All rows that are there, by number.
-    ///
-    /// # Errors
-    /// As [`Folder::row`].
     pub fn rows(&self) -> Result<Vec<Row>, Failure> {
         (0..self.count()).filter_map(|point| self.row(point).transpose()).collect()
     }
 
     /// Keeps a row. One that another worker has kept meanwhile is the same.
-    ///
-    /// # Errors
-    /// It cannot be written.
     pub fn keep(&self, row: &Row) -> Result<(), Failure> {
-        let text = serde_json::to_vec(row).map_err(|cause| Failure::failed(cause.to_string()))?;
+        let text = serde_json::to_vec(row).map_err(Failure::failed)?;
         match output_file::write(&self.row_file(row.point), text) {
             Ok(()) | Err(OutputError::Exists { .. }) => Ok(()),
             Err(other) => Err(other.into()),
@@ -256,9 +238,6 @@ impl Folder {
     }
 
     /// Writes the rows that are there into a file of `table/`, in place of an earlier one of the same name. Returns it.
-    ///
-    /// # Errors
-    /// It cannot be written.
     pub fn write_table(&self, name: &str, rows: &[Row]) -> Result<PathBuf, Failure> {
         let file = self.path.join("table").join(name);
         let bytes = parquet::table(self.keys(), rows)?;

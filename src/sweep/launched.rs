@@ -20,16 +20,13 @@ const SAID_LIMIT: Duration = Duration::from_secs(5);
 
 /// Runs `trabecula run` with these arguments into a folder, and fills the row in from its `summary.json`. The folder keeps the log, because
 /// what a program of the user's did cannot be made again from the row.
-///
-/// # Errors
-/// The program cannot be started.
 pub fn run(
     arguments: &[String],
     mut row: Row,
     folder: &Path,
     is_to_end: &dyn Fn() -> bool,
 ) -> Result<Ran, Failure> {
-    let own = std::env::current_exe().map_err(|cause| Failure::failed(cause.to_string()))?;
+    let own = std::env::current_exe().map_err(Failure::failed)?;
     let mut command = Command::new(own);
     command.arg("run").args(arguments).args(["--quiet", "--output"]).arg(folder);
     // Of what it says, the last line is why it failed.

@@ -1,43 +1,53 @@
 //! What the rows of a sweep say about its parameters.
 
-use serde_json::{Value, json};
+use figures::{Axis, COLOURS, Figure, FigureError, HEAD, Panel, Point};
+use serde::Serialize;
+use serde_json::Value;
 use sweep::{Design, Index, Study, indices, spearman};
 
 use super::row::{Ending, FIGURES, Row};
 use crate::failure::Failure;
-use crate::report::ReportError;
-use crate::report::axis::{Axis, bounds};
-use crate::report::panel::{COLOURS, Panel};
-use crate::report::shapes::{Figure, HEAD, Point};
 
-/// How a figure depends on each parameter.
-#[derive(Debug, Clone, PartialEq)]
+/// How a figure depends on each parameter; for programs, the JSON of it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Sensitivity {
-    /// The figure.
     pub figure: String,
-    /// Rows with this figure, of all.
-    pub rows: [usize; 2],
-    /// Lowest, mean and highest value.
-    pub range: [f64; 3],
-    /// By parameter: rank correlation; Sobol indices of a Saltelli design.
-    pub parameters: Vec<(String, Option<f64>, Option<Index>)>,
+    pub rows: RowCount,
+    pub lowest: f64,
+    pub mean: f64,
+    pub highest: f64,
+    pub parameters: Vec<Parameter>,
     /// What the runs gave with each value of a parameter that is no number.
     pub groups: Vec<Group>,
     /// Samples of a Saltelli design without the figure in one of their rows.
-    pub left_out: usize,
+    pub samples_left_out: usize,
 }
 
-/// The runs with one value of a parameter.
-#[derive(Debug, Clone, PartialEq)]
+/// Rows with a figure, of all.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct RowCount {
+    with: usize,
+    all: usize,
+}
+
+/// What a figure owes to a parameter.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Parameter {
+    key: String,
+    rank_correlation: Option<f64>,
+    /// Indices of a Saltelli design.
+    sobol: Option<Index>,
+}
+
+/// The runs with one value of a parameter, and the figure's values in them.
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Group {
-    /// The parameter.
-    pub key: String,
-    /// Its value.
-    pub value: Value,
-    /// How many runs.
-    pub runs: usize,
-    /// Lowest, median and highest value of the figure.
-    pub range: [f64; 3],
+    key: String,
+    value: Value,
+    runs: usize,
+    lowest: f64,
+    median: f64,
+    highest: f64,
 }
 
 impl Group {
@@ -51,17 +61,15 @@ impl Group {
 }
 
 /// Refuses a name that no row has.
-///
-/// # Errors
-/// Bad input: names the figures.
 pub fn check_figure(name: &str) -> Result<(), Failure> {
-    if FIGURES.contains(&name) {
-        return Ok(());
+    let names = FIGURES.map(|(figure, _)| figure);
+    match names.contains(&name) {
+        true => Ok(()),
+        false => {
+            let names = names.join(", ");
+            Err(Failure::bad_input(format!("--of {name}: no figure of a row, expected one of {names}")))
+        }
     }
-    Err(Failure::bad_input(format!(
-        "--of {name}: no figure of a row, expected one of {}",
-        FIGURES.join(", ")
-    )))
 }
 
 /// Of the rows that completed. `None` without any.
@@ -72,7 +80,6 @@ pub fn sensitivity(study: &Study, rows: &[Row], figure: &str) -> Option<Sensitiv
         return None;
     }
     let fold = |pick: fn(f64, f64) -> f64| values.iter().copied().reduce(pick).unwrap_or(f64::NAN);
-    let range = [fold(f64::min), values.iter().sum::<f64>() / values.len() as f64, fold(f64::max)];
     let keys = study.keys();
     let sobol = (study.design == Design::Saltelli).then(|| {
         let mut results = vec![None; study.count() as usize];
@@ -83,15 +90,21 @@ pub fn sensitivity(study: &Study, rows: &[Row], figure: &str) -> Option<Sensitiv
     let parameter = |(place, key): (usize, &&str)| {
         let pairs: Vec<(f64, f64)> =
             rows.iter().filter_map(|row| Some((row.parameter(key)?, of(row)?))).collect();
-        ((*key).to_owned(), spearman(&pairs), found.get(place).copied())
+        Parameter {
+            key: (*key).to_owned(),
+            rank_correlation: spearman(&pairs),
+            sobol: found.get(place).copied(),
+        }
     };
     Some(Sensitivity {
         figure: figure.to_owned(),
-        rows: [values.len(), rows.len()],
-        range,
+        rows: RowCount { with: values.len(), all: rows.len() },
+        lowest: fold(f64::min),
+        mean: values.iter().sum::<f64>() / values.len() as f64,
+        highest: fold(f64::max),
         parameters: keys.iter().enumerate().map(parameter).collect(),
         groups: keys.iter().flat_map(|key| groups(key, rows, of)).collect(),
-        left_out,
+        samples_left_out: left_out,
     })
 }
 
@@ -109,8 +122,14 @@ fn groups(key: &str, rows: &[Row], of: impl Fn(&Row) -> Option<f64>) -> Vec<Grou
     }
     let group = |(value, mut figures): (&Value, Vec<f64>)| {
         figures.sort_by(f64::total_cmp);
-        let range = [figures[0], median(&figures), figures[figures.len() - 1]];
-        Group { key: key.to_owned(), value: value.clone(), runs: figures.len(), range }
+        Group {
+            key: key.to_owned(),
+            value: value.clone(),
+            runs: figures.len(),
+            lowest: figures[0],
+            median: median(&figures),
+            highest: figures[figures.len() - 1],
+        }
     };
     found.into_iter().map(group).collect()
 }
@@ -124,24 +143,23 @@ fn median(sorted: &[f64]) -> f64 {
 impl Sensitivity {
     /// For people.
     pub fn text(&self) -> String {
-        let [low, mean, high] = self.range;
-        let [with, all] = self.rows;
+        let Sensitivity {
+            figure, rows: RowCount { with, all }, lowest, mean, highest, samples_left_out, ..
+        } = self;
         let mut lines =
-            vec![format!("{}: {low:.4} to {high:.4}, mean {mean:.4}, of {with} of {all} rows", self.figure)];
-        if self.left_out > 0 {
+            vec![format!("{figure}: {lowest:.4} to {highest:.4}, mean {mean:.4}, of {with} of {all} rows")];
+        if *samples_left_out > 0 {
             lines.push(format!(
-                "{} samples have a run without it and are left out of the indices",
-                self.left_out
+                "{samples_left_out} samples have a run without it and are left out of the indices"
             ));
         }
-        let width =
-            self.parameters.iter().map(|(key, ..)| key.len()).max().unwrap_or(0).max("parameter".len());
-        let has_indices = self.parameters.iter().any(|(.., index)| index.is_some());
+        let width = self.parameters.iter().map(|it| it.key.len()).max().unwrap_or(0).max("parameter".len());
+        let has_indices = self.parameters.iter().any(|it| it.sobol.is_some());
         let indices = if has_indices { "  first order        total" } else { "" };
         lines.push(format!("{:width$}  rank correlation{indices}", "parameter"));
-        for (key, rank, index) in &self.parameters {
-            let rank = rank.map_or("-".to_owned(), |rank| format!("{rank:.3}"));
-            let index = index.map_or(String::new(), |index| {
+        for Parameter { key, rank_correlation, sobol } in &self.parameters {
+            let rank = rank_correlation.map_or("-".to_owned(), |rank| format!("{rank:.3}"));
+            let index = sobol.map_or(String::new(), |index| {
                 format!(
                     "  {:6.3} ± {:.3}  {:6.3} ± {:.3}",
                     index.first_order, index.first_order_interval, index.total, index.total_interval
@@ -161,42 +179,10 @@ impl Sensitivity {
             "runs with", "number", "lowest", "median", "highest"
         );
         let line = |(name, group): &(String, &Group)| {
-            let [low, median, high] = group.range;
-            format!("{name:width$}  {:>6}  {low:>10.4}  {median:>10.4}  {high:>10.4}", group.runs)
+            let Group { runs, lowest, median, highest, .. } = group;
+            format!("{name:width$}  {runs:>6}  {lowest:>10.4}  {median:>10.4}  {highest:>10.4}")
         };
         core::iter::once(head).chain(named.iter().map(line)).collect()
-    }
-
-    /// For programs.
-    pub fn json(&self) -> Value {
-        let parameter = |(key, rank, index): &(String, Option<f64>, Option<Index>)| {
-            let index = index.map(|index| {
-                json!({
-                    "first_order": index.first_order,
-                    "first_order_interval": index.first_order_interval,
-                    "total": index.total,
-                    "total_interval": index.total_interval,
-                })
-            });
-            json!({"key": key, "rank_correlation": rank, "sobol": index})
-        };
-        json!({
-            "figure": self.figure,
-            "rows": {"with": self.rows[0], "all": self.rows[1]},
-            "lowest": self.range[0],
-            "mean": self.range[1],
-            "highest": self.range[2],
-            "samples_left_out": self.left_out,
-            "parameters": self.parameters.iter().map(parameter).collect::<Vec<_>>(),
-            "groups": self.groups.iter().map(|group| json!({
-                "key": group.key,
-                "value": group.value,
-                "runs": group.runs,
-                "lowest": group.range[0],
-                "median": group.range[1],
-                "highest": group.range[2],
-            })).collect::<Vec<_>>(),
-        })
     }
 }
 
@@ -205,10 +191,7 @@ const PANEL_HEIGHT: f64 = 300.0;
 const COLUMNS: usize = 3;
 
 /// A picture: the figure against each parameter that is a number, a disc for each row that completed.
-///
-/// # Errors
-/// The built-in font is refused.
-pub fn draw(study: &Study, rows: &[Row], figure: &str) -> Result<Figure, ReportError> {
+pub fn draw(study: &Study, rows: &[Row], figure: &str) -> Result<Figure, FigureError> {
     let of = |row: &Row| row.figure(figure).filter(|_| row.outcome == Ending::Completed);
     let clouds: Vec<(&str, Vec<Point>)> = study
         .keys()
@@ -223,13 +206,8 @@ pub fn draw(study: &Study, rows: &[Row], figure: &str) -> Result<Figure, ReportE
     let mut picture = Figure::titled(HEAD + PANEL_HEIGHT * lines as f64, &title)?;
     let cells = picture.cells(columns, lines, 0.0);
     for (area, (key, points)) in cells.into_iter().zip(&clouds) {
-        let around = |title: &str, values: Vec<f64>, ticks: usize| {
-            let (low, high) = bounds(values.into_iter()).unwrap_or((0.0, 1.0));
-            let margin = 0.06 * (high - low).max(1e-9);
-            Axis::linear(title, low - margin, high + margin, ticks)
-        };
-        let x = around(key, points.iter().map(|point| point.0).collect(), 4);
-        let y = around(figure, points.iter().map(|point| point.1).collect(), 5);
+        let x = Axis::over(key, points.iter().map(|point| point.0), 0.06, 4);
+        let y = Axis::over(figure, points.iter().map(|point| point.1), 0.06, 5);
         let mut panel = Panel::new(&mut picture, area, "", x, y);
         points.iter().for_each(|point| panel.disc(*point, 3.0, COLOURS[0]));
         panel.finish();

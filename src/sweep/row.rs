@@ -36,23 +36,16 @@ impl Ending {
 /// A row: the point, how its run ended, and its figures.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// Number of the point.
     pub point: u64,
     /// Keys and values that the study varied.
     pub parameters: Vec<(String, Value)>,
-    /// How the run ended.
     pub outcome: Ending,
-    /// Why it did not complete.
     pub reason: Option<String>,
-    /// Number of ticks run.
     pub ticks: u64,
-    /// Simulated time.
     pub simulated_s: f64,
     /// `State.hash` of the last state, 32 hexadecimal digits.
     pub final_hash: Option<String>,
-    /// The tool; none without a state.
     pub tool: Option<ToolSummary>,
-    /// Drilling and contact; none without a state.
     pub drilling: Option<DrillingSummary>,
     /// The run's log, from the sweep's folder.
     pub log: Option<PathBuf>,
@@ -60,69 +53,39 @@ pub struct Row {
     pub command: String,
 }
 
-/// Names of the figures of a row, in the order of [`Row::figures`].
-pub const FIGURES: [&str; 22] = [
-    "ticks",
-    "simulated_s",
-    "target_error_mm",
-    "bend_deg",
-    "max_tension_n",
-    "tip_deepest_x_mm",
-    "tip_deepest_y_mm",
-    "tip_deepest_z_mm",
-    "tip_end_x_mm",
-    "tip_end_y_mm",
-    "tip_end_z_mm",
-    "removed_voxels",
-    "removed_volume_mm3",
-    "cutting_energy_j",
-    "crushing_energy_j",
-    "max_burr_force_n",
-    "max_contact_force_n",
-    "max_wall_force_n",
-    "max_flange_force_n",
-    "max_stop_excess_deg",
-    "max_contacts",
-    "contact_share",
+/// A figure of a row: its name, and its value if the row has it.
+type Figure = (&'static str, fn(&Row) -> Option<f64>);
+
+/// The figures of a row; those of [`ToolSummary`] and [`DrillingSummary`] mean what they mean in `summary.json`.
+pub const FIGURES: [Figure; 22] = [
+    ("ticks", |row| Some(row.ticks as f64)),
+    ("simulated_s", |row| Some(row.simulated_s)),
+    ("target_error_mm", |row| row.tool.as_ref()?.target_error_mm),
+    ("bend_deg", |row| Some(row.tool.as_ref()?.bend_deg)),
+    ("max_tension_n", |row| Some(row.tool.as_ref()?.max_tension_n)),
+    ("tip_deepest_x_mm", |row| Some(row.tool.as_ref()?.tip_deepest_mm[0])),
+    ("tip_deepest_y_mm", |row| Some(row.tool.as_ref()?.tip_deepest_mm[1])),
+    ("tip_deepest_z_mm", |row| Some(row.tool.as_ref()?.tip_deepest_mm[2])),
+    ("tip_end_x_mm", |row| Some(row.tool.as_ref()?.tip_end_mm[0])),
+    ("tip_end_y_mm", |row| Some(row.tool.as_ref()?.tip_end_mm[1])),
+    ("tip_end_z_mm", |row| Some(row.tool.as_ref()?.tip_end_mm[2])),
+    ("removed_voxels", |row| Some(row.drilling.as_ref()?.removed_voxels as f64)),
+    ("removed_volume_mm3", |row| row.drilling.as_ref()?.removed_volume_mm3),
+    ("cutting_energy_j", |row| Some(row.drilling.as_ref()?.cutting_energy_j)),
+    ("crushing_energy_j", |row| Some(row.drilling.as_ref()?.crushing_energy_j)),
+    ("max_burr_force_n", |row| Some(row.drilling.as_ref()?.max_burr_force_n)),
+    ("max_contact_force_n", |row| Some(row.drilling.as_ref()?.max_contact_force_n)),
+    ("max_wall_force_n", |row| Some(row.drilling.as_ref()?.max_wall_force_n)),
+    ("max_flange_force_n", |row| Some(row.drilling.as_ref()?.max_flange_force_n)),
+    ("max_stop_excess_deg", |row| Some(row.drilling.as_ref()?.max_stop_excess_deg)),
+    ("max_contacts", |row| Some(f64::from(row.drilling.as_ref()?.max_contacts))),
+    ("contact_share", |row| Some(row.drilling.as_ref()?.contact_share)),
 ];
 
 impl Row {
-    /// The figures by [`FIGURES`]; those of [`ToolSummary`] and [`DrillingSummary`] mean what they mean in `summary.json`.
-    pub fn figures(&self) -> [Option<f64>; FIGURES.len()] {
-        let (tool, drilling) = (self.tool.as_ref(), self.drilling.as_ref());
-        let place = |of: fn(&ToolSummary) -> [f64; 3], axis: usize| tool.map(|tool| of(tool)[axis]);
-        let deepest = |axis| place(|tool| tool.tip_deepest_mm, axis);
-        let end = |axis| place(|tool| tool.tip_end_mm, axis);
-        [
-            Some(self.ticks as f64),
-            Some(self.simulated_s),
-            tool.and_then(|tool| tool.target_error_mm),
-            tool.map(|tool| tool.bend_deg),
-            tool.map(|tool| tool.max_tension_n),
-            deepest(0),
-            deepest(1),
-            deepest(2),
-            end(0),
-            end(1),
-            end(2),
-            drilling.map(|drilling| drilling.removed_voxels as f64),
-            drilling.and_then(|drilling| drilling.removed_volume_mm3),
-            drilling.map(|drilling| drilling.cutting_energy_j),
-            drilling.map(|drilling| drilling.crushing_energy_j),
-            drilling.map(|drilling| drilling.max_burr_force_n),
-            drilling.map(|drilling| drilling.max_contact_force_n),
-            drilling.map(|drilling| drilling.max_wall_force_n),
-            drilling.map(|drilling| drilling.max_flange_force_n),
-            drilling.map(|drilling| drilling.max_stop_excess_deg),
-            drilling.map(|drilling| f64::from(drilling.max_contacts)),
-            drilling.map(|drilling| drilling.contact_share),
-        ]
-    }
-
     /// The figure of this name, if the row has it.
     pub fn figure(&self, name: &str) -> Option<f64> {
-        let index = FIGURES.iter().position(|figure| *figure == name)?;
-        self.figures()[index]
+        FIGURES.iter().find(|(figure, _)| *figure == name).and_then(|(_, of)| of(self))
     }
 
     /// A parameter.

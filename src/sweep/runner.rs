@@ -41,22 +41,15 @@ impl Shard {
 pub struct Progress {
     /// Points with a row, of those asked for.
     pub done: u64,
-    /// Of these, rows of runs that did not complete.
-    pub incomplete: u64,
-    /// Points asked for.
     pub of: u64,
-    /// Runs made by this process.
     pub made: u64,
-    /// Since this process began.
     pub elapsed_s: f64,
 }
 
 /// Which points to run, and how.
 #[derive(Debug, Clone)]
 pub struct Work {
-    /// Numbers of the points.
     pub points: Vec<u64>,
-    /// Runs at a time.
     pub jobs: usize,
 }
 
@@ -73,14 +66,10 @@ pub fn run(
 ) -> Result<(), Failure> {
     let began = Instant::now();
     let mut left = Vec::new();
-    let mut progress =
-        Progress { done: 0, incomplete: 0, of: work.points.len() as u64, made: 0, elapsed_s: 0.0 };
+    let mut progress = Progress { done: 0, of: work.points.len() as u64, made: 0, elapsed_s: 0.0 };
     for &point in &work.points {
         match folder.row(point)? {
-            Some(row) => {
-                progress.done += 1;
-                progress.incomplete += u64::from(row.outcome != Ending::Completed);
-            }
+            Some(_) => progress.done += 1,
             None => left.push(point),
         }
     }
@@ -101,7 +90,6 @@ pub fn run(
             let mut progress = progress.lock().unwrap_or_else(PoisonError::into_inner);
             progress.done += 1;
             progress.made += 1;
-            progress.incomplete += u64::from(row.outcome != Ending::Completed);
             progress.elapsed_s = began.elapsed().as_secs_f64();
             tell(&row, *progress);
         }
@@ -127,9 +115,6 @@ struct Volumes<'a> {
 
 impl Volumes<'_> {
     /// The scene of these settings.
-    ///
-    /// # Errors
-    /// The scene or its volume is refused.
     fn load(&mut self, study: &OpenedStudy, settings: &[String]) -> Result<Arc<SharedScene>, SimError> {
         let beside = |other: Option<&SharedScene>| {
             SharedScene::load_beside(other, study.scene.as_deref(), settings, None)
@@ -166,7 +151,7 @@ fn one(
             row.reason = Some(failure.message);
             return Ok(Ran::Ended(Box::new(row)));
         }
-        Err(other) => return Err(Failure::failed(other.to_string())),
+        Err(other) => return Err(Failure::failed(other)),
     };
     let controllers = &shared.scene().controller;
     if let Some(external) = controllers.iter().find(|controller| controller.external && !controller.optional)
@@ -184,11 +169,7 @@ fn one(
     let run_folder = row.log.as_ref().map(|run| folder.path().join(run));
     match run_folder {
         Some(run_folder) if is_session => {
-            let mut arguments: Vec<String> =
-                study.scene.iter().map(|scene| scene.display().to_string()).collect();
-            arguments.extend(["--mode".to_owned(), "lockstep".to_owned()]);
-            arguments.extend(settings.into_iter().flat_map(|setting| ["--set".to_owned(), setting]));
-            launched::run(&arguments, row, &run_folder, is_to_end)
+            launched::run(&study.arguments(&point), row, &run_folder, is_to_end)
         }
         run_folder => in_process::run(&shared, row, run_folder, is_to_end),
     }

@@ -23,6 +23,9 @@ pub struct Dimension {
     pub text: &'static str,
 }
 
+/// Name, value and text of a dimension.
+type Entry = (&'static str, f64, &'static str);
+
 /// From a burr's front to its back, m.
 fn length_m(cutter: &Cutter) -> f64 {
     let back_m = cutter.balls().last().map_or(0.0, |ball| ball.radius_m);
@@ -30,59 +33,47 @@ fn length_m(cutter: &Cutter) -> f64 {
 }
 
 /// The dimensions of a scene's tool: the straight tool in its base's frame, whose z runs along the tool from the flange.
-///
-/// # Errors
-/// Bad input: no such tool.
 pub fn dimensions(scene: &Scene) -> Result<Vec<Dimension>, Failure> {
     let tool = manipulator_parameters(scene).map_err(Failure::bad_input)?;
     let first_m = tool.joint_positions_m.first().copied().unwrap_or(0.0);
     let burr_m = tool.burr_centre_m();
     let joints = tool.joint_positions_m.len();
-    let dimension = |name, value: f64, text| Dimension { name, value, text };
-    let mut all = vec![
-        dimension(
-            "length_mm",
-            1e3 * (burr_m + tool.cutter.front_radius_m()),
-            "from the flange to the burr's front",
-        ),
-        dimension(
+    let mut all: Vec<Entry> = vec![
+        ("length_mm", 1e3 * (burr_m + tool.cutter.front_radius_m()), "from the flange to the burr's front"),
+        (
             "burr_centre_mm",
             1e3 * burr_m,
             "from the flange to the burr's centre, which is `burr_start_mm` at the start",
         ),
-        dimension(
-            "rigid_shaft_mm",
-            1e3 * first_m,
-            "from the flange to the first flexure: this part does not bend",
-        ),
-        dimension(
+        ("rigid_shaft_mm", 1e3 * first_m, "from the flange to the first flexure: this part does not bend"),
+        (
             "flexible_mm",
             1e3 * tool.flexible_length_m(),
             "from the first flexure to the burr's centre: this part bends",
         ),
-        dimension(
+        (
             "tube_outer_mm",
             2e3 * tool.tube_radii_m[0],
             "outer diameter of the tube; a pilot hole is at least as wide",
         ),
-        dimension("tube_inner_mm", 2e3 * tool.tube_radii_m[1], "inner diameter of the tube"),
-        dimension("burr_mm", 2e3 * tool.cutter.widest_radius_m(), "diameter of the burr, where it is widest"),
-        dimension("burr_length_mm", 1e3 * length_m(&tool.cutter), "from the front of the burr to its back"),
-        dimension("burr_balls", tool.cutter.balls().len() as f64, "number of balls that make up the burr"),
-        dimension("flexures", joints as f64, "number of flexures"),
-        dimension(
+        ("tube_inner_mm", 2e3 * tool.tube_radii_m[1], "inner diameter of the tube"),
+        ("burr_mm", 2e3 * tool.cutter.widest_radius_m(), "diameter of the burr, where it is widest"),
+        ("burr_length_mm", 1e3 * length_m(&tool.cutter), "from the front of the burr to its back"),
+        ("burr_balls", tool.cutter.balls().len() as f64, "number of balls that make up the burr"),
+        ("flexures", joints as f64, "number of flexures"),
+        (
             "flexure_stop_deg",
             tool.joint_limit_rad.to_degrees(),
             "bend of each flexure at its stop, to either side",
         ),
-        dimension(
+        (
             "most_bend_deg",
             joints as f64 * tool.joint_limit_rad.to_degrees(),
             "bend of the whole tool with all flexures at their stops",
         ),
     ];
     if tool.tendon_routes.is_none() {
-        all.push(dimension(
+        all.push((
             "tendon_offset_mm",
             1e3 * tool.tendon.offset_m,
             "distance of the standard pair of tendons from the axis",
@@ -90,19 +81,19 @@ pub fn dimensions(scene: &Scene) -> Result<Vec<Dimension>, Failure> {
     }
     if let Some(outer) = scene.manipulator.outer_tube() {
         all.extend([
-            dimension("outer_tube_end_mm", outer.end_mm, "from the flange to the end of the outer tube"),
-            dimension(
+            ("outer_tube_end_mm", outer.end_mm, "from the flange to the end of the outer tube"),
+            (
                 "outer_tube_outer_mm",
                 outer.outer_diameter_mm,
                 "outer diameter of the outer tube; a pilot hole is at least as wide where it goes in",
             ),
-            dimension("travel_mm", outer.travel_mm, "farthest that the tool slides out of the outer tube"),
+            ("travel_mm", outer.travel_mm, "farthest that the tool slides out of the outer tube"),
         ]);
     }
     if let Some(shaft) = scene.manipulator.tool.as_ref().and_then(|tool| tool.drive_shaft.as_ref()) {
         all.extend(drive_shaft(shaft, &tool, scene.manipulator.burr_stall_torque_nmm));
     }
-    Ok(all)
+    Ok(all.into_iter().map(|(name, value, text)| Dimension { name, value, text }).collect())
 }
 
 /// What of a drive shaft its tool has, and what follows for its burr.
@@ -110,39 +101,31 @@ fn drive_shaft(
     shaft: &ToolDriveShaft,
     tool: &ManipulatorParameters,
     scene_stall_nmm: Option<f64>,
-) -> Vec<Dimension> {
-    let dimension = |name, value: f64, text| Dimension { name, value, text };
+) -> Vec<Entry> {
     let mut all = Vec::new();
     if shaft.bending_stiffness_nm2 > 0.0 {
         let text = "bending stiffness E I of the drive shaft, which each flexure has besides its own";
-        all.push(dimension("shaft_bending_nmm2", 1e6 * shaft.bending_stiffness_nm2, text));
+        all.push(("shaft_bending_nmm2", 1e6 * shaft.bending_stiffness_nm2, text));
     }
     if let Some(torsional_nm2) = shaft.torsional_stiffness_nm2 {
         let length_m = shaft.length_mm.map_or(tool.burr_centre_m(), |mm| mm * 1e-3);
         let inertia_kg_m2 = tool.burr_mass_kg * tool.cutter.solid().along_m2;
         let frequency_hz = (torsional_nm2 / length_m / inertia_kg_m2).sqrt() / core::f64::consts::TAU;
         let wind_up_deg = (1e-3 * length_m / torsional_nm2).to_degrees();
-        all.push(dimension("shaft_wind_up_deg", wind_up_deg, "wind-up of the drive shaft under 1 N mm"));
-        all.push(dimension(
-            "shaft_torsion_hz",
-            frequency_hz,
-            "torsional oscillation of the burr on the shaft",
-        ));
+        all.push(("shaft_wind_up_deg", wind_up_deg, "wind-up of the drive shaft under 1 N mm"));
+        all.push(("shaft_torsion_hz", frequency_hz, "torsional oscillation of the burr on the shaft"));
     }
     if let Some(stall_nmm) = scene_stall_nmm.or(shaft.stall_torque_nmm) {
-        all.push(dimension("stall_torque_nmm", stall_nmm, "torque at which the burr's motor stands"));
+        all.push(("stall_torque_nmm", stall_nmm, "torque at which the burr's motor stands"));
     }
     if shaft.friction_torque_nmm > 0.0 {
         let text = "torque of the drive shaft's friction against the tube";
-        all.push(dimension("shaft_friction_nmm", shaft.friction_torque_nmm, text));
+        all.push(("shaft_friction_nmm", shaft.friction_torque_nmm, text));
     }
     all
 }
 
 /// The dimensions as a section of the scene reference.
-///
-/// # Errors
-/// As [`dimensions`].
 pub fn reference(scene: &Scene) -> Result<String, Failure> {
     let mut text = "\n## The tool's dimensions\n\nOf the standard tool; `trabecula tool show SCENE` prints those of a scene's own. Distances are along the straight tool.\n\n\
                     | dimension | value | what it is |\n|---|---|---|\n"

@@ -172,9 +172,6 @@ fn new(rung: Rung, parameters: &ManipulatorParameters) -> Built {
 }
 
 /// A model of a tool, in its rest shape.
-///
-/// # Errors
-/// Why the rung cannot represent the tool.
 pub fn built(rung: Rung, parameters: &ManipulatorParameters) -> Result<AnyManipulator, String> {
     let tool = new(rung, parameters).map_err(|cause| cause.to_string())?;
     let mut routes = parameters.tendon_routes.iter().flatten();
@@ -230,7 +227,7 @@ fn settled(
     tool.set_deployed(1e-3 * deployed_mm.unwrap_or(0.0));
     let mut settled = false;
     for _ in 0..MOST_STEPS {
-        tool.step(STEP_S, &input).map_err(|cause| Failure::failed(cause.to_string()))?;
+        tool.step(STEP_S, &input).map_err(Failure::failed)?;
         settled = tool.joint_velocities_rad_per_s().iter().all(|rate| rate.abs() < SETTLED_RAD_PER_S);
         if settled {
             break;

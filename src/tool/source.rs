@@ -19,9 +19,6 @@ pub struct ToolSource {
 
 impl ToolSource {
     /// Reads a scene or a tool file: a tool file has a `[tube]`. Without a file: the built-in femur, whose tool is the standard one.
-    ///
-    /// # Errors
-    /// Bad input: neither of the two.
     pub fn load(file: Option<&Path>) -> Result<ToolSource, Failure> {
         if let Some(file) = file
             && let Ok(text) = text_file::read(file)

@@ -57,7 +57,6 @@ impl Series {
 /// # Errors
 /// More pixels than DICOM holds (2); a file that cannot be written.
 pub fn write_dicom(path: &Path, picture: &Picture, series: &Series, number: usize) -> Result<(), Failure> {
-    let fail = failed(path);
     let (columns, rows) = picture.size();
     let (columns, rows) = match (u16::try_from(columns), u16::try_from(rows)) {
         (Ok(columns), Ok(rows)) => (columns, rows),
@@ -93,9 +92,9 @@ pub fn write_dicom(path: &Path, picture: &Picture, series: &Series, number: usiz
         object.put(DataElement::new(Tag(0x0028, element), VR::US, PrimitiveValue::from(value)));
     }
     // Pixel Intensity Relationship Sign: 1 if more intensity is a larger value.
-    let sign: i16 = if picture.linear || picture.dense_is_dark { 1 } else { -1 };
+    let sign: i16 = if picture.look.linear || picture.look.dense_is_dark { 1 } else { -1 };
     object.put(DataElement::new(Tag(0x0028, 0x1041), VR::SS, PrimitiveValue::from(sign)));
-    if !picture.linear {
+    if !picture.look.linear {
         object.put(intensity_table(picture));
     }
     let pixels = PrimitiveValue::U16(picture.greys.iter().copied().collect());
@@ -104,9 +103,9 @@ pub fn write_dicom(path: &Path, picture: &Picture, series: &Series, number: usiz
         .transfer_syntax(EXPLICIT_LITTLE_ENDIAN)
         .media_storage_sop_class_uid(XA_STORAGE)
         .media_storage_sop_instance_uid(uid(content, 1));
-    let file = object.with_meta(meta).map_err(|e| fail(e.to_string()))?;
+    let file = object.with_meta(meta).map_err(failed(path))?;
     let mut bytes = Vec::new();
-    file.write_all(&mut bytes).map_err(|e| fail(e.to_string()))?;
+    file.write_all(&mut bytes).map_err(failed(path))?;
     Ok(output_file::write(path, bytes)?)
 }
 
@@ -138,7 +137,7 @@ fn texts(picture: &Picture, series: &Series, number: usize) -> Vec<(u16, u16, VR
         (0x0020, 0x0020, VR::CS, orientation),
         (0x0028, 0x0004, VR::CS, "MONOCHROME2".to_owned()),
         // Pixel Intensity Relationship (PS3.3 C.8.7.1.1.2).
-        (0x0028, 0x1040, VR::CS, if picture.linear { "LIN" } else { "LOG" }.to_owned()),
+        (0x0028, 0x1040, VR::CS, if picture.look.linear { "LIN" } else { "LOG" }.to_owned()),
         // The window that shows all greys.
         (0x0028, 0x1050, VR::DS, "32768".to_owned()),
         (0x0028, 0x1051, VR::DS, "65536".to_owned()),
@@ -177,7 +176,7 @@ fn intensity_table(picture: &Picture) -> DataElement<InMemDicomObject> {
     let WindowLimits { low, high } = picture.window;
     let intensity = |grey: u16| {
         let share = f64::from(grey) / 65535.0;
-        let above_low = (high - low) * if picture.dense_is_dark { 1.0 - share } else { share };
+        let above_low = (high - low) * if picture.look.dense_is_dark { 1.0 - share } else { share };
         (65535.0 * (-above_low).exp() + 0.5) as u16
     };
     let table: Vec<u16> = (0..=u16::MAX).map(intensity).collect();

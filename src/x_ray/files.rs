@@ -10,6 +10,7 @@ use xray::WindowLimits;
 use zerocopy::IntoBytes;
 
 use super::poses::Placed;
+use super::series::Look;
 use crate::failure::Failure;
 
 /// Display time of each frame of an animation, in milliseconds.
@@ -18,12 +19,8 @@ const FRAME_MS: u16 = 66;
 /// A rendered frame.
 #[derive(Debug, Clone)]
 pub struct Picture {
-    /// C-arm and isocentre.
     pub placed: Placed,
-    /// Whether greys are proportional to the detector's readout; otherwise to its logarithm.
-    pub linear: bool,
-    /// Whether more attenuation is darker; of no meaning if linear.
-    pub dense_is_dark: bool,
+    pub look: Look,
     /// The attenuations (-ln of the fraction of photons) at the ends of the grey scale; of no meaning if linear.
     pub window: WindowLimits,
     /// Row by row, one per detector pixel.
@@ -38,7 +35,7 @@ impl Picture {
     }
 }
 
-pub(super) fn failed(path: &Path) -> impl Fn(String) -> Failure {
+pub(super) fn failed<C: std::fmt::Display>(path: &Path) -> impl FnOnce(C) -> Failure {
     move |cause| Failure::failed(format!("{}: cannot be written ({cause})", path.display()))
 }
 
@@ -60,42 +57,32 @@ pub struct Animation {
 
 impl Animation {
     /// Begins the file; `size` is columns and rows of every frame.
-    ///
-    /// # Errors
-    /// It cannot be created.
     pub fn create(path: &Path, (columns, rows): (u32, u32), frames: usize) -> Result<Animation, Failure> {
-        let fail = failed(path);
         let file = OutputFile::create(path)?;
         let mut encoder = png::Encoder::new(BufWriter::new(file.handle()?), columns, rows);
         encoder.set_color(png::ColorType::Grayscale);
         encoder.set_depth(png::BitDepth::Sixteen);
         if frames > 1 {
-            encoder.set_animated(frames as u32, 0).map_err(|e| fail(e.to_string()))?;
-            encoder.set_frame_delay(FRAME_MS, 1000).map_err(|e| fail(e.to_string()))?;
+            encoder.set_animated(frames as u32, 0).map_err(failed(path))?;
+            encoder.set_frame_delay(FRAME_MS, 1000).map_err(failed(path))?;
         }
-        let writer = encoder.write_header().map_err(|e| fail(e.to_string()))?;
+        let writer = encoder.write_header().map_err(failed(path))?;
         Ok(Animation { path: path.to_owned(), file, writer, next: 0, early: BTreeMap::new() })
     }
 
     /// Adds a frame, in any order.
-    ///
-    /// # Errors
-    /// It cannot be written.
     pub fn add(&mut self, number: usize, picture: &Picture) -> Result<(), Failure> {
         self.early.insert(number, picture.greys.iter().flat_map(|v| v.to_be_bytes()).collect());
         while let Some(bytes) = self.early.remove(&self.next) {
-            self.writer.write_image_data(&bytes).map_err(|e| failed(&self.path)(e.to_string()))?;
+            self.writer.write_image_data(&bytes).map_err(failed(&self.path))?;
             self.next += 1;
         }
         Ok(())
     }
 
     /// Gives the file its name.
-    ///
-    /// # Errors
-    /// It cannot be written.
     pub fn finish(self) -> Result<(), Failure> {
-        self.writer.finish().map_err(|e| failed(&self.path)(e.to_string()))?;
+        self.writer.finish().map_err(failed(&self.path))?;
         Ok(self.file.keep()?)
     }
 }

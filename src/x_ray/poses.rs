@@ -23,7 +23,6 @@ pub struct Pose {
     pub source_isocentre_mm: Option<f64>,
     /// DICOM Distance Source to Detector (0018,1110).
     pub source_detector_mm: Option<f64>,
-    /// The point about which the C-arm turns.
     pub isocentre_mm: Option<[f64; 3]>,
     /// For a camera instead of angles: its matrix K, in pixels.
     pub intrinsics: Option<[[f64; 3]; 3]>,
@@ -41,9 +40,7 @@ pub struct Pose {
     pub row_axis: Option<[f64; 3]>,
     /// Unit vector along a column.
     pub column_axis: Option<[f64; 3]>,
-    /// The detector's columns.
     pub columns: Option<u32>,
-    /// The detector's rows.
     pub rows: Option<u32>,
     /// Distance between pixel centres.
     pub pixel_pitch_mm: Option<f64>,
@@ -59,9 +56,7 @@ struct PoseList {
 /// A C-arm and the isocentre that its angles refer to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Placed {
-    /// Source and detector.
     pub c_arm: CArm,
-    /// The point about which the C-arm turns.
     pub isocentre_m: [f64; 3],
 }
 
@@ -162,19 +157,11 @@ impl Pose {
     /// Checks each number in the unit in which it is given: the renderer's own errors speak of radians and metres.
     fn check_ranges(&self) -> Result<(), String> {
         let isocentre_detector_mm = self.source_isocentre_mm.unwrap_or(SOURCE_ISOCENTRE_MM);
+        let turn = (-180.0, 180.0);
+        let (primary, secondary) = (self.primary_angle_deg, self.secondary_angle_deg);
         let numbers = [
-            (
-                "primary angle (`--primary-deg`, `primary_angle_deg`)",
-                self.primary_angle_deg,
-                "degrees",
-                (-180.0, 180.0),
-            ),
-            (
-                "secondary angle (`--secondary-deg`, `secondary_angle_deg`)",
-                self.secondary_angle_deg,
-                "degrees",
-                (-180.0, 180.0),
-            ),
+            ("primary angle (`--primary-deg`, `primary_angle_deg`)", primary, "degrees", turn),
+            ("secondary angle (`--secondary-deg`, `secondary_angle_deg`)", secondary, "degrees", turn),
             ("`source_isocentre_mm`", self.source_isocentre_mm, "mm", (1.0, 1e4)),
             ("`source_detector_mm`", self.source_detector_mm, "mm", (isocentre_detector_mm, 1e4)),
             ("`pixel_pitch_mm`", self.pixel_pitch_mm, "mm", (1e-3, 100.0)),

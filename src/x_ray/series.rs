@@ -17,9 +17,9 @@ const GROUP_BYTES: usize = 64 << 20;
 pub struct Look {
     /// Values before windowing and rounding in place of greys.
     pub as_values: bool,
-    /// As in [`Picture`].
+    /// Whether greys are proportional to the detector's readout; otherwise to its logarithm.
     pub linear: bool,
-    /// As in [`Picture`].
+    /// Whether more attenuation is darker; of no meaning if linear.
     pub dense_is_dark: bool,
     /// Seed of the noise, the same for every frame.
     pub seed: u64,
@@ -31,8 +31,7 @@ impl Look {
         let (greys, values) = if self.as_values { (0, pixels) } else { (pixels, 0) };
         Picture {
             placed: *placed,
-            linear: self.linear,
-            dense_is_dark: self.dense_is_dark,
+            look: *self,
             window: WindowLimits { low: 0.0, high: 1.0 },
             greys: vec![0; greys],
             values: vec![0.0; values],
@@ -41,9 +40,6 @@ impl Look {
 }
 
 /// Renders a frame of each pose, and has each written under its number, from 0 on. Returns how long rendering took, s.
-///
-/// # Errors
-/// The renderer's, and those of `write`.
 pub fn render_and_write(
     renderer: &mut DrrRenderer,
     view: &VolumeView<'_>,
@@ -81,8 +77,7 @@ fn render(
             Shot { c_arm: placed.c_arm, tool: &tool, seed, output }
         })
         .collect();
-    let reports =
-        renderer.render_batch(view, &mut shots).map_err(|cause| Failure::failed(cause.to_string()))?;
+    let reports = renderer.render_batch(view, &mut shots).map_err(Failure::failed)?;
     drop(shots);
     for (picture, report) in pictures.iter_mut().zip(reports) {
         picture.window = report.window;

@@ -41,10 +41,8 @@ fn is_of_the_machine(cause: &std::io::Error) -> bool {
 impl From<OutputError> for Failure {
     fn from(error: OutputError) -> Failure {
         match &error {
-            OutputError::Write { .. } => Failure::failed(error.to_string()),
-            OutputError::Create { source, .. } if is_of_the_machine(source) => {
-                Failure::failed(error.to_string())
-            }
+            OutputError::Write { .. } => Failure::failed(error),
+            OutputError::Create { source, .. } if is_of_the_machine(source) => Failure::failed(error),
             OutputError::Exists { .. } | OutputError::Create { .. } => Failure::bad_input(error),
         }
     }
@@ -55,10 +53,10 @@ impl From<LogError> for Failure {
     fn from(error: LogError) -> Failure {
         match &error {
             LogError::Create { source, .. } | LogError::Open { source, .. } if is_of_the_machine(source) => {
-                Failure::failed(error.to_string())
+                Failure::failed(error)
             }
             _ if error.is_bad_input() => Failure::bad_input(error),
-            _ => Failure::failed(error.to_string()),
+            _ => Failure::failed(error),
         }
     }
 }
@@ -67,9 +65,7 @@ impl From<VolumeError> for Failure {
     fn from(error: VolumeError) -> Failure {
         match error {
             VolumeError::Output(error) => Failure::from(error),
-            VolumeError::Io { ref source, .. } if is_of_the_machine(source) => {
-                Failure::failed(error.to_string())
-            }
+            VolumeError::Io { ref source, .. } if is_of_the_machine(source) => Failure::failed(error),
             other => Failure::bad_input(other),
         }
     }
@@ -82,8 +78,18 @@ impl Failure {
     }
 
     /// The work failed.
-    pub fn failed(message: impl Into<String>) -> Failure {
-        Failure { message: message.into(), code: EXIT_FAILED }
+    pub fn failed(message: impl ToString) -> Failure {
+        Failure { message: message.to_string(), code: EXIT_FAILED }
+    }
+
+    /// The system refuses to let the program handle its signals.
+    pub fn signals(cause: std::io::Error) -> Failure {
+        Failure::failed(format!("signals cannot be handled: {cause}"))
+    }
+
+    /// Failed or bad input, by whether another argument of the user's would do.
+    pub fn by_kind(is_bad_input: bool, message: impl ToString) -> Failure {
+        if is_bad_input { Failure::bad_input(message) } else { Failure::failed(message) }
     }
 
     /// The input is bad; nothing was written.

@@ -48,6 +48,7 @@ pub mod build_info;
 pub mod exit_code;
 pub mod log_file;
 pub mod parquet_file;
+pub mod parquet_table;
 pub mod process;
 pub mod reason_file;
 pub mod rewritten;

@@ -128,14 +128,6 @@ impl<W: Write + Send> Parquet<W> {
         }
         group.close().map(|_| ())
     }
-
-    /// Writes the last rows and the footer.
-    ///
-    /// # Errors
-    /// Any error of the output.
-    pub fn finish(mut self) -> Result<(), LogError> {
-        self.write_group().and_then(|()| self.writer.close().map(|_| ())).map_err(parquet_error)
-    }
 }
 
 impl<W: Write + Send> Rows for Parquet<W> {
@@ -145,5 +137,10 @@ impl<W: Write + Send> Rows for Parquet<W> {
             column.push(*value);
         }
         if self.rows_held() == ROW_GROUP { self.write_group().map_err(parquet_error) } else { Ok(()) }
+    }
+
+    /// Writes the last rows and the footer.
+    fn finish(&mut self) -> Result<(), LogError> {
+        self.write_group().and_then(|()| self.writer.finish().map(|_| ())).map_err(parquet_error)
     }
 }

@@ -93,6 +93,20 @@ pub trait Rows {
     /// # Errors
     /// Any error of the row's destination.
     fn row(&mut self, tick: Tick, log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError>;
+
+    /// Writes what is still held, after the last row.
+    ///
+    /// # Errors
+    /// Any error of the rows' destination.
+    fn finish(&mut self) -> Result<(), LogError> {
+        Ok(())
+    }
+}
+
+impl<F: FnMut(Tick, u64, &[Scalar]) -> Result<(), LogError>> Rows for F {
+    fn row(&mut self, tick: Tick, log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError> {
+        self(tick, log_time_ns, values)
+    }
 }
 
 /// This build's description of a topic in either lane.

@@ -21,14 +21,6 @@ impl<W: Write> Csv<W> {
         writeln!(out, "{}", [&LOG_COLUMNS, names.as_slice()].concat().join(","))?;
         Ok(Csv(out))
     }
-
-    /// Flushes the output.
-    ///
-    /// # Errors
-    /// Any error of the output.
-    pub fn finish(mut self) -> Result<(), LogError> {
-        Ok(self.0.flush()?)
-    }
 }
 
 impl<W: Write> Rows for Csv<W> {
@@ -43,5 +35,9 @@ impl<W: Write> Rows for Csv<W> {
             }
         }
         Ok(writeln!(self.0)?)
+    }
+
+    fn finish(&mut self) -> Result<(), LogError> {
+        Ok(self.0.flush()?)
     }
 }

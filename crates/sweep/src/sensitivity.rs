@@ -3,7 +3,7 @@
 use xxhash_rust::xxh3::xxh3_64;
 
 /// How much of a result's variance a parameter explains.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Index {
     /// First-order index: the parameter alone. Saltelli et al. 2010 (doi 10.1016/j.cpc.2009.09.018), table 2, estimator (b).
     pub first_order: f64,

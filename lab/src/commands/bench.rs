@@ -12,7 +12,8 @@ use crate::bench::{
     readings, recorder, soak, start, step, tools, viewer, xray,
 };
 use crate::sheet::Sheet;
-use trabecula::commands::run::PolicyArgument;
+use trabecula::commands::choice;
+use trabecula::commands::run::POLICIES;
 use trabecula::commands::stress::refuse_cores;
 use trabecula::failure::Failure;
 use trabecula::machine::allowed;
@@ -54,8 +55,8 @@ pub struct LatenessArguments {
     #[arg(long, value_delimiter = ',', default_value = "none,spin:2")]
     load: Vec<Load>,
     /// Scheduling policy of the physics and of `cyclictest`.
-    #[arg(long, value_enum, default_value = "fifo")]
-    policy: PolicyArgument,
+    #[arg(long, value_parser = choice(&POLICIES), default_value = "fifo")]
+    policy: Policy,
     /// Length of each run in seconds, 1 to 3600.
     #[arg(long, default_value_t = 5.0)]
     seconds: f64,
@@ -83,7 +84,7 @@ impl LatenessArguments {
             scene: SceneSource::new(self.scene.as_deref(), BuiltIn::FreeSpace),
             cores,
             loads: self.load.clone(),
-            policy: self.policy.into(),
+            policy: self.policy,
             seconds: self.seconds,
             rounds: self.rounds as usize,
             seed: self.seed,
@@ -253,8 +254,8 @@ pub enum BenchCommand {
         #[arg(long, default_value_t = 10.0)]
         minutes: f64,
         /// Scheduling policy of physics and controllers; overrides the scene.
-        #[arg(long, value_enum)]
-        policy: Option<PolicyArgument>,
+        #[arg(long, value_parser = choice(&POLICIES))]
+        policy: Option<Policy>,
         /// Keep the logs in this folder; default: remove them.
         #[arg(short, long)]
         output: Option<PathBuf>,
@@ -382,7 +383,7 @@ fn measure(command: &BenchCommand, sheet: &mut Sheet) -> Result<(), Failure> {
         BenchCommand::Soak { scene, minutes, policy, output, .. } => {
             in_range("--minutes", *minutes, 0.05, 60.0)?;
             let scene = femur_or(scene.as_deref());
-            soak::run(&scene, *minutes, policy.map(Policy::from), output.as_deref(), sheet)
+            soak::run(&scene, *minutes, *policy, output.as_deref(), sheet)
         }
         BenchCommand::Pong { session, wait, rounds } => ping_pong::answer(session, *wait, *rounds),
     }

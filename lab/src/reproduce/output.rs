@@ -4,8 +4,9 @@ use crate::effort::Effort;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use figures::{Figure, FigureError};
 use trabecula::failure::Failure;
-use trabecula::report::shapes::Figure;
+use trabecula::report::ReportError;
 
 /// Where to write, and how much to compute.
 pub struct Plan {
@@ -20,8 +21,9 @@ impl Plan {
     ///
     /// # Errors
     /// A file that cannot be written.
-    pub fn draw(&self, figure: &Figure, stem: &str) -> Result<(), Failure> {
-        Ok(figure.write(&self.out, stem)?)
+    pub fn draw(&self, figure: Result<Figure, FigureError>, stem: &str) -> Result<(), Failure> {
+        let written = figure.and_then(|figure| figure.write(&self.out, stem));
+        Ok(written.map_err(ReportError::from)?)
     }
 }
 

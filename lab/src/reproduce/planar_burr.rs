@@ -1,8 +1,8 @@
 //! The planar burr of Fig. 4: pushed by a constant force along a boundary, free to move sideways.
 
 use crate::effort::Effort;
+use figures::{Axis, Figure, FigureError, Panel, RGBColor, Stroke};
 use nalgebra::Vector3;
-use plotters::style::RGBColor;
 use rayon::prelude::*;
 
 use simulation::bone::{BoneField, BoneParameters, BurrState, ContactBuffer, Removal};
@@ -11,9 +11,6 @@ use super::output::{Plan, Table};
 use super::rig::Block;
 use super::tunnel::FOAM_KG_PER_M3;
 use trabecula::failure::Failure;
-use trabecula::report::axis::Axis;
-use trabecula::report::panel::Panel;
-use trabecula::report::shapes::{Figure, Stroke};
 
 const RADIUS_M: f64 = 2.5e-3;
 const SPEED_RAD_S: f64 = 235.6;
@@ -71,7 +68,7 @@ pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
         ]);
     }
     table.finish(&plan.out, "reproduce-2-planar-burr.csv")?;
-    plan.draw(&draw(&runs)?, "reproduce-2-planar-burr")
+    plan.draw(draw(&runs), "reproduce-2-planar-burr")
 }
 
 /// Presses the burr along +z at a boundary at x = 0, with the dense side at +x.
@@ -116,9 +113,9 @@ fn moved(field: &BoneField, centre_m: Vector3<f64>) -> Vector3<f64> {
     centre_m + step
 }
 
-fn draw(runs: &[Run]) -> Result<Figure, Failure> {
+fn draw(runs: &[Run]) -> Result<Figure, FigureError> {
     let title = "Planar burr, constant force upward, 5 N, dense side on the right: path of its centre";
-    let mut figure = Figure::titled(400.0, title).map_err(|cause| Failure::failed(cause.to_string()))?;
+    let mut figure = Figure::titled(400.0, title)?;
     for (cell, ratio) in figure.cells(3, 1, 0.0).into_iter().zip([1.0, 5.0, 10.0]) {
         let (x, y) = (Axis::linear("aside (mm)", -8.0, 1.0, 4), Axis::linear("depth (mm)", 0.0, 8.5, 4));
         let mut panel = Panel::new(&mut figure, cell, &format!("density 1 : {ratio}"), x, y);

@@ -1,8 +1,8 @@
 //! A straight insertion into denser material (Fig. 3, bottom), and the planar burr of Fig. 4.
 
 use crate::effort::Effort;
+use figures::{Axis, Figure, FigureError, Panel, RGBColor, Stroke};
 use nalgebra::Vector3;
-use plotters::style::RGBColor;
 use rayon::prelude::*;
 
 use super::output::{Plan, Table};
@@ -10,9 +10,6 @@ use super::planar_burr;
 use super::rig::{Block, Outcome, Trial};
 use super::tunnel::FOAM_KG_PER_M3;
 use trabecula::failure::Failure;
-use trabecula::report::axis::Axis;
-use trabecula::report::panel::Panel;
-use trabecula::report::shapes::{Figure, Stroke};
 
 /// Density ratios of the far side to the near side.
 const RATIOS: [f64; 5] = [1.0, 2.0, 3.0, 5.0, 10.0];
@@ -103,7 +100,7 @@ fn sweep(plan: &Plan) -> Result<(), Failure> {
     let mut table = Table::new(&HEAD);
     outcomes.iter().for_each(|(ratio, feed, outcome)| table.row(cells(*ratio, *feed, outcome)));
     table.finish(&plan.out, "reproduce-2-skiving.csv")?;
-    plan.draw(&draw(&outcomes, feeds)?, "reproduce-2-skiving")
+    plan.draw(draw(&outcomes, feeds), "reproduce-2-skiving")
 }
 
 /// The insertion at the experiments' feeds with the edge force of part 5.
@@ -171,9 +168,9 @@ fn clearance_mm_per_s(effort: Effort) -> f64 {
 /// Title, unit and value of a panel.
 type Quantity<'a> = (&'a str, &'a str, &'a dyn Fn(&Outcome) -> f64);
 
-fn draw(outcomes: &[(f64, f64, Outcome)], feeds: &[f64]) -> Result<Figure, Failure> {
+fn draw(outcomes: &[(f64, f64, Outcome)], feeds: &[f64]) -> Result<Figure, FigureError> {
     let title = "Skiving: a straight insertion that meets denser material";
-    let mut figure = Figure::titled(420.0, title).map_err(|cause| Failure::failed(cause.to_string()))?;
+    let mut figure = Figure::titled(420.0, title)?;
     let at = |feed: f64, value: &dyn Fn(&Outcome) -> f64| -> Vec<(f64, f64)> {
         let own = outcomes.iter().filter(|(_, own, _)| *own == feed);
         own.map(|(ratio, _, outcome)| (*ratio, value(outcome))).collect()

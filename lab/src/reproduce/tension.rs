@@ -1,7 +1,7 @@
 //! Bend against tension in free space: friction in the channels, loading and unloading.
 
+use figures::{Axis, Figure, FigureError, Panel, RGBColor, Rect, Stroke, WIDTH};
 use nalgebra::{Isometry3, Vector3};
-use plotters::style::RGBColor;
 use rayon::prelude::*;
 use simulation::manipulator::{
     BaseMotion, Manipulator, ManipulatorError, ManipulatorModel, ManipulatorParameters, StepInput,
@@ -11,9 +11,6 @@ use simulation::manipulator::{
 use super::output::{Plan, Table};
 use super::tunnel::radius_mm;
 use trabecula::failure::Failure;
-use trabecula::report::axis::Axis;
-use trabecula::report::panel::{Panel, Rect};
-use trabecula::report::shapes::{Figure, Stroke, WIDTH};
 
 const FRICTIONS: [f64; 4] = [0.0, 0.1, 0.2, 0.3];
 const MAX_TENSION_N: f64 = 14.0;
@@ -64,7 +61,7 @@ pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
             None => say!("friction {}: below 90 degrees up to {MAX_TENSION_N} N", own.friction),
         }
     }
-    plan.draw(&draw(&loops)?, "reproduce-4-tension")
+    plan.draw(draw(&loops), "reproduce-4-tension")
 }
 
 fn sweep(friction: f64) -> Result<Loop, ManipulatorError> {
@@ -113,8 +110,8 @@ fn at(values: &[(f64, f64)], tension: f64) -> f64 {
     values.iter().min_by(nearer).map_or(f64::NAN, |(_, bend)| *bend)
 }
 
-fn draw(loops: &[Loop]) -> Result<Figure, Failure> {
-    let mut figure = Figure::new(500.0).map_err(|cause| Failure::failed(cause.to_string()))?;
+fn draw(loops: &[Loop]) -> Result<Figure, FigureError> {
+    let mut figure = Figure::new(500.0)?;
     let cell = Rect { x: 0.0, y: 8.0, width: WIDTH, height: 484.0 };
     let (x, y) =
         (Axis::linear("tension (N)", 0.0, MAX_TENSION_N, 7), Axis::linear("bend (degrees)", 0.0, 135.0, 6));

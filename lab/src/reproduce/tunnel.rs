@@ -1,16 +1,13 @@
 //! Curved drilling in homogeneous foam (Fig. 3, top): tension against feed.
 
 use crate::effort::Effort;
+use figures::{Axis, EDGES, Figure, FigureError, HEAD, INK, Panel, RGBColor, Rect, Stroke, WIDTH, bounds};
 use nalgebra::Vector3;
-use plotters::style::RGBColor;
 use rayon::prelude::*;
 
 use super::output::{Plan, Table};
 use super::rig::{Block, Outcome, Trial};
 use trabecula::failure::Failure;
-use trabecula::report::axis::{Axis, bounds};
-use trabecula::report::panel::{EDGES, INK, Panel, Rect};
-use trabecula::report::shapes::{Figure, HEAD, Stroke, WIDTH};
 
 /// Tensions of Alambeigi et al. 2017, N.
 const TENSIONS_N: [f64; 4] = [6.0, 10.0, 15.0, 25.0];
@@ -103,7 +100,7 @@ pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
         ]);
     }
     table.finish(&plan.out, "reproduce-1-tunnel.csv")?;
-    plan.draw(&draw(&cases)?, "reproduce-1-tunnel")
+    plan.draw(draw(&cases), "reproduce-1-tunnel")
 }
 
 /// Bend of the tool in air under a tension, degrees.
@@ -151,14 +148,13 @@ pub fn radius_mm(path: &[(f64, f64)]) -> f64 {
     (solution.z + x * x + y * y).sqrt()
 }
 
-fn draw(cases: &[Case]) -> Result<Figure, Failure> {
+fn draw(cases: &[Case]) -> Result<Figure, FigureError> {
     let columns = cases.len() / TENSIONS_N.len();
     let shown = shown_mm(cases);
     let per_mm = plot_width(columns) / (shown[0][1] - shown[0][0]);
     let high = (shown[1][1] - shown[1][0]) * per_mm + EDGES.1;
     let title = "Drilled voxels (light), tool (blue), path of the burr's centre (dashed)";
-    let mut figure = Figure::titled(HEAD + high * TENSIONS_N.len() as f64, title)
-        .map_err(|cause| Failure::failed(cause.to_string()))?;
+    let mut figure = Figure::titled(HEAD + high * TENSIONS_N.len() as f64, title)?;
     for (cell, case) in figure.cells(columns, TENSIONS_N.len(), 0.0).into_iter().zip(cases) {
         draw_case(&mut figure, cell, case, shown);
     }

@@ -1,7 +1,6 @@
 //! `trabecula log export --dataset`: renders the frames of a log again, with labels, as a data set for training.
 
 use std::fs;
-use std::io::Write as _;
 use std::path::Path;
 
 use foreign_text::foreign_path;
@@ -14,8 +13,8 @@ use run_log::{LogError, Verdict, frames};
 use serde_json::json;
 use zerocopy::FromBytes;
 
+use super::ended_with;
 use super::export::ExportArguments;
-use super::{Out, concluded, json};
 use crate::dataset::{Dataset, DatasetFile, Format, Run, Sample};
 use crate::failure::Failure;
 use crate::replay::{FrameReplay, OpenedLog, Overrides, compare};
@@ -27,7 +26,7 @@ const NO_X_RAY: &str = "the scene has no X-ray";
 /// # Errors
 /// Not a log of this build, no frames for these ticks, runs that do not go together, a folder that holds something (2); a frame that this
 /// build renders differently, a damaged log, a full disk (1); a log that has a gap, is cut or was not ended (3).
-pub fn export(format: Format, arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Failure> {
+pub fn export(format: Format, arguments: &ExportArguments) -> Result<(), Failure> {
     refuse_used(&arguments.output)?;
     let bone_from_hu = checked(arguments)?;
     let dataset = Dataset::new(format, bone_from_hu, arguments.split.as_ref());
@@ -45,29 +44,19 @@ pub fn export(format: Format, arguments: &ExportArguments, out: &mut Out<'_>) ->
     let said = format!("{frames} frames with labels{shares}, {in_gaps} in gaps of the log");
     // The worst decides the exit code.
     let badness = |verdict: &&Verdict| (!verdict.is_intact(), verdict.is_stopped_by_damage());
-    let worst = verdicts.iter().max_by_key(badness);
-    // Output errors are reported when the command ends.
-    let _ = match arguments.figures.json {
-        true => {
-            let mut answer = json!({"output": folder, "exported": said, "frames": frames});
-            answer["verdict"] = worst.map(json::of_verdict).into();
-            if !parts.is_empty() {
-                answer["split"] = parts.iter().map(|(name, n)| ((*name).to_owned(), json!(n))).collect();
-            }
-            writeln!(out, "{answer}")
-        }
-        false => {
-            let ending = worst.map(|verdict| verdict.ending.describe()).unwrap_or_default();
-            writeln!(out, "{}: {said}\n{ending}", folder.display())
-        }
-    };
+    let worst = verdicts.iter().max_by_key(badness).cloned().unwrap_or_default();
+    let mut figures = json!({"frames": frames});
+    if !parts.is_empty() {
+        figures["split"] = parts.iter().map(|(name, n)| ((*name).to_owned(), json!(n))).collect();
+    }
+    arguments.say(&said, figures, &worst);
     for (name, _) in parts.iter().filter(|(_, frames)| *frames == 0) {
         tell!("trabecula: --split: `{name}` has no run; more runs or another --seed give it some");
     }
     for (log, verdict) in arguments.logs.iter().zip(&verdicts).filter(|(_, verdict)| !verdict.is_intact()) {
         tell!("trabecula: {}: {verdict}", log_path(log).display());
     }
-    concluded(out, worst.map_or(0, exit_code))
+    ended_with(exit_code(&worst))
 }
 
 /// An export under way.

@@ -1,6 +1,6 @@
 //! `trabecula log export`: exports a topic as a table, or the frames as images.
 
-use std::io::{BufWriter, Write};
+use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -9,19 +9,22 @@ use ipc_types::messages::{Tick, TickRange};
 use output_file::{OutputError, OutputFile};
 use recorder_proc::log_file::{LogFile, log_path};
 use recorder_proc::parquet_file::Parquet;
-use run_log::columns::{Rows, columns, description_of_topic, read_rows};
+use run_log::columns::{Column, Rows, columns, description_of_topic, read_rows};
 use run_log::csv::Csv;
 use run_log::fields::Scalar;
 use run_log::{FrameRecord, LogError, ReadOptions, Topic, Verdict, frames};
+use serde_json::{Value, json};
 
 use super::geometry::{self, Geometry};
-use super::{Out, dataset, foxglove, json, judged};
+use super::json::of_verdict;
+use super::{dataset, foxglove, judged};
 use crate::commands::in_order;
-use crate::dataset::{Format, Split, grey16};
+use crate::dataset::{Format, Split};
 use crate::failure::Failure;
 use crate::launcher::volume_source::VolumeFiles;
 use crate::output::refuse_existing;
-use crate::say::Figures;
+use crate::say::{Figures, merged};
+use figures::picture::grey16;
 
 /// Arguments of `log export`.
 #[derive(Debug, Args)]
@@ -76,7 +79,6 @@ pub struct ExportArguments {
     pub(super) volume: Option<PathBuf>,
     #[command(flatten)]
     pub(super) volume_files: VolumeFiles,
-    /// How its figures are printed.
     #[command(flatten)]
     pub(super) figures: Figures,
 }
@@ -96,6 +98,16 @@ impl ExportArguments {
         in_order(self.ticks()).map(drop)
     }
 
+    /// Says what was exported: in words with how the log ends, or in figures, for programs.
+    pub(super) fn say(&self, said: &str, figures: Value, verdict: &Verdict) {
+        let text = || match self.geometry {
+            Some(_) => format!("{}: {said}", self.output.display()),
+            None => format!("{}: {said}\n{}", self.output.display(), verdict.ending.describe()),
+        };
+        let all = json!({"output": self.output, "exported": said, "verdict": of_verdict(verdict)});
+        self.figures.say(text, || merged(all, figures));
+    }
+
     /// The log of an export of one; [`run`] refuses several.
     pub(super) fn log(&self) -> &Path {
         self.logs.first().map_or(Path::new(""), PathBuf::as_path)
@@ -107,10 +119,10 @@ impl ExportArguments {
 /// # Errors
 /// Not a log, no such topic or field, an unknown file extension, an output that already exists (2); a damaged log,
 /// after writing the rows before the damage, or a full disk (1); a log that has a gap, is cut or was not ended (3).
-pub fn run(arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Failure> {
+pub fn run(arguments: &ExportArguments) -> Result<(), Failure> {
     arguments.check()?;
     if let Some(format) = arguments.dataset {
-        return dataset::export(format, arguments, out);
+        return dataset::export(format, arguments);
     }
     if let [_, second, ..] = arguments.logs.as_slice() {
         let second = foreign_path(second);
@@ -120,24 +132,14 @@ pub fn run(arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Failure
         return geometry::export(what, arguments);
     }
     if arguments.foxglove {
-        return foxglove::export(arguments, out);
+        return foxglove::export(arguments);
     }
     let log = log_path(arguments.log());
     let (what, verdict) = match arguments.frames {
         true => pictures(&log, arguments)?,
         false => table(&log, arguments)?,
     };
-    // Output errors are reported when the command ends.
-    let _ = match arguments.figures.json {
-        true => {
-            let verdict = json::of_verdict(&verdict);
-            let answer =
-                serde_json::json!({"output": arguments.output, "exported": what, "verdict": verdict});
-            writeln!(out, "{answer}")
-        }
-        false => writeln!(out, "{}: {what}\n{}", arguments.output.display(), verdict.ending.describe()),
-    };
-    let _ = out.flush();
+    arguments.say(&what, json!({}), &verdict);
     judged(&log, &verdict)
 }
 
@@ -155,46 +157,44 @@ fn table(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), F
     refuse_existing(&[&arguments.output])?;
     let description = description_of_topic(&LogFile::at(log), &arguments.topic)?;
     let columns = columns(description, &arguments.fields)?;
-    // These errors do not name the file.
-    let failure = |error| match error {
-        LogError::Output { source } => OutputError::write(&arguments.output)(source).into(),
-        other => Failure::from(other),
-    };
-    let file = OutputFile::create(&arguments.output)?;
-    let rows_of = BufWriter::new(file.handle()?);
-    let read_into = |rows: &mut dyn Rows| {
-        let mut counted = Counted { rows, count: 0 };
-        let verdict =
-            read_rows(&LogFile::at(log), &arguments.topic, &columns, arguments.ticks(), &mut counted);
-        verdict.map(|verdict| (counted.count, verdict))
-    };
-    // The rows before the damage still make a valid table.
-    let (read, finished) = if ending == "csv" {
-        let mut rows = Csv::new(rows_of, &columns).map_err(failure)?;
-        (read_into(&mut rows), rows.finish())
-    } else {
-        let mut rows = Parquet::new(rows_of, &columns).map_err(failure)?;
-        (read_into(&mut rows), rows.finish())
-    };
-    finished.map_err(failure)?;
-    if !matches!(read, Err(LogError::Output { .. })) {
-        file.keep()?;
-    }
-    let (count, verdict) = read.map_err(failure)?;
+    let mut count = 0_u64;
+    let verdict = write_table(&arguments.output, &columns, |rows| {
+        let mut counted = |tick: Tick, log_time_ns: u64, values: &[Scalar]| -> Result<(), LogError> {
+            count += 1;
+            rows.row(tick, log_time_ns, values)
+        };
+        read_rows(&LogFile::at(log), &arguments.topic, &columns, arguments.ticks(), &mut counted)
+    })?;
     let (columns, topic) = (columns.len() + 2, &arguments.topic);
     Ok((format!("{count} rows and {columns} columns of {topic}"), verdict))
 }
 
-/// Rows on their way to a file, counted: none is no fault, but one that is to be seen.
-struct Counted<'a> {
-    rows: &'a mut dyn Rows,
-    count: u64,
+/// Writes a `.csv` file, or else a Parquet file. The rows before the damage of a log still make a valid table.
+pub(super) fn write_table<T>(
+    output: &Path,
+    columns: &[Column],
+    fill: impl FnOnce(&mut dyn Rows) -> Result<T, LogError>,
+) -> Result<T, Failure> {
+    let file = OutputFile::create(output)?;
+    let out = BufWriter::new(file.handle()?);
+    let table: Result<Box<dyn Rows>, LogError> = match ending_of(output).as_str() {
+        "csv" => Csv::new(out, columns).map(|table| Box::new(table) as _),
+        _ => Parquet::new(out, columns).map(|table| Box::new(table) as _),
+    };
+    let mut table = table.map_err(unwritten(output))?;
+    let filled = fill(&mut *table);
+    table.finish().map_err(unwritten(output))?;
+    if !matches!(filled, Err(LogError::Output { .. })) {
+        file.keep()?;
+    }
+    filled.map_err(unwritten(output))
 }
 
-impl Rows for Counted<'_> {
-    fn row(&mut self, tick: Tick, log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError> {
-        self.count += 1;
-        self.rows.row(tick, log_time_ns, values)
+/// The failure of an export: an error of writing does not name the file.
+pub(super) fn unwritten(output: &Path) -> impl Fn(LogError) -> Failure {
+    move |error| match error {
+        LogError::Output { source } => OutputError::write(output)(source).into(),
+        other => Failure::from(other),
     }
 }
 
@@ -238,26 +238,16 @@ fn name(sequence: u64, tick: u64) -> String {
 /// The image paths, checked so that an export is refused before its first image. The frames' geometry is in chunks of
 /// its own, so this is quick; faults of the log are reported when its images are read.
 fn names(log: &Path, arguments: &ExportArguments) -> Vec<PathBuf> {
-    let mut names = Names { folder: &arguments.output, paths: Vec::new() };
-    let range = arguments.ticks();
-    let _ = description_of_topic(&LogFile::at(log), Topic::DrrFrame.name())
-        .and_then(|description| columns(description, &["sequence".to_owned()]))
-        .and_then(|columns| {
-            read_rows(&LogFile::at(log), Topic::DrrFrame.name(), &columns, range, &mut names)
-        });
-    names.paths
-}
-
-struct Names<'a> {
-    folder: &'a Path,
-    paths: Vec<PathBuf>,
-}
-
-impl Rows for Names<'_> {
-    fn row(&mut self, tick: Tick, _log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError> {
-        self.paths.extend(values.first().map(|sequence| self.folder.join(name(sequence.bits(), tick.0))));
+    let mut paths = Vec::new();
+    let mut path = |tick: Tick, _: u64, values: &[Scalar]| -> Result<(), LogError> {
+        paths.extend(values.first().map(|sequence| arguments.output.join(name(sequence.bits(), tick.0))));
         Ok(())
-    }
+    };
+    let (log, topic) = (LogFile::at(log), Topic::DrrFrame.name());
+    let _ = description_of_topic(&log, topic)
+        .and_then(|description| columns(description, &["sequence".to_owned()]))
+        .and_then(|columns| read_rows(&log, topic, &columns, arguments.ticks(), &mut path));
+    paths
 }
 
 /// 16-bit greyscale with the recorded values.

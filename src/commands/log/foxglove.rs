@@ -1,10 +1,10 @@
 //! `trabecula log export --foxglove`: a log as one file that Lichtblick and Foxglove open with their 3D panel, image and plots filled.
 
-use std::io::{BufWriter, Write as _};
+use std::io::BufWriter;
 
 use ipc_types::messages::{Pose, State, Tick};
 use ipc_types::scene::{Scene, planned_path_in_bone_mm};
-use output_file::{OutputError, OutputFile};
+use output_file::OutputFile;
 use recorder_proc::log_file::{LogFile, log_path};
 use run_log::foxglove::ViewerLog;
 use run_log::{LogError, MessageStream, ReadOptions, Topic, Verdict};
@@ -13,8 +13,8 @@ use viewer_proc::channels::SCENE;
 use viewer_proc::scene_update::{Drawer, curve};
 use zerocopy::FromBytes;
 
-use super::export::{ExportArguments, ending_of};
-use super::{Out, json, judged};
+use super::export::{ExportArguments, ending_of, unwritten};
+use super::judged;
 use crate::commands::view::tool_shape;
 use crate::failure::Failure;
 use crate::geometry::path::Travelled;
@@ -33,7 +33,7 @@ const DRILLED: [f64; 3] = [0.84, 0.37, 0.0];
 /// # Errors
 /// Not a log, an output that exists or does not end in `.mcap`, a rate out of its range (2); a damaged log, a full disk (1); a log that
 /// has a gap, is cut or was not ended (3).
-pub fn export(arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Failure> {
+pub fn export(arguments: &ExportArguments) -> Result<(), Failure> {
     let output = &arguments.output;
     if ending_of(output) != "mcap" {
         return Err(Failure::bad_input(format!("--output is {}, expected a .mcap file", output.display())));
@@ -46,27 +46,15 @@ pub fn export(arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Fail
     let stream = MessageStream::open(&LogFile::at(&log), ReadOptions::default())?;
     let scene = Scene::parse(&stream.header().scene_toml, &log).map_err(Failure::bad_input)?;
     let file = OutputFile::create(output)?;
-    let failure = |error| match error {
-        LogError::Output { source } => OutputError::write(output)(source).into(),
-        other => Failure::from(other),
-    };
-    let writer = ViewerLog::create(BufWriter::new(file.handle()?), output).map_err(failure)?;
+    let failure = unwritten(output);
+    let writer = ViewerLog::create(BufWriter::new(file.handle()?), output).map_err(&failure)?;
     let mut made = Made::new(writer, &scene, arguments, stream.header().dt_ns);
-    let verdict = made.take(stream).map_err(failure)?;
+    let verdict = made.take(stream).map_err(&failure)?;
     let (drawings, frames) = (made.drawings, made.frames);
-    made.log.finish().map_err(failure)?;
+    made.log.finish().map_err(&failure)?;
     file.keep()?;
     let said = format!("{drawings} states with /tf and {SCENE}, {frames} X-ray frames");
-    // Output errors are reported when the command ends.
-    let _ = match arguments.figures.json {
-        true => {
-            let verdict = json::of_verdict(&verdict);
-            let answer = json!({"output": output, "exported": said, "states": drawings, "frames": frames, "verdict": verdict});
-            writeln!(out, "{answer}")
-        }
-        false => writeln!(out, "{}: {said}\n{}", output.display(), verdict.ending.describe()),
-    };
-    let _ = out.flush();
+    arguments.say(&said, json!({"states": drawings, "frames": frames}), &verdict);
     judged(&log, &verdict)
 }
 

@@ -1,23 +1,19 @@
 //! `trabecula log export --geometry`: tunnel, tool and path for other programs.
 
-use std::io::BufWriter;
 use std::path::Path;
 
 use clap::ValueEnum;
 use ipc_types::messages::{State, Tick};
 use ipc_types::scene::{Scene, planned_path_in_bone_mm};
 use markups::{curve_json, points_fcsv};
-use output_file::{OutputError, OutputFile};
 use recorder_proc::log_file::{LogFile, log_path};
-use recorder_proc::parquet_file::Parquet;
 use run_log::columns::{Column, Rows};
-use run_log::csv::Csv;
 use run_log::fields::Scalar;
 use run_log::{LogError, LogReader, Verdict};
 use serde_json::{Value, json};
 
-use super::export::{ExportArguments, ending_of};
-use super::{json::of_verdict, judged};
+use super::export::{ExportArguments, write_table};
+use super::judged;
 use crate::failure::Failure;
 use crate::geometry::path::{Deviation, Place, Travelled, deviations};
 use crate::geometry::{Mesh, mesh_files, tool, tunnel};
@@ -95,18 +91,7 @@ pub fn export(what: Geometry, arguments: &ExportArguments) -> Result<(), Failure
         }
         Geometry::Deviation => of_deviation(format, arguments)?,
     };
-    let output = arguments.output.display();
-    arguments.figures.say(
-        || format!("{output}: {said}"),
-        || {
-            let mut all =
-                json!({"output": arguments.output, "exported": said, "verdict": of_verdict(&verdict)});
-            if let (Value::Object(all), Value::Object(figures)) = (&mut all, figures) {
-                all.extend(figures);
-            }
-            all
-        },
-    );
+    arguments.say(&said, figures, &verdict);
     judged(&log_path(arguments.log()), &verdict)
 }
 
@@ -172,7 +157,10 @@ fn of_deviation(format: &str, arguments: &ExportArguments) -> Result<Exported, F
             ];
             output_file::write(&arguments.output, mesh_files::curve_vtp(&points, &values))?;
         }
-        _ => write_table(&arguments.output, &found)?,
+        _ => {
+            let columns = COLUMNS.map(Column::computed);
+            write_table(&arguments.output, &columns, |table| fill(table, &found))?;
+        }
     }
     let most_mm = deviation_mm.iter().fold(0.0, |most: f64, one| most.max(*one));
     let mean = deviation_mm.iter().map(|one| one * one).sum::<f64>() / deviation_mm.len().max(1) as f64;
@@ -204,7 +192,7 @@ impl Seen {
         let (mut path, mut last) = (Travelled::new(step_mm), *reader.initial());
         path.see(&last);
         for record in reader.by_ref() {
-            let record = record.map_err(|cause| Failure::failed(cause.to_string()))?;
+            let record = record.map_err(Failure::failed)?;
             if !range.contains(Tick(record.state.tick)) {
                 break;
             }
@@ -259,29 +247,8 @@ fn curve(
     Ok((format!("a curve of {} points", points_mm.len()), json!({"points": points_mm.len()})))
 }
 
-fn write_table(output: &Path, found: &[Deviation]) -> Result<(), Failure> {
-    let names = ["sim_time_s", "burr_x_mm", "burr_y_mm", "burr_z_mm", "along_mm", "deviation_mm"];
-    let columns = names.map(Column::computed);
-    let failure = |error| match error {
-        LogError::Output { source } => OutputError::write(output)(source).into(),
-        other => Failure::from(other),
-    };
-    let file = OutputFile::create(output)?;
-    let out = BufWriter::new(file.handle()?);
-    let written = if ending_of(output) == "csv" {
-        Csv::new(out, &columns).and_then(|mut table| {
-            fill(&mut table, found)?;
-            table.finish()
-        })
-    } else {
-        Parquet::new(out, &columns).and_then(|mut table| {
-            fill(&mut table, found)?;
-            table.finish()
-        })
-    };
-    written.map_err(failure)?;
-    Ok(file.keep()?)
-}
+/// Columns of the table of deviations.
+const COLUMNS: [&str; 6] = ["sim_time_s", "burr_x_mm", "burr_y_mm", "burr_z_mm", "along_mm", "deviation_mm"];
 
 fn fill(table: &mut dyn Rows, found: &[Deviation]) -> Result<(), LogError> {
     for Deviation { place, along_mm, deviation_mm } in found {

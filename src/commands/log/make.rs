@@ -3,13 +3,14 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use ipc_types::process::EXIT_GAP;
 use recorder_proc::log_file::log_path;
 use recorder_proc::rewritten::{Sizes, cat_files, compress, repair, split};
 use run_log::Packing;
 
 use super::{Out, json};
+use crate::commands::{Choice, choice};
 use crate::failure::Failure;
 use crate::say::Figures;
 
@@ -21,7 +22,6 @@ pub struct RepairArguments {
     /// The new log.
     #[arg(short, long)]
     output: PathBuf,
-    /// How its figures are printed.
     #[command(flatten)]
     figures: Figures,
 }
@@ -41,16 +41,14 @@ pub fn repair_log(arguments: &RepairArguments, out: &mut Out<'_>) -> Result<(), 
     super::concluded(out, if report.was_whole() { 0 } else { EXIT_GAP })
 }
 
-/// How to compress chunks.
-#[derive(Debug, Clone, Copy, ValueEnum)]
-pub enum Method {
-    /// No compression.
-    None,
-    /// LZ4 (fast).
-    Lz4,
-    /// Zstandard (small files).
-    Zstd,
-}
+/// How to compress chunks: least, greatest and usual level, and the method at a level.
+type Method = (u32, u32, u32, fn(u32) -> Packing);
+
+const METHODS: [Choice<Method>; 3] = [
+    ("none", "No compression", (0, 0, 0, |_| Packing::None)),
+    ("lz4", "LZ4 (fast)", (0, 12, 9, Packing::Lz4)),
+    ("zstd", "Zstandard (small files)", (1, 22, 9, Packing::Zstd)),
+];
 
 /// Arguments of `log compress`.
 #[derive(Debug, Args)]
@@ -61,12 +59,11 @@ pub struct CompressArguments {
     #[arg(short, long)]
     output: PathBuf,
     /// Compression method.
-    #[arg(long, value_enum, default_value = "zstd")]
+    #[arg(long, value_parser = choice(&METHODS), default_value = "zstd")]
     method: Method,
     /// Compression level: 0 to 12 for lz4, 1 to 22 for zstd.
     #[arg(long)]
     level: Option<u32>,
-    /// How its figures are printed.
     #[command(flatten)]
     figures: Figures,
 }
@@ -76,8 +73,12 @@ pub struct CompressArguments {
 /// # Errors
 /// A level that the method does not have, not a log, an output that already exists (2); a log that is not whole (1).
 pub fn compress_log(arguments: &CompressArguments, out: &mut Out<'_>) -> Result<(), Failure> {
-    let packing = packing(arguments.method, arguments.level)?;
-    let Sizes { before, after } = compress(&log_path(&arguments.log), &arguments.output, packing)?;
+    let (lowest, highest, usual, packing) = arguments.method;
+    let level = arguments.level.unwrap_or(usual);
+    if !(lowest..=highest).contains(&level) {
+        return Err(Failure::bad_input(format!("--level is {level}, allowed is {lowest} to {highest}")));
+    }
+    let Sizes { before, after } = compress(&log_path(&arguments.log), &arguments.output, packing(level))?;
     let share = 100.0 * after as f64 / before.max(1) as f64;
     // Output errors are reported when the command ends.
     let _ = match arguments.figures.json {
@@ -85,23 +86,6 @@ pub fn compress_log(arguments: &CompressArguments, out: &mut Out<'_>) -> Result<
         false => writeln!(out, "{before} bytes before, {after} after ({share:.1} %), the same messages"),
     };
     Ok(())
-}
-
-fn packing(method: Method, level: Option<u32>) -> Result<Packing, Failure> {
-    let (lowest, highest, usual) = match method {
-        Method::None => (0, 0, 0),
-        Method::Lz4 => (0, 12, 9),
-        Method::Zstd => (1, 22, 9),
-    };
-    let level = level.unwrap_or(usual);
-    if !(lowest..=highest).contains(&level) {
-        return Err(Failure::bad_input(format!("--level is {level}, allowed is {lowest} to {highest}")));
-    }
-    Ok(match method {
-        Method::None => Packing::None,
-        Method::Lz4 => Packing::Lz4(level),
-        Method::Zstd => Packing::Zstd(level),
-    })
 }
 
 /// Arguments of `log cat-files`.

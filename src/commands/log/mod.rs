@@ -27,7 +27,6 @@ pub enum LogCommand {
     Info {
         /// Log file, or the folder of a run.
         log: PathBuf,
-        /// How its figures are printed.
         #[command(flatten)]
         figures: Figures,
     },
@@ -39,7 +38,6 @@ pub enum LogCommand {
         first: PathBuf,
         /// The log to compare it with.
         second: PathBuf,
-        /// How its figures are printed.
         #[command(flatten)]
         figures: Figures,
     },
@@ -68,7 +66,7 @@ pub fn run(command: &LogCommand) -> Result<(), Failure> {
         LogCommand::Diff { first, second, figures } => return compared([first, second], *figures, &mut out),
         LogCommand::Repair(arguments) => make::repair_log(arguments, &mut out)?,
         LogCommand::Compress(arguments) => make::compress_log(arguments, &mut out)?,
-        LogCommand::Export(arguments) => export::run(arguments, &mut out)?,
+        LogCommand::Export(arguments) => export::run(arguments)?,
         LogCommand::CatFiles(arguments) => make::cat_files_log(arguments, &mut out)?,
         LogCommand::Split(arguments) => make::split_log(arguments, &mut out)?,
     }

@@ -62,8 +62,7 @@ pub fn run(log: &OpenedLog, plan: &LivePlan) -> Result<Vec<(String, u64)>, Failu
             "the log is of real time, where each controller saw other states: give one --controller at a time",
         ));
     }
-    let end = EndRequest::install()
-        .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
+    let end = EndRequest::install().map_err(Failure::signals)?;
     let answers = Answers::read(log, &indices)?;
     // In closed loop every tick needs an answer.
     let asked = |expected: &BTreeMap<u64, Command>| match plan.closed_loop {
@@ -77,9 +76,10 @@ pub fn run(log: &OpenedLog, plan: &LivePlan) -> Result<Vec<(String, u64)>, Failu
     if plan.closed_loop {
         scene.run.mode = Mode::Lockstep;
     }
-    let hub = Hub::create(&scene, log.ct.as_ref(), Recording::Off).map_err(failed)?;
+    let hub = Hub::create(&scene, log.ct.as_ref(), Recording::Off).map_err(Failure::failed)?;
     let stage = Stage::open(&hub.host.session, &plan.controllers, &indices, &scene)?;
-    let start = |(name, words): &(String, Vec<String>)| hub.start_program(name, words).map_err(failed);
+    let start =
+        |(name, words): &(String, Vec<String>)| hub.start_program(name, words).map_err(Failure::failed);
     let parts = plan.controllers.iter().map(start).collect::<Result<Vec<_>, _>>()?;
     let limit = Duration::from_secs_f64(scene.run.controller_limit_ms * 1e-3);
     let threads = scene.drr.as_ref().map_or(1, |drr| drr.threads);
@@ -144,7 +144,7 @@ impl ReplayedSession<'_> {
     fn open_loop(&mut self, to_tick: Tick) -> Result<(), Failure> {
         let mut ticks = self.log.reader()?;
         let mut state = Box::new(*ticks.initial());
-        self.stage.say(Tick::START, Phase::Running).map_err(failed)?;
+        self.stage.say(Tick::START, Phase::Running).map_err(Failure::failed)?;
         while Tick(state.tick) < to_tick {
             self.show(&state)?;
             for live in 0..self.stage.live.len() {
@@ -154,8 +154,8 @@ impl ReplayedSession<'_> {
                 }
             }
             let Some(record) = ticks.next() else { return Ok(()) };
-            let record = record.map_err(failed)?;
-            self.stage.latched.send(&record.latched).map_err(failed)?;
+            let record = record.map_err(Failure::failed)?;
+            self.stage.latched.send(&record.latched).map_err(Failure::failed)?;
             *state = record.state;
         }
         Ok(())
@@ -168,10 +168,10 @@ impl ReplayedSession<'_> {
         if let Some(divergence) = compare_state(ticks.initial(), simulation.state()) {
             return Err(self.differs(&divergence.to_string()));
         }
-        self.stage.say(Tick::START, Phase::Running).map_err(failed)?;
+        self.stage.say(Tick::START, Phase::Running).map_err(Failure::failed)?;
         while Tick(simulation.state().tick) < to_tick {
             let Some(record) = ticks.next() else { return Ok(()) };
-            let record = record.map_err(failed)?;
+            let record = record.map_err(Failure::failed)?;
             self.show(simulation.state())?;
             let latched = self.latch(&record, &mut latch)?;
             self.step(&mut simulation, &latched, &record)?;
@@ -217,8 +217,8 @@ impl ReplayedSession<'_> {
         latched: &Latched,
         record: &TickRecord,
     ) -> Result<(), Failure> {
-        self.stage.latched.send(latched).map_err(failed)?;
-        simulation.step(latched).map_err(failed)?;
+        self.stage.latched.send(latched).map_err(Failure::failed)?;
+        simulation.step(latched).map_err(Failure::failed)?;
         match compare_state(&record.state, simulation.state()) {
             None => Ok(()),
             Some(divergence) => Err(self.differs(&divergence.to_string())),
@@ -227,14 +227,14 @@ impl ReplayedSession<'_> {
 
     /// Publishes a state and the frames of its tick.
     fn show(&mut self, state: &State) -> Result<(), Failure> {
-        self.stage.show(state).map_err(failed)?;
+        self.stage.show(state).map_err(Failure::failed)?;
         while let Some(record) = self.frames.due(state.tick)? {
             if let Some(reply) = self.answers.replies.get(&record.frame.sequence) {
-                self.stage.replies.send(reply).map_err(failed)?;
+                self.stage.replies.send(reply).map_err(Failure::failed)?;
             }
             if let (Some(publisher), Some(image)) = (&self.stage.frames, &record.image) {
                 let parts = [record.frame.as_bytes(), image.as_bytes(), &record.pixels];
-                publisher.send_parts(&parts).map_err(failed)?;
+                publisher.send_parts(&parts).map_err(Failure::failed)?;
             }
         }
         Ok(())
@@ -247,7 +247,7 @@ impl ReplayedSession<'_> {
         let limit = began + if connects { CONNECT_LIMIT } else { self.limit };
         let mut told = !connects;
         loop {
-            while let Some(command) = self.stage.live[live].commands.receive().map_err(failed)? {
+            while let Some(command) = self.stage.live[live].commands.receive().map_err(Failure::failed)? {
                 if command.message().state_tick == tick.0 {
                     return Ok(*command.message());
                 }
@@ -273,10 +273,10 @@ impl ReplayedSession<'_> {
                 let text = format!("tick {tick}: controller `{name}` sent no command for this state");
                 return Err(Failure::failed(text));
             }
-            self.hub.serve_late_joiners().map_err(failed)?;
-            self.stage.states.deliver_history().map_err(failed)?;
-            self.stage.status.deliver_history().map_err(failed)?;
-            self.stage.frames.iter().try_for_each(Publisher::deliver_history).map_err(failed)?;
+            self.hub.serve_late_joiners().map_err(Failure::failed)?;
+            self.stage.states.deliver_history().map_err(Failure::failed)?;
+            self.stage.status.deliver_history().map_err(Failure::failed)?;
+            self.stage.frames.iter().try_for_each(Publisher::deliver_history).map_err(Failure::failed)?;
             let commands = &self.stage.live[live].commands;
             self.stage.waiter.wait_until(Instant::now() + POLL_PERIOD, || commands.has_message());
         }
@@ -315,8 +315,4 @@ impl ReplayedSession<'_> {
             }
         }
     }
-}
-
-fn failed(cause: impl ToString) -> Failure {
-    Failure::failed(cause.to_string())
 }

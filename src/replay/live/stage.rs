@@ -10,7 +10,6 @@ use ipc_types::session::{Reader, Session, SessionError};
 use ipc_types::wake::{Waiter, Waker};
 use run_log::FrameRecord;
 
-use super::failed;
 use crate::failure::Failure;
 use crate::replay::frames::{FrameReplay, compare};
 
@@ -61,7 +60,7 @@ impl Stage {
                 waiter: session.waiter(Reader::Physics)?,
             })
         };
-        open().map_err(failed)
+        open().map_err(Failure::failed)
     }
 
     pub(super) fn say(&self, tick: Tick, phase: Phase) -> Result<(), PortError> {

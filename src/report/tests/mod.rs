@@ -176,27 +176,6 @@ fn the_share_of_refused_commands_is_said() {
 }
 
 #[test]
-fn step_quantiles_are_those_of_the_sorted_samples() {
-    let folder = tempfile::tempdir().unwrap();
-    synthetic::write_run(folder.path(), 500);
-    let step = write(folder.path(), &facts()).unwrap().timing.step_us.unwrap();
-    // The same stream of random numbers as in write_run.
-    let mut random = Rng::with_seed(1);
-    synthetic::state(0, 500, &mut random);
-    let sample = |k: u64| {
-        synthetic::state(k + 1, 500, &mut random);
-        synthetic::timing(k, &mut random).step_ns as f64 * 1e-3
-    };
-    let mut samples: Vec<f64> = (0..500).map(sample).collect();
-    samples.sort_by(f64::total_cmp);
-    // The histogram's bins are at most 0.1 % wide.
-    for (found, rank) in [(step.p50, 250), (step.p99, 495), (step.p99_9, 500), (step.max, 500)] {
-        let expected: f64 = samples[rank - 1];
-        assert!((found / expected - 1.0).abs() < 1.1e-3, "{found} {expected}");
-    }
-}
-
-#[test]
 fn the_middle_frame_is_the_one_nearest_the_middle() {
     let folder = tempfile::tempdir().unwrap();
     synthetic::write_run(folder.path(), TICKS);
@@ -285,8 +264,8 @@ fn a_folder_that_is_not_there_costs_the_files_and_no_number() {
     let folder = tempfile::tempdir().unwrap();
     let report = super::write(&folder.path().join("missing"), &facts()).unwrap();
     assert_eq!((report.summary.ticks, report.missing.len()), (0, 6));
-    let named = |error: &ReportError| {
-        matches!(error, ReportError::Output(_)) && error.to_string().contains("missing")
+    let named = |error: &FigureError| {
+        matches!(error, FigureError::Output(_)) && error.to_string().contains("missing")
     };
     assert!(report.missing.iter().all(named), "{:?}", report.missing);
 }

@@ -2,6 +2,7 @@
 
 use std::ffi::{CStr, CString, c_char};
 use std::sync::OnceLock;
+use std::time::Duration;
 
 use ipc_types::messages::{Command, Pose, RunControlReply, RunStatus, SensorReading, State};
 
@@ -12,6 +13,9 @@ use crate::bindings;
 use crate::client::{Client, Connection, event_text, limit_of};
 use crate::error::ClientError;
 use crate::frames::frame_view;
+
+/// What a call that does not wait returns if nothing has come.
+const NOTHING_YET: ClientError = ClientError::TimedOut(Duration::ZERO);
 
 /// Writes a result to where the caller wants it.
 ///
@@ -148,7 +152,7 @@ functions! {
             check_null(state, "state")?;
             let newest = table::with(client, |open| {
                 let newest = open.client.poll_state()?;
-                newest.map(core::ptr::from_ref).ok_or(ClientError::TimedOut(core::time::Duration::ZERO))
+                newest.map(core::ptr::from_ref).ok_or(NOTHING_YET)
             })?;
             // SAFETY: not null; the caller promises that it can be written.
             unsafe { put(state, "state", newest) }
@@ -293,7 +297,7 @@ functions! {
     fn trb_get_status(client: u64, status: *mut RunStatus) -> i32 {
         outcome(|| {
             let newest = table::with(client, |open| {
-                open.client.status()?.ok_or(ClientError::TimedOut(core::time::Duration::ZERO))
+                open.client.status()?.ok_or(NOTHING_YET)
             })?;
             // SAFETY: the caller promises that `status` is null or can be written.
             unsafe { put(status, "status", newest) }
@@ -307,9 +311,8 @@ functions! {
         outcome(|| {
             check_null(view, "view")?;
             let pointers = table::with(client, |open| {
-                let none = || ClientError::TimedOut(core::time::Duration::ZERO);
-                open.client.next_event()?.ok_or_else(none)?;
-                let event = open.client.event.as_ref().ok_or_else(none)?;
+                open.client.next_event()?.ok_or(NOTHING_YET)?;
+                let event = open.client.event.as_ref().ok_or(NOTHING_YET)?;
                 // C needs the final NUL; a broken sender's event without one is shown without text.
                 let has_nul = event.tail().last() == Some(&0) && !event_text(event).is_empty();
                 let text = if has_nul { event.tail().as_ptr().cast() } else { c"".as_ptr() };
@@ -336,8 +339,7 @@ functions! {
         outcome(|| {
             check_null(view, "view")?;
             let pointers = table::with(client, |open| {
-                let none = ClientError::TimedOut(core::time::Duration::ZERO);
-                let removed = open.client.next_removed()?.ok_or(none)?;
+                let removed = open.client.next_removed()?.ok_or(NOTHING_YET)?;
                 // `Removed` is 32 bytes long, so its tail is as aligned as the message itself.
                 Ok(RemovedPointers { removed: removed.message(), voxel_index: removed.tail().as_ptr().cast() })
             })?;
@@ -354,7 +356,7 @@ functions! {
             check_null(reading, "reading")?;
             let oldest = table::with(client, |open| {
                 let oldest = open.client.next_reading()?;
-                oldest.map(core::ptr::from_ref).ok_or(ClientError::TimedOut(core::time::Duration::ZERO))
+                oldest.map(core::ptr::from_ref).ok_or(NOTHING_YET)
             })?;
             // SAFETY: not null; the caller promises that it can be written.
             unsafe { put(reading, "reading", oldest) }

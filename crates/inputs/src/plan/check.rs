@@ -35,14 +35,14 @@ pub struct Found {
 pub fn check(log: &Path, overrides: &Overrides, samples: u64, to: u64) -> Result<(Scene, Found), Failure> {
     let log = OpenedLog::open(log, overrides)?;
     let ct = log.ct.as_ref().map(|ct| CtView::from(&ct.volume));
-    let failed = |cause: simulation::SimulationError| Failure::failed(cause.to_string());
+    let failed = Failure::failed;
     let mut reference = Reference::new(&log.scene, ct).map_err(failed)?;
     let every = log.scene.tick_count().min(to).div_ceil(samples.max(1)).max(1);
     let mut found =
         Found { samples: 0, last_tick: 0, rms_mm: 0.0, largest: (0.0, 0), end_mm: 0.0, wall_s: 0.0 };
     let (began, mut squares) = (Instant::now(), 0.0);
     for record in log.reader()? {
-        let record = record.map_err(|cause| Failure::failed(cause.to_string()))?;
+        let record = record.map_err(Failure::failed)?;
         let tick = record.latched.tick + 1;
         if tick > to {
             break;

@@ -10,7 +10,7 @@ use crate::common::*;
 use messages::TickRange;
 use recorder_proc::log_file::LogFile;
 use recorder_proc::parquet_file::Parquet;
-use run_log::columns::{columns, description_of_topic, read_rows};
+use run_log::columns::{Rows, columns, description_of_topic, read_rows};
 use run_log::{RUN_TOPICS, Topic, fields};
 use serde_json::Value;
 use test_support::python::or_skip;

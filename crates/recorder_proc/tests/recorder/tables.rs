@@ -7,7 +7,7 @@ use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::record::Field;
 use recorder_proc::log_file::LogFile;
 use recorder_proc::parquet_file::Parquet;
-use run_log::columns::{Column, columns, description_of_topic, read_rows};
+use run_log::columns::{Column, Rows, columns, description_of_topic, read_rows};
 use run_log::csv::Csv;
 
 const FIELDS: [&str; 4] = ["tick", "t_world_link[7].position_m", "hash", "removed_in_tick"];

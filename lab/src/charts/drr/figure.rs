@@ -1,12 +1,10 @@
 //! `drr.svg` and `drr.png`: error against milliseconds, both logarithmic.
 
-use plotters::style::RGBColor;
-
 use super::Point;
-use trabecula::report::ReportError;
-use trabecula::report::axis::{Axis, duration_label};
-use trabecula::report::panel::{COLOURS, INK, Key, Panel, Rect};
-use trabecula::report::shapes::{Anchor, Figure, HEAD, Stroke, TextSize, WIDTH};
+use figures::{
+    Anchor, Axis, COLOURS, Figure, FigureError, HEAD, INK, Key, Panel, RGBColor, Rect, Stroke, TextSize,
+    WIDTH, duration_label,
+};
 
 /// Height of the plot with its axes, and of a line of the legend below it.
 const PLOT: f64 = 480.0;
@@ -38,7 +36,7 @@ fn mark(method: &str, peers: &[&str]) -> Key {
 }
 
 /// Draws the points of two threads; the upright line is the time to read the finest volume once.
-pub fn draw(points: &[Point], stream_ms: f64) -> Result<Figure, ReportError> {
+pub fn draw(points: &[Point], stream_ms: f64) -> Result<Figure, FigureError> {
     let shown: Vec<&Point> = points.iter().filter(|p| p.threads == 2).collect();
     let mut methods: Vec<&str> = Vec::new();
     for point in &shown {

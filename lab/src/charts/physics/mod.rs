@@ -15,9 +15,12 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use figures::{
+    Anchor, Axis, Figure, FigureError, INK, Key, Panel, RGBColor, Rect, Stroke, TextSize, WIDTH, bounds,
+    duration_label,
+};
 use ipc_types::scene::ContactVoxels;
 use output_file::SavedFile;
-use plotters::style::RGBColor;
 
 use crate::charts::method::Method;
 use candidates::Settled;
@@ -26,9 +29,7 @@ use problems::{Point, Problem, measure};
 use trabecula::failure::Failure;
 use trabecula::output::{refuse_existing, within};
 use trabecula::plan::Row;
-use trabecula::report::axis::{Axis, bounds, duration_label};
-use trabecula::report::panel::{INK, Key, Panel, Rect};
-use trabecula::report::shapes::{Anchor, Figure, Stroke, TextSize, WIDTH};
+use trabecula::report::ReportError;
 
 const HEIGHT: f64 = 1375.0;
 /// Height of the legend.
@@ -132,7 +133,9 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
         }
     }
     text += &contact::csv(&contact);
-    let [png, svg] = draw(&measured, &peers)?.files(folder, "accuracy-physics")?;
+    let [png, svg] = draw(&measured, &peers)
+        .and_then(|figure| figure.files(folder, "accuracy-physics"))
+        .map_err(ReportError::from)?;
     output_file::write_all(&[(folder.join(FILES[1]), text.into_bytes()), png, svg])?;
     took("all", all);
     Ok(())
@@ -219,10 +222,7 @@ fn csv(measured: &[(Problem, Vec<Point>)]) -> String {
     text
 }
 
-fn draw(
-    measured: &[(Problem, Vec<Point>)],
-    peers: &[Peer],
-) -> Result<Figure, trabecula::report::ReportError> {
+fn draw(measured: &[(Problem, Vec<Point>)], peers: &[Peer]) -> Result<Figure, FigureError> {
     let title = "Physics: error against the cost of a simulated millisecond (lower left is better)";
     let mut figure = Figure::titled(HEIGHT, title)?;
     for (cell, (problem, points)) in figure.cells(2, 3, FOOT).into_iter().zip(measured) {

@@ -1,13 +1,9 @@
 //! The stability map: one column per case, one row per method; in each block, stiffness across, mass and step down.
 
-use plotters::style::RGBColor;
-
 use super::cases::Case;
 use super::{Cell, DT_MS, MASS, STIFFNESS, Verdict};
 use crate::charts::method::Method;
-use trabecula::report::ReportError;
-use trabecula::report::panel::{INK, Rect};
-use trabecula::report::shapes::{Anchor, Figure, HEAD, Shape, TextSize, WIDTH, text_width};
+use figures::{Anchor, Figure, FigureError, HEAD, INK, RGBColor, Rect, TextSize, WIDTH, text_width};
 
 /// Width of the methods' names.
 const NAMES: f64 = 148.0;
@@ -30,7 +26,7 @@ const INSIDE: [&str; 2] = [
     "in each part the time step grows downwards: 0.5, 1, 2, 5, 10 ms.",
 ];
 
-pub(super) fn draw(cells: &[Cell]) -> Result<Figure, ReportError> {
+pub(super) fn draw(cells: &[Cell]) -> Result<Figure, FigureError> {
     let high = ROW * (MASS.len() * DT_MS.len()) as f64;
     let column = (WIDTH - NAMES - GAP) / Case::ALL.len() as f64;
     let top = HEAD + LEGEND + CASES;
@@ -55,7 +51,7 @@ pub(super) fn draw(cells: &[Cell]) -> Result<Figure, ReportError> {
         figure.text((NAMES - 8.0, y + 0.5 * high), &method.name(), TextSize::Label, INK, Anchor::Right);
         for (index, case) in Case::ALL.into_iter().enumerate() {
             let place = Rect { x: NAMES + index as f64 * column, y, width: column - GAP, height: high };
-            area(&mut figure, place, NONE);
+            figure.rectangle(place, NONE);
             for cell in cells.iter().filter(|cell| cell.method == method && cell.case == case) {
                 draw_cell(&mut figure, place, cell);
             }
@@ -67,7 +63,7 @@ pub(super) fn draw(cells: &[Cell]) -> Result<Figure, ReportError> {
 fn legend(figure: &mut Figure) {
     let mut x = 14.0;
     for (_, colour, name) in COLOURS {
-        area(figure, Rect { x, y: HEAD + 4.0, width: 18.0, height: 12.0 }, colour);
+        figure.rectangle(Rect { x, y: HEAD + 4.0, width: 18.0, height: 12.0 }, colour);
         figure.text((x + 25.0, HEAD + 10.0), name, TextSize::Label, INK, Anchor::Left);
         x += 51.0 + text_width(name, TextSize::Label);
     }
@@ -102,13 +98,7 @@ fn draw_cell(figure: &mut Figure, block: Rect, cell: &Cell) {
     let height = if (row as usize + 1).is_multiple_of(DT_MS.len()) { ROW - 1.0 } else { ROW };
     let wide = block.width / STIFFNESS.len() as f64;
     let (x, y) = (block.x + column * wide, block.y + row * ROW);
-    area(figure, Rect { x, y, width: wide - 1.0, height }, colour);
-}
-
-fn area(figure: &mut Figure, place: Rect, fill: RGBColor) {
-    let Rect { x, y, width, height } = place;
-    let corners = vec![(x, y), (x + width, y), (x + width, y + height), (x, y + height)];
-    figure.add(Shape::Area { corners, fill });
+    figure.rectangle(Rect { x, y, width: wide - 1.0, height }, colour);
 }
 
 #[cfg(test)]

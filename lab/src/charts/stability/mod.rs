@@ -25,6 +25,7 @@ use crate::charts::method::Method;
 use cases::{Case, Ending, Setup};
 use trabecula::failure::{EXIT_INTERRUPTED, Failure};
 use trabecula::output::{refuse_existing, within};
+use trabecula::report::ReportError;
 
 /// Factors applied to all stiffnesses.
 pub const STIFFNESS: [f64; 4] = [1.0, 10.0, 100.0, 1000.0];
@@ -86,7 +87,9 @@ pub fn run(folder: &Path, effort: Effort) -> Result<(), Failure> {
         .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
     let cells = measure(effort, &end).map_err(|cause| Failure::failed(cause.to_string()))?;
     print_counts(&cells);
-    let [png, svg] = figure::draw(&cells)?.files(folder, "stability")?;
+    let [png, svg] = figure::draw(&cells)
+        .and_then(|figure| figure.files(folder, "stability"))
+        .map_err(ReportError::from)?;
     output_file::write_all(&[(folder.join("stability.csv"), csv(&cells).into_bytes()), png, svg])?;
     if end.is_set() {
         let message = format!("interrupted; {} finished runs are in {}", cells.len(), folder.display());

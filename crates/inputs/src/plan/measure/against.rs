@@ -49,7 +49,7 @@ pub enum NotCompared {
 
 impl From<NotCompared> for Failure {
     fn from(cause: NotCompared) -> Failure {
-        Failure::failed(cause.to_string())
+        Failure::failed(cause)
     }
 }
 

@@ -104,7 +104,7 @@ impl Trial {
             self.seconds, self.tool, self.controller
         );
         let scene = Scene::parse(&text, Path::new("trial.toml"));
-        Ok((scene.map_err(|cause| Failure::failed(cause.to_string()))?, text))
+        Ok((scene.map_err(Failure::failed)?, text))
     }
 }
 

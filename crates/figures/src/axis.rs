@@ -53,6 +53,13 @@ impl Axis {
         Axis::linear(title, if low < 0.0 { low - margin } else { 0.0 }, high + margin, count)
     }
 
+    /// A linear axis over the values, with this share of their range to both sides.
+    pub fn over(title: &str, values: impl Iterator<Item = f64>, share: f64, count: usize) -> Axis {
+        let (low, high) = bounds(values).unwrap_or((0.0, 1.0));
+        let margin = share * (high - low).max(1e-12);
+        Axis::linear(title, low - margin, high + margin, count)
+    }
+
     /// A logarithmic axis, from slightly below the smallest to slightly above the largest positive value; `label`
     /// formats a tick. Ticks are powers of ten; where there is room also twice and five times these.
     pub fn logarithmic(title: &str, values: impl Iterator<Item = f64>, label: fn(f64) -> String) -> Axis {

@@ -1,6 +1,6 @@
 //! A panel of a figure: two axes with a frame, lines, and a legend.
 
-use plotters::style::RGBColor;
+use plotters::style::{RGBColor, WHITE};
 
 use super::axis::Axis;
 use super::shapes::{Anchor, Figure, Point, Shape, Stroke, TextSize, text_width};
@@ -90,7 +90,7 @@ impl Key {
             Key::Disc(fill) => return disc(MARK, fill),
             Key::Ring(fill) => {
                 disc(MARK, fill);
-                return disc(0.5 * MARK, RGBColor(255, 255, 255));
+                return disc(0.5 * MARK, WHITE);
             }
             Key::Line(_) => &[[(-HALF_LINE, 0.0), (HALF_LINE, 0.0)]],
             Key::Cross(_) => &[[(-MARK, -MARK), (MARK, MARK)], [(-MARK, MARK), (MARK, -MARK)]],
@@ -98,8 +98,7 @@ impl Key {
         };
         let (Key::Line(stroke) | Key::Cross(stroke) | Key::Bar(stroke)) = self else { return };
         for line in lines {
-            let points = line.map(|(right, down)| (x + right, y + down)).to_vec();
-            figure.add(Shape::Line { points, stroke });
+            figure.line(line.map(|(right, down)| (x + right, y + down)), stroke);
         }
     }
 }
@@ -151,11 +150,11 @@ impl<'a> Panel<'a> {
         };
         for (share, colour) in shares(&self.x) {
             let at = x + share * width;
-            self.straight([(at, y), (at, y + height)], Stroke::full(colour, 0.8));
+            self.figure.line([(at, y), (at, y + height)], Stroke::full(colour, 0.8));
         }
         for (share, colour) in shares(&self.y) {
             let at = y + (1.0 - share) * height;
-            self.straight([(x, at), (x + width, at)], Stroke::full(colour, 0.8));
+            self.figure.line([(x, at), (x + width, at)], Stroke::full(colour, 0.8));
         }
     }
 
@@ -181,10 +180,6 @@ impl<'a> Panel<'a> {
         self.figure.add(label);
     }
 
-    fn straight(&mut self, ends: [Point; 2], stroke: Stroke) {
-        self.figure.add(Shape::Line { points: ends.to_vec(), stroke });
-    }
-
     /// Position of a data point in the figure.
     pub fn place(&self, (x, y): Point) -> Point {
         let Rect { x: left, y: top, width, height } = self.area;
@@ -201,7 +196,7 @@ impl<'a> Panel<'a> {
         let points: Vec<Point> = values.iter().map(|&value| self.place(value)).collect();
         for run in clip(&points, self.area) {
             self.mark_occupied(&run);
-            self.figure.add(Shape::Line { points: run, stroke });
+            self.figure.line(run, stroke);
         }
         self.key(Key::Line(stroke), label);
     }
@@ -252,7 +247,7 @@ impl<'a> Panel<'a> {
         let (at, _) = self.place((x, 1.0));
         let Rect { y, height, .. } = self.area;
         if self.area.contains((at, y)) {
-            self.straight([(at, y), (at, y + height)], stroke);
+            self.figure.line([(at, y), (at, y + height)], stroke);
         }
     }
 
@@ -270,7 +265,7 @@ impl<'a> Panel<'a> {
         let (at, _) = self.place((x, 1.0));
         let foot = self.area.y + self.area.height;
         if self.area.contains((at, foot)) {
-            self.straight([(at, foot - 10.0), (at, foot)], stroke);
+            self.figure.line([(at, foot - 10.0), (at, foot)], stroke);
         }
     }
 
@@ -297,9 +292,8 @@ impl<'a> Panel<'a> {
         let text = legend.iter().map(|(_, label)| text_width(label, TextSize::Label)).fold(0.0, f64::max);
         let size = (KEY_WIDTH + text + 18.0, LEGEND_LINE * legend.len() as f64 + 6.0);
         let corner = self.corner(size);
-        let (right, lower) = (corner.0 + size.0, corner.1 + size.1);
-        let corners = vec![corner, (right, corner.1), (right, lower), (corner.0, lower)];
-        self.figure.add(Shape::Area { corners, fill: RGBColor(255, 255, 255) });
+        let ground = Rect { x: corner.0, y: corner.1, width: size.0, height: size.1 };
+        self.figure.rectangle(ground, WHITE);
         for (i, (key, label)) in legend.into_iter().enumerate() {
             self.entry(key, &label, (corner.0 + 8.0, corner.1 + 3.0 + LEGEND_LINE * (i as f64 + 0.5)));
         }
@@ -323,8 +317,7 @@ impl<'a> Panel<'a> {
 
     fn frame(&mut self) {
         let Rect { x, y, width, height } = self.area;
-        let points = vec![(x, y), (x, y + height), (x + width, y + height)];
-        self.figure.add(Shape::Line { points, stroke: Stroke::full(INK, 1.0) });
+        self.figure.line([(x, y), (x, y + height), (x + width, y + height)], Stroke::full(INK, 1.0));
     }
 
     /// Draws a legend entry, given its left end.

@@ -41,9 +41,9 @@ fn text_box(shape: &Shape) -> Option<(&str, Rect)> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::panel::INK;
-    use super::super::shapes::TextSize;
     use super::*;
+    use crate::panel::INK;
+    use crate::shapes::TextSize;
 
     #[test]
     fn texts_that_lie_over_others_or_reach_out_are_found() {

@@ -12,9 +12,9 @@ use plotters::style::{
     Color, FontStyle, FontTransform, IntoFont, RGBColor, ShapeStyle, TextStyle, WHITE, register_font,
 };
 
-use super::ReportError;
-use super::grey::encode_png;
+use super::FigureError;
 use super::panel::{INK, Rect};
+use super::picture::encode;
 
 /// Width of every figure. Shown as wide as a page, about 830 pixels, its smallest text is 13 pixels high.
 pub const WIDTH: f64 = 880.0;
@@ -142,8 +142,8 @@ pub struct Figure {
 }
 
 /// Registers the figures' font, Ubuntu Light, from memory, so that no font needs to be installed.
-fn register() -> Result<(), ReportError> {
-    register_font(FONT, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT).map_err(|_| ReportError::Font)
+fn register() -> Result<(), FigureError> {
+    register_font(FONT, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT).map_err(|_| FigureError::Font)
 }
 
 /// Width of a text in figure units.
@@ -156,13 +156,13 @@ pub fn text_width(text: &str, size: TextSize) -> f64 {
 
 impl Figure {
     /// An empty figure of this height, in figure units.
-    pub fn new(height: f64) -> Result<Figure, ReportError> {
+    pub fn new(height: f64) -> Result<Figure, FigureError> {
         register()?;
         Ok(Figure { height: height.ceil(), shapes: Vec::new() })
     }
 
     /// One with a title over everything.
-    pub fn titled(height: f64, title: &str) -> Result<Figure, ReportError> {
+    pub fn titled(height: f64, title: &str) -> Result<Figure, FigureError> {
         let mut figure = Figure::new(height)?;
         figure.text((14.0, 0.5 * HEAD), title, TextSize::Title, INK, Anchor::Left);
         Ok(figure)
@@ -208,47 +208,59 @@ impl Figure {
         }
     }
 
+    /// Adds a line through points.
+    pub fn line(&mut self, points: impl Into<Vec<Point>>, stroke: Stroke) {
+        self.add(Shape::Line { points: points.into(), stroke });
+    }
+
+    /// Adds a filled rectangle.
+    pub fn rectangle(&mut self, Rect { x, y, width, height }: Rect, fill: RGBColor) {
+        let corners = vec![(x, y), (x + width, y), (x + width, y + height), (x, y + height)];
+        self.add(Shape::Area { corners, fill });
+    }
+
     /// Adds a text.
     pub fn text(&mut self, at: Point, text: &str, size: TextSize, colour: RGBColor, anchor: Anchor) {
         self.add(Shape::Text { at, text: text.to_string(), size, colour, anchor, upwards: false });
     }
 
     /// Writes a PNG file alone: SVG would hold a [`Shape::Picture`] as a rectangle a pixel.
-    pub fn write_png(&self, file: &Path) -> Result<(), ReportError> {
+    pub fn write_png(&self, file: &Path) -> Result<(), FigureError> {
         Ok(output_file::write(file, self.png(file)?)?)
     }
 
     /// Writes `<stem>.png` and `<stem>.svg`.
-    pub fn write(&self, folder: &Path, stem: &str) -> Result<(), ReportError> {
+    pub fn write(&self, folder: &Path, stem: &str) -> Result<(), FigureError> {
         Ok(output_file::write_all(&self.files(folder, stem)?)?)
     }
 
     /// `<stem>.png` and `<stem>.svg`, with their contents.
-    pub fn files(&self, folder: &Path, stem: &str) -> Result<[(PathBuf, Vec<u8>); 2], ReportError> {
+    pub fn files(&self, folder: &Path, stem: &str) -> Result<[(PathBuf, Vec<u8>); 2], FigureError> {
         let [png, svg] = ["png", "svg"].map(|ending| folder.join(format!("{stem}.{ending}")));
         let bytes = (self.png(&png)?, self.svg(&svg)?.into_bytes());
         Ok([(png, bytes.0), (svg, bytes.1)])
     }
 
-    fn png(&self, path: &Path) -> Result<Vec<u8>, ReportError> {
+    fn png(&self, path: &Path) -> Result<Vec<u8>, FigureError> {
         let size = (WIDTH as u32 * SCALE as u32, self.height as u32 * SCALE as u32);
         let mut pixels = vec![0u8; size.0 as usize * size.1 as usize * 3];
         {
             let backend = BitMapBackend::with_buffer(&mut pixels, size);
-            self.draw(backend, Medium::Bitmap)
-                .map_err(|cause| ReportError::Draw { path: path.into(), cause: cause.to_string() })?;
+            self.draw(backend, Medium::Bitmap).map_err(FigureError::content(path, "drawn"))?;
         }
         let (columns, rows) = (size.0 as usize / SHRINK, size.1 as usize / SHRINK);
         let shrunk = shrink(&pixels, columns, rows);
-        encode_png(path, columns as u32, rows as u32, png::ColorType::Rgb, &shrunk)
+        let kind = (png::ColorType::Rgb, png::BitDepth::Eight);
+        encode([columns as u32, rows as u32], kind, png::Compression::Fast, &shrunk)
+            .map_err(FigureError::content(path, "written as PNG"))
     }
 
     /// The figure as SVG; errors name this file.
-    pub fn svg(&self, path: &Path) -> Result<String, ReportError> {
+    pub fn svg(&self, path: &Path) -> Result<String, FigureError> {
         let size = (WIDTH as u32 * SCALE as u32, self.height as u32 * SCALE as u32);
         let mut text = String::new();
         self.draw(SVGBackend::with_string(&mut text, size), Medium::Vector)
-            .map_err(|cause| ReportError::Draw { path: path.into(), cause: cause.to_string() })?;
+            .map_err(FigureError::content(path, "drawn"))?;
         // Drawn on a fine grid, shown at its nominal size.
         let drawn = format!("width=\"{}\" height=\"{}\"", size.0, size.1);
         let shown = format!("width=\"{WIDTH}\" height=\"{}\"", self.height);

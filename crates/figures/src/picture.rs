@@ -1,0 +1,63 @@
+//! Pictures as PNG.
+
+use png::{BitDepth, ColorType, Compression, EncodingError};
+
+/// A PNG of these samples, row by row from the top left; those of 16 bits are big-endian.
+pub fn encode(
+    [columns, rows]: [u32; 2],
+    (colour, depth): (ColorType, BitDepth),
+    compression: Compression,
+    samples: &[u8],
+) -> Result<Vec<u8>, EncodingError> {
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, columns, rows);
+    encoder.set_color(colour);
+    encoder.set_depth(depth);
+    encoder.set_compression(compression);
+    let mut writer = encoder.write_header()?;
+    writer.write_image_data(samples)?;
+    writer.finish()?;
+    Ok(bytes)
+}
+
+/// A PNG of 16 bits with these values.
+pub fn grey16(columns: u32, rows: u32, greys: impl Iterator<Item = u16>) -> Result<Vec<u8>, String> {
+    let bytes: Vec<u8> = greys.flat_map(u16::to_be_bytes).collect();
+    let kind = (ColorType::Grayscale, BitDepth::Sixteen);
+    encode([columns, rows], kind, Compression::default(), &bytes).map_err(|cause| cause.to_string())
+}
+
+/// A PNG of 8 bits: 0 stays 0 and 65535 becomes 255.
+pub fn grey8(columns: u32, rows: u32, greys: impl Iterator<Item = u16>) -> Result<Vec<u8>, String> {
+    let bytes: Vec<u8> = greys.map(narrow).collect();
+    let kind = (ColorType::Grayscale, BitDepth::Eight);
+    encode([columns, rows], kind, Compression::default(), &bytes).map_err(|cause| cause.to_string())
+}
+
+/// Maps 0..=65535 to 0..=255, rounded: 65535 = 257 * 255.
+fn narrow(grey: u16) -> u8 {
+    ((u32::from(grey) + 128) / 257) as u8
+}
+
+/// An 8-bit grey picture.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct GreyImage {
+    size: [u32; 2],
+    pixels: Vec<u8>,
+}
+
+impl GreyImage {
+    /// From little-endian `mono16` rows without padding; none if there are no pixels, or fewer than the size requires
+    /// (a log that keeps only hashes).
+    pub fn from_mono16(columns: u32, rows: u32, mono16: &[u8]) -> Option<GreyImage> {
+        let count = (columns as usize).checked_mul(rows as usize)?;
+        let bytes = mono16.get(..count.checked_mul(2)?)?;
+        let pixels = bytes.chunks_exact(2).map(|b| narrow(u16::from_le_bytes([b[0], b[1]]))).collect();
+        (count > 0).then_some(GreyImage { size: [columns, rows], pixels })
+    }
+
+    /// The picture as PNG.
+    pub fn png(&self) -> Result<Vec<u8>, EncodingError> {
+        encode(self.size, (ColorType::Grayscale, BitDepth::Eight), Compression::Fast, &self.pixels)
+    }
+}
