@@ -16,7 +16,7 @@ fn read(name: impl AsRef<Path>) -> String {
 fn documents() -> Vec<PathBuf> {
     let in_docs = std::fs::read_dir(root().join("docs")).unwrap().map(|entry| entry.unwrap().path());
     let pages = in_docs.filter(|path| path.extension().is_some_and(|extension| extension == "md"));
-    let others = ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md", ".github/SECURITY.md"];
+    let others = ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", ".github/SECURITY.md"];
     pages.chain(others.map(|name| root().join(name))).collect()
 }
 
