@@ -74,7 +74,7 @@ pub struct DrrArguments {
     projector: Projector,
     /// How the detector signal maps to grey values.
     #[arg(long, value_parser = choice(&DISPLAYS), default_value = "bone-dark")]
-    display: DisplayMode,
+    display: Display,
     /// Photon energy, 30 to 120 keV.
     #[arg(long, default_value_t = 60.0, conflicts_with = "tube_kv")]
     energy_kev: f64,
@@ -110,10 +110,10 @@ const PROJECTORS: [Choice<Projector>; 4] = [
 ];
 
 /// Displays.
-const DISPLAYS: [Choice<DisplayMode>; 3] = [
-    ("bone-dark", "Bone dark, as on the detector", DisplayMode::BoneDark),
-    ("bone-bright", "Bone bright", DisplayMode::BoneBright),
-    ("linear", "The raw detector readout", DisplayMode::Linear),
+const DISPLAYS: [Choice<Display>; 3] = [
+    ("bone-dark", "Bone dark, as on the detector", Display::BoneDark),
+    ("bone-bright", "Bone bright", Display::BoneBright),
+    ("linear", "The raw detector readout", Display::Linear),
 ];
 
 /// Frames of a sweep that names no number.
@@ -164,8 +164,8 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
     let series = Series::new(volume_io::volume_hash(&volume), &placed, arguments.tube_kv);
     let look = Look {
         as_values: kind == Kind::Nrrd,
-        linear: arguments.display == DisplayMode::Linear,
-        dense_is_dark: arguments.display == DisplayMode::BoneDark,
+        linear: arguments.display == Display::Linear,
+        dense_is_dark: arguments.display == Display::BoneDark,
         seed: arguments.seed,
     };
     let animation = match arguments.animate {

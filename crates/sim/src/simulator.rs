@@ -201,7 +201,8 @@ impl Sim {
         }
         let tick = Tick(self.state().tick);
         let driven = ControllerIndex::first(self.drivers.len()).zip(&self.drivers);
-        for (command, (index, driver)) in commands.iter().zip(driven.filter(|(_, driver)| is_driven(driver))) {
+        for (command, (index, driver)) in commands.iter().zip(driven.filter(|(_, driver)| is_driven(driver)))
+        {
             let refused = |cause| SimError::Refused { controller: driver.name.clone(), tick, cause };
             self.run.check(index, command).map_err(refused)?;
         }
