@@ -65,7 +65,7 @@ mutants! {
     "warnings are not limited" in "hub/src/rate_limit.rs":
         "let allowed = self.sent < WARNINGS;" => "let allowed = true;";
     "refused commands are latched all the same" in "hub/src/latch.rs":
-        "        check(command, &slot.drives, slot.last_sequence, tick)?;\n" => "";
+        "        self.check(controller, command, tick)?;\n" => "";
     "one request for a frame too many waits" in "delivery/src/x_ray/schedule.rs":
         "own >= MAX_WAITING_EACH" => "own > MAX_WAITING_EACH";
     "a scheduled frame is a tick late" in "delivery/src/x_ray/schedule.rs":

@@ -7,6 +7,7 @@ use messages::*;
 use run_log::cat::{CatOptions, cat};
 use run_log::diff::{DiffReport, HeaderDifference, diff};
 use run_log::fields::Scalar;
+use run_log::segments::{Passed, SegmentOptions, verify_segments};
 use run_log::*;
 use zerocopy::IntoBytes;
 
@@ -95,9 +96,10 @@ fn a_replay_of_a_damaged_log_is_not_identical() {
     let kept: Vec<Step> =
         steps.into_iter().filter(|s| !matches!(s, Step::State(m) if m.tick == 77)).collect();
     let mut reader = open_bytes(&write_log(&kept)).unwrap();
-    let report = verify(&mut reader, Toy::new, None);
-    assert_eq!((report.identical_ticks, report.is_identical()), (76, false));
-    assert!(matches!(report.log_error, Some(LogError::Gap { tick: Tick(77), .. })));
+    let options = SegmentOptions { start: None, to_tick: None, threads: 1 };
+    let report = verify_segments(&mut reader, &|| Ok(Toy::new()), &options);
+    let gap = Passed { after: Some(Tick(76)), resumed: None };
+    assert_eq!((report.replay.identical_ticks, report.gaps), (76, vec![gap]));
 
     let mut reader = open_bytes(&write_log(&run_messages(60, None))).unwrap();
     let report = verify(&mut reader, || Toy { fail_tick: Some(31), ..Toy::new() }, None);
