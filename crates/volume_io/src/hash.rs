@@ -29,7 +29,10 @@ pub fn volume_hash(volume: &Volume) -> [u8; 32] {
         hasher.update((value + 0.0).to_le_bytes());
     }
     // Buffered, because hashing two bytes at a time costs more than the hash itself.
-    let Ok(()) = in_little_endian(hu, |bytes| Ok::<(), Infallible>(hasher.update(bytes)));
+    let Ok(()) = in_little_endian(hu, |bytes| {
+        hasher.update(bytes);
+        Ok::<(), Infallible>(())
+    });
     hasher.finalize().into()
 }
 
