@@ -180,6 +180,15 @@ fn commands(folder: &Path, burr_speed_rad_per_s: f64) -> usize {
     ticks.map_while(Result::ok).filter(is_asked).count()
 }
 
+/// Sets a flag when it is dropped, in a panic too: a check that ran into its limit left the test waiting for its thread.
+struct SetAtEnd<'f>(&'f AtomicBool);
+
+impl Drop for SetAtEnd<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
 #[test]
 fn a_live_run_is_watched_and_driven_from_the_page() {
     let Some(python) = browser_python() else { return };
@@ -190,6 +199,7 @@ fn a_live_run_is_watched_and_driven_from_the_page() {
         let viewer = Viewer::start(&place, &[&"--session", &session]);
         let over = AtomicBool::new(false);
         std::thread::scope(|scope| {
+            let _over = SetAtEnd(&over);
             // Another hub clears the dead session away at once: the viewer must not take the end for a regular one.
             scope.spawn(|| {
                 while !over.load(Ordering::Relaxed) && host_is_alive(Path::new(&session)) {
@@ -197,9 +207,7 @@ fn a_live_run_is_watched_and_driven_from_the_page() {
                 }
                 wipe_dead_sessions();
             });
-            let checked = check(&python, "live", &viewer, &["--victim".to_owned(), run.pid().to_string()]);
-            over.store(true, Ordering::Relaxed);
-            checked
+            check(&python, "live", &viewer, &["--victim".to_owned(), run.pid().to_string()])
         })?;
         // The page has ended the launcher; the other parts finish the log. What the gamepad commanded is in it, and replays.
         let folder = run.end().folder;
