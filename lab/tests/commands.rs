@@ -120,3 +120,47 @@ fn benches_without_a_scene_work_in_an_empty_folder() {
         assert_eq!(done.code, Some(0), "{words:?}: {}", done.err);
     }
 }
+
+/// `chart` and `reproduce` wrote over what they had written before.
+#[test]
+fn no_command_writes_over_a_file_that_is_there() {
+    let place = tempfile::tempdir().unwrap();
+    for (words, files) in [
+        (
+            "chart drr --quick --rounds 1 --output charts",
+            &["charts/drr.csv", "charts/drr.md", "charts/drr.svg", "charts/drr.png"][..],
+        ),
+        ("chart drr --rungs rungs.csv", &["rungs.csv"]),
+        (
+            "chart physics --quick --output charts",
+            &["charts/physics-plan.csv", "charts/accuracy-physics.png"],
+        ),
+        ("chart stability --quick --output charts", &["charts/stability.csv", "charts/stability.svg"]),
+        (
+            "reproduce --quick --only 1 --output rep",
+            &["rep/reproduce-1-tunnel.csv", "rep/reproduce-1-tunnel.svg"],
+        ),
+        (
+            "reproduce --quick --only 2 --output rep",
+            &["rep/reproduce-2-rules.csv", "rep/reproduce-2-planar-burr.png"],
+        ),
+        ("reproduce --quick --only 3 --output rep", &["rep/reproduce-3-deviation.csv"]),
+        ("reproduce --quick --only 4 --output rep", &["rep/reproduce-4-tension.png"]),
+        ("reproduce --quick --output rep", &["rep/reproduce-5-thrust.csv"]),
+        ("bench soak --minutes 0.1 --output soak", &["soak/run.mcap", "soak/summary.json"]),
+    ] {
+        for file in files {
+            let path = place.path().join(file);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(&path, "mine").unwrap();
+            let done = laboratory(place.path(), &words.split(' ').collect::<Vec<_>>());
+            let name = path.file_name().unwrap().to_str().unwrap();
+            assert_eq!(done.code, Some(2), "{words}: {}{}", done.out, done.err);
+            assert!(done.err.contains(&format!("{name}: already exists")), "{words}: {}", done.err);
+            assert_eq!(fs::read(&path).unwrap(), b"mine", "{words}");
+            fs::remove_file(&path).unwrap();
+            let folder = path.parent().unwrap();
+            assert!(folder == place.path() || fs::read_dir(folder).unwrap().next().is_none(), "{words}");
+        }
+    }
+}

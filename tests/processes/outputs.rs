@@ -68,27 +68,6 @@ fn table(place: &Place) -> Vec<Row> {
             "calibrate @sweep.toml -o @cal",
             &["cal/calibration.csv", "cal/calibration.png", "cal/calibration.svg"],
         ),
-        row(
-            "chart drr --quick --rounds 1 --output @charts",
-            &["charts/drr.csv", "charts/drr.md", "charts/drr.svg", "charts/drr.png"],
-        ),
-        row("chart drr --rungs @rungs.csv", &["rungs.csv"]),
-        row(
-            "chart physics --quick --output @charts",
-            &["charts/physics-plan.csv", "charts/accuracy-physics.png"],
-        ),
-        row("chart stability --quick --output @charts", &["charts/stability.csv", "charts/stability.svg"]),
-        row(
-            "reproduce --quick --only 1 --output @rep",
-            &["rep/reproduce-1-tunnel.csv", "rep/reproduce-1-tunnel.svg"],
-        ),
-        row(
-            "reproduce --quick --only 2 --output @rep",
-            &["rep/reproduce-2-rules.csv", "rep/reproduce-2-planar-burr.png"],
-        ),
-        row("reproduce --quick --only 3 --output @rep", &["rep/reproduce-3-deviation.csv"]),
-        row("reproduce --quick --only 4 --output @rep", &["rep/reproduce-4-tension.png"]),
-        row("reproduce --quick --output @rep", &["rep/reproduce-5-thrust.csv"]),
         row("scene from-markups @plan.fcsv --ct @ball.nrrd -o @plan.toml", &["plan.toml"]),
         row("scene show @scene.toml -o @show.png", &["show.png"]),
         row("log export @log -o @view.mcap --foxglove", &["view.mcap"]),
@@ -97,7 +76,6 @@ fn table(place: &Place) -> Vec<Row> {
         row("log export @log -o @segments --dataset yolo-segment", &["segments/data.yaml"]),
         row("log export @log -o @npz --dataset npz", &["npz/dataset.json"]),
         row("scene init -o @scenes", &["scenes/femur_curved_drilling.toml"]),
-        row("bench soak @scene.toml --minutes 0.1 --output @soak", &["soak/run.mcap", "soak/summary.json"]),
     ]
 }
 
@@ -106,7 +84,7 @@ fn run(words: &[String]) -> crate::common::program::Done {
     trabecula(&words)
 }
 
-/// `drr` wrote over everything, its own CT too; `calibrate`, `chart` and `reproduce` over what they had written before.
+/// `drr` wrote over everything, its own CT too; `calibrate` over what it had written before.
 #[test]
 fn no_command_writes_over_a_file_that_is_there() {
     let place = Place::new();

@@ -44,7 +44,7 @@ impl Inputs {
 }
 
 /// Commands that leave files behind, and a name that stands in what they say of one that cannot be written.
-const COMMANDS: [(&str, &str); 19] = [
+const COMMANDS: [(&str, &str); 18] = [
     ("log export @log -o #t.csv", "t.csv"),
     ("log export @log -o #t.parquet", "t.parquet"),
     ("log export @log --frames -o #pictures", "frame_000001"),
@@ -63,7 +63,6 @@ const COMMANDS: [(&str, &str); 19] = [
     ("phantom sphere -o #p.nrrd --spacing-mm 2", "p.nrrd"),
     ("volume drilled @log -o #d.nrrd", "d.nrrd"),
     ("calibrate @sweep.toml -o #cal", "calibration.csv"),
-    ("chart drr --quick --rounds 1 --output #chart", "drr.csv"),
 ];
 
 /// Names and contents of all files below a folder.
