@@ -152,6 +152,29 @@ def holds_a_speed(page: Page) -> None:
     page.until("its own speed", lambda: page.text("phase") == "Running")
 
 
+def costs_little(page: Page) -> None:
+    """Script time of the page, measured while the run goes on at full rate, with and without slices. Nothing is asserted: it is a figure of
+    the machine."""
+    for slices_are in ("with slices", "without slices"):
+        figures = page.page.evaluate("""async () => {
+            const { work, view, connection, slices } = trabecula;
+            let [messages, milliseconds, began, first, drawn] = [0, 0, performance.now(), view.pictures, slices.pictures];
+            const took = connection.took;
+            connection.took = (one) => (took(one), (messages += 1), (milliseconds += one));
+            work.times = [];
+            await new Promise((done) => setTimeout(done, 3000));
+            connection.took = took;
+            const seconds = (performance.now() - began) / 1000;
+            return { pictures: (view.pictures - first) / seconds, drawn: work.times.length / seconds, median: work.quantile(0.5),
+                p95: work.quantile(0.95), messages: messages / seconds, share: milliseconds / seconds / 10, triangles: view.surface.triangles,
+                slices: (slices.pictures - drawn) / seconds, software: view.software };
+        }""")
+        print("page {}: script {median:.2f} ms a picture (p95 {p95:.2f}), {share:.1f} % of the time for {messages:.0f} messages/s; {drawn:.0f} "
+              "pictures/s of which {pictures:.0f} with the 3D view and {slices:.0f} with slices, {triangles} triangles, drawn by the processor: "
+              "{software}".format(slices_are, **figures), flush=True)
+        page.page.evaluate("trabecula.slices.toggle()")
+
+
 def works_with_keys_alone(page: Page) -> None:
     """The Tab key reaches every control, each shows that it has the focus, and help, pause and reset need no pointer."""
     page.page.evaluate("document.activeElement.blur()")
@@ -263,7 +286,7 @@ def check(browser: Browser, url: str, victim: int, pictures: Path) -> None:
     """All checks on one page, in turn."""
     page = Page(browser, url)
     for one in (connects, shows_the_tool, shows_bone, frames_update, holds_the_frame_that_was_asked_for, pauses_and_steps, drives,
-                drives_by_gamepad, holds_a_speed, *slices.LIVE):
+                drives_by_gamepad, holds_a_speed, costs_little, *slices.LIVE):
         _run(one, page)
     page.save(pictures / "live.png")
     for one in (works_with_keys_alone, light_and_dark):
