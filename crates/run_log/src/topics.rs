@@ -9,7 +9,7 @@ use messages::{
     RunControlReply, RunStatus, SENSOR_MSGS_IMAGE_SCHEMA, SensorReading, State, TickTiming,
 };
 
-/// A message with one topic of its own. [`messages::Command`] has one a controller: [`command`].
+/// A message with one topic of its own. [`messages::Command`] has one a controller: `command`.
 pub trait Logged: Message {
     /// Its topic.
     const TOPIC: Topic;
@@ -18,7 +18,7 @@ pub trait Logged: Message {
 /// Declares the topics, each with its name and its message.
 macro_rules! topics {
     ($($(#[$doc:meta])* $topic:ident: $message:ident = $name:literal;)*) => {
-        /// A topic of the two logs. A controller's commands have topics named after it: [`command`].
+        /// A topic of the two logs. A controller's commands have topics named after it: `command`.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
         pub enum Topic {
             $($(#[$doc])* $topic,)*

@@ -5,7 +5,7 @@ use nalgebra::{Unit, Vector3};
 /// A plane that a proxy sphere must not cross, in the configuration before the step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ContactPlane {
-    /// Index of the proxy sphere, as in [`Manipulator::proxy_spheres`](crate::manipulator::Manipulator::proxy_spheres).
+    /// Index of the proxy sphere, as in `ManipulatorModel::proxy_spheres`.
     pub sphere_index: usize,
     /// Point on the obstacle's surface, world, m. The step itself needs only `normal` and `gap_m`.
     pub point_m: Vector3<f64>,

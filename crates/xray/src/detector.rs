@@ -101,7 +101,7 @@ impl FrameSeed {
     }
 }
 
-/// A Poisson-distributed number: exact for means below [`EXACT_POISSON_BELOW`], otherwise a normal deviate of the same mean and variance,
+/// A Poisson-distributed number: exact for means below `EXACT_POISSON_BELOW`, otherwise a normal deviate of the same mean and variance,
 /// rounded.
 pub fn photon_number(mean: f64, random: u64) -> f64 {
     if mean < EXACT_POISSON_BELOW {

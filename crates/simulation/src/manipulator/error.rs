@@ -1,6 +1,6 @@
 //! Errors of construction and stepping.
 
-/// Why [`super::Manipulator::new`] or [`super::Manipulator::step`] refused its input. A refused step changes nothing.
+/// Why a manipulator refused its input. A refused step changes nothing.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum ManipulatorError {
     /// A scalar is out of range.
