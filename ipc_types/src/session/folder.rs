@@ -103,6 +103,9 @@ impl HostFolder {
 impl Drop for HostFolder {
     fn drop(&mut self) {
         remove(&self.above, &self.id, &self.handle);
+        // Closing the handle would not release the lock while a child that another thread has just forked holds a
+        // copy of it, until its `exec`.
+        let _ = flock(&self.handle, FlockOperation::Unlock);
     }
 }
 
@@ -347,5 +350,26 @@ fn remove_content(folder: &OwnedFd, kept: Option<&str>) {
         } else {
             let _ = unlinkat(folder, &*name, AtFlags::empty());
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A client took a host that had ended for alive, and left the session's memory, while another thread of the
+    /// host's process was starting a program.
+    #[test]
+    fn the_lock_ends_with_its_host_though_a_forked_child_has_a_copy_of_the_handle() {
+        let all = places();
+        let (place, _) = super::super::places::choose(&all).unwrap();
+        let host = HostFolder::create(place).unwrap();
+        let client = open(&host.path).unwrap();
+        // The same open file description, as in the child.
+        let copy = host.handle.try_clone().unwrap();
+        assert!(is_locked(&client));
+        drop(host);
+        assert!(!is_locked(&client));
+        drop(copy);
     }
 }
