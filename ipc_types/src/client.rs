@@ -14,11 +14,11 @@ use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 use rustix::fs::{Access, AtFlags};
 
 use crate::identity::Guard;
-use crate::messages::layout::Message;
+use crate::messages::layout::{Description, Message};
 use crate::messages::services::{self, CONNECTIONS_BYTES, Service};
 use crate::messages::{Blame, Command, ControllerIndex, Part};
 use crate::own::Own;
-use crate::ports::{Publisher, Subscriber};
+use crate::ports::{ByteReceiver, ByteSender, Publisher, Subscriber};
 use crate::session::{
     ANNOUNCEMENT_FILE, Announcement, ByteService, CONTROLLER_VARIABLE, PAGE_FILE, Reader, Remains,
     SESSION_VARIABLE, Session, SessionError, SessionId, await_announcement, check_layouts, create_node,
@@ -129,7 +129,7 @@ impl Session {
     /// [`SessionError::Layout`], [`SessionError::SharedMemory`], [`SessionError::Reserved`] for a service of a part that this program is
     /// not ([`Session::claim`]), or a transport failure.
     pub fn publisher<M: Message>(&self, service: &Service) -> Result<Publisher<M>, SessionError> {
-        self.named_publisher(service.name, service)
+        self.named_publisher(service.name, service, M::DESCRIPTION).map(Publisher::new)
     }
 
     /// The publisher of a controller's commands; only one at a time.
@@ -138,7 +138,8 @@ impl Session {
     /// [`SessionError::ControllerTaken`], and those of [`Session::publisher`].
     pub fn command_publisher(&self, controller: &str) -> Result<Publisher<Command>, SessionError> {
         self.controller_index(controller)?;
-        self.named_publisher(&services::command_name(controller), &services::COMMAND)
+        let name = services::command_name(controller);
+        self.named_publisher(&name, &services::COMMAND, Command::DESCRIPTION).map(Publisher::new)
     }
 
     /// A subscriber to a service.
@@ -146,7 +147,7 @@ impl Session {
     /// # Errors
     /// [`SessionError::Layout`] or a transport failure.
     pub fn subscriber<M: Message>(&self, service: &Service) -> Result<Subscriber<M>, SessionError> {
-        self.named_subscriber(service.name, service)
+        self.named_subscriber(service.name, service, M::DESCRIPTION).map(Subscriber::new)
     }
 
     /// A subscriber that keeps only the newest message. The writer then cycles through a few cached samples instead of filling a long queue
@@ -155,7 +156,8 @@ impl Session {
     /// # Errors
     /// As [`Session::subscriber`].
     pub fn newest_subscriber<M: Message>(&self, service: &Service) -> Result<Subscriber<M>, SessionError> {
-        self.named_subscriber(service.name, &Service { queue_length: 1, ..*service })
+        let service = Service { queue_length: 1, ..*service };
+        self.named_subscriber(service.name, &service, M::DESCRIPTION).map(Subscriber::new)
     }
 
     /// A subscriber with the longest queue, for readers that must not lose a message even if they stall for seconds.
@@ -163,7 +165,7 @@ impl Session {
     /// # Errors
     /// As [`Session::subscriber`].
     pub fn lossless_subscriber<M: Message>(&self, service: &Service) -> Result<Subscriber<M>, SessionError> {
-        self.named_subscriber(service.name, &lossless(service))
+        self.named_subscriber(service.name, &lossless(service), M::DESCRIPTION).map(Subscriber::new)
     }
 
     /// The subscriber of a controller's commands.
@@ -172,7 +174,8 @@ impl Session {
     /// [`SessionError::UnknownController`], and those of [`Session::subscriber`].
     pub fn command_subscriber(&self, controller: &str) -> Result<Subscriber<Command>, SessionError> {
         self.controller_index(controller)?;
-        self.named_subscriber(&services::command_name(controller), &services::COMMAND)
+        let name = services::command_name(controller);
+        self.named_subscriber(&name, &services::COMMAND, Command::DESCRIPTION).map(Subscriber::new)
     }
 
     /// As [`command_subscriber`](Session::command_subscriber), with the longest queue.
@@ -181,7 +184,8 @@ impl Session {
     /// As [`Session::command_subscriber`].
     pub fn lossless_command_subscriber(&self, controller: &str) -> Result<Subscriber<Command>, SessionError> {
         self.controller_index(controller)?;
-        self.named_subscriber(&services::command_name(controller), &lossless(&services::COMMAND))
+        let name = services::command_name(controller);
+        self.named_subscriber(&name, &lossless(&services::COMMAND), Command::DESCRIPTION).map(Subscriber::new)
     }
 
     /// Lets this process sleep until another wakes it.
@@ -223,16 +227,16 @@ impl Session {
             self.node.service_builder(&service_name).event().open().map_err(transported(&name, "opening"))?;
         let notifier = service.notifier_builder().create().map_err(transported(&name, "notifying"))?;
         let (spared, listeners) = (Cell::new(0), Cell::new(0));
-        let notifier = Own::new(notifier);
+        let (notifier, service) = (Own::new(notifier), Own::new(service));
         Ok(Waker { notifier, page: self.page.clone(), reader: reader.slot(), service, spared, listeners })
     }
 
-    pub(crate) fn open<M: Message>(&self, name: &str) -> Result<ByteService, SessionError> {
-        let ours = M::DESCRIPTION.layout_hash();
+    pub(crate) fn open(&self, name: &str, message: &Description) -> Result<ByteService, SessionError> {
+        let ours = message.layout_hash();
         let theirs = self.announcement.layouts.get(name).cloned().unwrap_or_default();
         let layout = |theirs: String| SessionError::Layout {
             service: name.to_owned(),
-            message: M::DESCRIPTION.name,
+            message: message.name,
             theirs,
             ours: ours.clone(),
         };
@@ -252,17 +256,18 @@ impl Session {
             std::thread::sleep(RETRY_TIME);
             opened = builder().open_with_attributes(&attributes);
         }
-        opened.map_err(|cause| match cause {
+        opened.map(Own::new).map_err(|cause| match cause {
             PublishSubscribeOpenError::IncompatibleAttributes => layout("another layout".to_owned()),
             other => transported(name, "opening")(other),
         })
     }
 
-    fn named_publisher<M: Message>(
+    fn named_publisher(
         &self,
         name: &str,
         service: &Service,
-    ) -> Result<Publisher<M>, SessionError> {
+        message: &Description,
+    ) -> Result<ByteSender, SessionError> {
         if !self.is_one_of(service.writers) {
             let writers: Vec<String> = service.writers.iter().map(Part::to_string).collect();
             return Err(SessionError::Reserved { service: name.to_owned(), writers: writers.join(" or ") });
@@ -274,7 +279,7 @@ impl Session {
         };
         let service = Service { max_bytes, ..*service };
         require_free(service.reserved_bytes() + CONNECTIONS_BYTES).map_err(short_memory(name))?;
-        let mut builder = self.open::<M>(name)?;
+        let mut builder = self.open(name, message)?;
         let mut made = publisher_of(&mut builder, &service);
         if matches!(made, Err(PublisherCreateError::ExceedsMaxSupportedPublishers)) {
             // Killed programs hold their slots until a cleanup.
@@ -297,16 +302,17 @@ impl Session {
             .map_err(file_error(Path::new("/dev/shm")))?
             .reserve(&self.id.shared_memory_prefix())
             .map_err(short_memory(name))?;
-        Ok(Publisher::new(raw, name.to_owned()))
+        Ok(ByteSender::new(raw, name.to_owned()))
     }
 
-    fn named_subscriber<M: Message>(
+    fn named_subscriber(
         &self,
         name: &str,
         service: &Service,
-    ) -> Result<Subscriber<M>, SessionError> {
+        message: &Description,
+    ) -> Result<ByteReceiver, SessionError> {
         require_free(CONNECTIONS_BYTES).map_err(short_memory(name))?;
-        let factory = self.open::<M>(name)?;
+        let factory = self.open(name, message)?;
         let subscriber = || factory.subscriber_builder().buffer_size(service.queue_length).create();
         let mut made = subscriber();
         if matches!(made, Err(SubscriberCreateError::ExceedsMaxSupportedSubscribers)) {
@@ -322,7 +328,7 @@ impl Session {
             other => transported(name, "subscribing")(other),
         })?;
         let guard = Guard::of(self, factory, service.writers);
-        Ok(Subscriber::new(raw, name.to_owned(), guard))
+        Ok(ByteReceiver::new(raw, name.to_owned(), guard))
     }
 }
 

@@ -116,9 +116,9 @@ impl Session {
     /// As [`Session::subscriber`].
     pub fn requesters(&self) -> Result<Requesters, SessionError> {
         let controllers = &self.announcement().controllers;
-        let command = |name: &String| self.open::<Command>(&services::command_name(name));
+        let command = |name: &String| self.open(&services::command_name(name), Command::DESCRIPTION);
         Ok(Requesters {
-            requests: self.open::<DrrRequest>(services::DRR_REQUEST.name)?,
+            requests: self.open(services::DRR_REQUEST.name, DrrRequest::DESCRIPTION)?,
             commands: controllers.iter().map(command).collect::<Result<_, _>>()?,
         })
     }
@@ -158,6 +158,6 @@ impl Sender {
 impl<M: Message> Received<M> {
     /// The connection this message came over.
     pub fn sender(&self) -> Sender {
-        Sender(self.sample.header().publisher_id())
+        Sender(self.sample.publisher_id())
     }
 }

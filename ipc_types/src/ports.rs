@@ -3,6 +3,7 @@
 use core::marker::PhantomData;
 use core::mem::MaybeUninit;
 
+use iceoryx2::identifiers::UniquePublisherId;
 use iceoryx2::port::publisher::Publisher as RawPublisher;
 use iceoryx2::port::subscriber::Subscriber as RawSubscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
@@ -86,28 +87,49 @@ pub enum PortError {
 /// Sends messages of one type.
 #[derive(Debug)]
 pub struct Publisher<M> {
-    raw: Own<RawPublisher<ipc::Service, [u8], ()>>,
-    name: String,
+    port: ByteSender,
     message: PhantomData<M>,
 }
 
 impl<M: Message> Publisher<M> {
-    pub(crate) fn new(raw: RawPublisher<ipc::Service, [u8], ()>, name: String) -> Self {
-        Publisher { raw: Own::new(raw), name, message: PhantomData }
+    pub(crate) fn new(port: ByteSender) -> Self {
+        Publisher { port, message: PhantomData }
     }
 
     /// Sends a message of fixed length.
     pub fn send(&self, message: &M) -> Result<(), PortError> {
-        self.send_parts(&[message.as_bytes()])
+        self.port.send(&[message.as_bytes()])
     }
 
     /// Sends a message and the elements that follow it; the message's last field must be their count.
     pub fn send_with_tail(&self, message: &M, tail: &[u8]) -> Result<(), PortError> {
-        self.send_parts(&[message.as_bytes(), tail])
+        self.port.send(&[message.as_bytes(), tail])
     }
 
     /// Sends the concatenation of `parts` as one message.
     pub fn send_parts(&self, parts: &[&[u8]]) -> Result<(), PortError> {
+        self.port.send(parts)
+    }
+
+    /// Delivers the history to subscribers that joined since the last call or message.
+    pub fn deliver_history(&self) -> Result<(), PortError> {
+        self.port.deliver_history()
+    }
+}
+
+/// A publisher of bytes. It knows no type of message, so that the transport's code is compiled once, in this crate.
+#[derive(Debug)]
+pub(crate) struct ByteSender {
+    raw: Own<RawPublisher<ipc::Service, [u8], ()>>,
+    name: String,
+}
+
+impl ByteSender {
+    pub(crate) fn new(raw: RawPublisher<ipc::Service, [u8], ()>, name: String) -> Self {
+        ByteSender { raw: Own::new(raw), name }
+    }
+
+    fn send(&self, parts: &[&[u8]]) -> Result<(), PortError> {
         let bytes = parts.iter().map(|part| part.len()).sum();
         let mut sample = self.raw.loan_slice_uninit(bytes).map_err(|cause| PortError::Loan {
             service: self.name.clone(),
@@ -130,8 +152,7 @@ impl<M: Message> Publisher<M> {
         Ok(())
     }
 
-    /// Delivers the history to subscribers that joined since the last call or message.
-    pub fn deliver_history(&self) -> Result<(), PortError> {
+    fn deliver_history(&self) -> Result<(), PortError> {
         self.raw
             .update_connections()
             .map_err(|cause| PortError::Send { service: self.name.clone(), cause: format!("{cause:?}") })
@@ -161,20 +182,13 @@ fn copy_here(bytes: &[u8], target: &mut [MaybeUninit<u8>]) {
 /// Receives messages of one type.
 #[derive(Debug)]
 pub struct Subscriber<M> {
-    raw: Own<RawSubscriber<ipc::Service, [u8], ()>>,
-    name: String,
-    /// Present on services that only parts of the hub may write.
-    guard: Option<Guard>,
+    port: ByteReceiver,
     message: PhantomData<M>,
 }
 
 impl<M: Message> Subscriber<M> {
-    pub(crate) fn new(
-        raw: RawSubscriber<ipc::Service, [u8], ()>,
-        name: String,
-        guard: Option<Guard>,
-    ) -> Self {
-        Subscriber { raw: Own::new(raw), name, guard, message: PhantomData }
+    pub(crate) fn new(port: ByteReceiver) -> Self {
+        Subscriber { port, message: PhantomData }
     }
 
     /// Takes the oldest message in the queue, if any. Its bytes stay in shared memory until the return value is dropped.
@@ -182,27 +196,13 @@ impl<M: Message> Subscriber<M> {
     /// Takes a message of the wrong length off the queue and returns an error. On a part's service, skips and counts messages from programs
     /// that are not that part ([`Subscriber::foreign_messages`]).
     pub fn receive(&self) -> Result<Option<Received<M>>, PortError> {
-        for _ in 0..MAX_FOREIGN_MESSAGES {
-            let sample = self.raw.receive().map_err(|cause| PortError::Receive {
-                service: self.name.clone(),
-                cause: format!("{cause:?}"),
-            })?;
-            let Some(sample) = sample else { return Ok(None) };
-            let part = match &self.guard {
-                None => None,
-                Some(guard) => match guard.part_of(sample.header().publisher_id()) {
-                    None => continue,
-                    known => known,
-                },
-            };
-            return Received::new(sample, part, &self.name).map(Some);
-        }
-        Ok(None)
+        let Some((sample, part)) = self.port.receive()? else { return Ok(None) };
+        Received::new(sample, part, &self.port.name).map(Some)
     }
 
     /// Messages so far from programs that are not the part that owns the service.
     pub fn foreign_messages(&self) -> u64 {
-        self.guard.as_ref().map_or(0, Guard::foreign_messages)
+        self.port.guard.as_ref().map_or(0, Guard::foreign_messages)
     }
 
     /// Takes the oldest valid message, if any, on services that every client may write. Messages of the wrong length go to `refused`, a
@@ -234,25 +234,78 @@ impl<M: Message> Subscriber<M> {
 
     /// Whether the queue holds a message.
     pub fn has_message(&self) -> bool {
+        self.port.has_message()
+    }
+}
+
+/// A subscriber of bytes, as [`ByteSender`] is a publisher.
+#[derive(Debug)]
+pub(crate) struct ByteReceiver {
+    raw: Own<RawSubscriber<ipc::Service, [u8], ()>>,
+    name: String,
+    /// Present on services that only parts of the hub may write.
+    guard: Option<Guard>,
+}
+
+impl ByteReceiver {
+    pub(crate) fn new(
+        raw: RawSubscriber<ipc::Service, [u8], ()>,
+        name: String,
+        guard: Option<Guard>,
+    ) -> Self {
+        ByteReceiver { raw: Own::new(raw), name, guard }
+    }
+
+    /// The oldest message and the part that sent it, skipping those of programs that are not that part.
+    fn receive(&self) -> Result<Option<(ByteSample, Option<Part>)>, PortError> {
+        for _ in 0..MAX_FOREIGN_MESSAGES {
+            let sample = self.raw.receive().map_err(|cause| PortError::Receive {
+                service: self.name.clone(),
+                cause: format!("{cause:?}"),
+            })?;
+            let Some(sample) = sample else { return Ok(None) };
+            let part = match &self.guard {
+                None => None,
+                Some(guard) => match guard.part_of(sample.header().publisher_id()) {
+                    None => continue,
+                    known => known,
+                },
+            };
+            return Ok(Some((ByteSample(Own::new(sample)), part)));
+        }
+        Ok(None)
+    }
+
+    fn has_message(&self) -> bool {
         self.raw.has_samples().unwrap_or(true)
+    }
+}
+
+/// A message's bytes in shared memory.
+#[derive(Debug)]
+pub(crate) struct ByteSample(Own<Sample<ipc::Service, [u8], ()>>);
+
+impl ByteSample {
+    pub(crate) fn publisher_id(&self) -> UniquePublisherId {
+        self.0.header().publisher_id()
+    }
+
+    fn payload(&self) -> &[u8] {
+        self.0.payload()
     }
 }
 
 /// A message in shared memory. Copy it before deciding on its content: its writer is another process and could change it.
 #[derive(Debug)]
 pub struct Received<M> {
-    pub(crate) sample: Own<Sample<ipc::Service, [u8], ()>>,
+    pub(crate) sample: ByteSample,
     part: Option<Part>,
     /// A copy, if the message is not aligned in shared memory.
     copy: Option<Box<M>>,
 }
 
 impl<M: Message> Received<M> {
-    fn new(
-        sample: Sample<ipc::Service, [u8], ()>,
-        part: Option<Part>,
-        service: &str,
-    ) -> Result<Self, PortError> {
+    fn new(sample: ByteSample, part: Option<Part>, service: &str) -> Result<Self, PortError> {
         let bytes = sample.payload();
         M::DESCRIPTION.check_length(bytes).map_err(|expected| PortError::Length {
             service: service.to_owned(),
@@ -263,7 +316,7 @@ impl<M: Message> Received<M> {
             Ok(_) => None,
             Err(_) => M::read_from_prefix(bytes).ok().map(|(message, _)| Box::new(message)),
         };
-        Ok(Received { sample: Own::new(sample), part, copy })
+        Ok(Received { sample, part, copy })
     }
 
     /// The part that sent it; `None` on services that every client may write.

@@ -177,6 +177,7 @@ fn create_byte_service(
         .max_subscribers(service.max_subscribers)
         .max_nodes(MAX_NODES)
         .create_with_attributes(&attributes)
+        .map(Own::new)
         .map_err(transported(name, "creating"))
 }
 
@@ -188,5 +189,6 @@ fn create_event_service(node: &Node<ipc::Service>, name: &str) -> Result<EventSe
         .max_listeners(2)
         .max_nodes(MAX_NODES)
         .create()
+        .map(Own::new)
         .map_err(transported(name, "creating"))
 }

@@ -48,8 +48,8 @@ pub const CONTROLLER_VARIABLE: &str = "TRABECULA_CONTROLLER";
 /// The file of the shared page in a session's folder.
 pub(crate) const PAGE_FILE: &str = "wake.flags";
 
-pub(crate) type ByteService = publish_subscribe::PortFactory<ipc::Service, [u8], ()>;
-pub(crate) type EventService = event::PortFactory<ipc::Service>;
+pub(crate) type ByteService = Own<publish_subscribe::PortFactory<ipc::Service, [u8], ()>>;
+pub(crate) type EventService = Own<event::PortFactory<ipc::Service>>;
 
 /// A session as one process sees it: its node and access to the services.
 #[derive(Debug)]
