@@ -137,7 +137,8 @@ mod tests {
     use super::*;
     use test_support::grammar;
 
-    /// Commands that print no figures: their answer is text for another program, a picture or a page, or files alone.
+    /// Commands that print no figures: their answer is text for another program, a picture or a page, or
+    /// files alone.
     const WITHOUT_FIGURES: [&str; 21] = [
         "bridge igtl",
         "bridge ros2",

@@ -1,5 +1,5 @@
-//! What every `--help` ends with: examples and exit codes. Both programs' command lines are completed here, so that no
-//! command is without.
+//! What every `--help` ends with: examples and exit codes. Both programs' command lines are completed here,
+//! so that no command is without.
 
 use clap::Command;
 
@@ -8,8 +8,8 @@ use crate::program::EXIT_CODES;
 /// The examples of `trabecula`, one command line a line.
 pub const EXAMPLES: &str = include_str!("examples.txt");
 
-/// The command line with exit codes in the help of each of its commands, and those of the `examples`, one a line, that
-/// call it.
+/// The command line with exit codes in the help of each of its commands, and those of the `examples`, one a
+/// line, that call it.
 pub fn completed(command: Command, examples: &str) -> Command {
     let program = command.get_name().to_owned();
     below(command.after_help(EXIT_CODES), &program, examples)

@@ -1,9 +1,10 @@
-//! `trabecula proc keep`: runs a third-party program, and ends everything that it started when the program or the
-//! launcher ends.
+//! `trabecula proc keep`: runs a third-party program, and ends everything that it started when the program or
+//! the launcher ends.
 //!
-//! The kernel sends a parent-death signal to direct children only, and a daemon leaves its parent's group and session.
-//! This process therefore sits between launcher and program as a subreaper: orphans of the program become its
-//! children. Its standard input is a socket to the launcher, which closes however the launcher dies.
+//! The kernel sends a parent-death signal to direct children only, and a daemon leaves its parent's group and
+//! session. This process therefore sits between launcher and program as a subreaper: orphans of the program
+//! become its children. Its standard input is a socket to the launcher, which closes however the launcher
+//! dies.
 
 use std::ffi::OsString;
 use std::io::{Read, Write};
@@ -28,8 +29,8 @@ use crate::failure::Failure;
 pub const END_AT_ONCE: u8 = b'K';
 /// How long the program may take to end after the launcher has ended.
 const GRACE_PERIOD: Duration = Duration::from_secs(2);
-/// How long killed processes may take to disappear, on a starved machine too; the kernel is left to deal with any stuck
-/// in an uninterruptible system call. A launcher that ends its run waits less.
+/// How long killed processes may take to disappear, on a starved machine too; the kernel is left to deal with
+/// any stuck in an uninterruptible system call. A launcher that ends its run waits less.
 const KILL_LIMIT: Duration = Duration::from_secs(10);
 const KILL_POLL_PERIOD: Duration = Duration::from_millis(2);
 
@@ -174,8 +175,9 @@ impl Kept {
     }
 
     /// Kills all descendants until the kernel says that there are none: a process whose parent ends becomes a
-    /// child of this subreaper at once, so without children it has no descendants. A look through `/proc` cannot say so. It misses a
-    /// process that was spawned after the numbers were listed by one that has ended before its own entry was read.
+    /// child of this subreaper at once, so without children it has no descendants. A look through `/proc`
+    /// cannot say so. It misses a process that was spawned after the numbers were listed by one that has
+    /// ended before its own entry was read.
     fn end_all(&mut self) {
         let end = Instant::now() + KILL_LIMIT;
         while self.reap() && Instant::now() < end {

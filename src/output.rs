@@ -1,9 +1,9 @@
-//! Output files of commands: never overwrite an existing file, never leave a partial one. Every command with an output
-//! uses this module.
+//! Output files of commands: never overwrite an existing file, never leave a partial one. Every command with
+//! an output uses this module.
 //!
-//! This also keeps a command from overwriting its input, which exists. A command checks before its work, so that it
-//! refuses at once and writes nothing. An output gets its name only once it is complete, and only if the name is still
-//! free (`output_file`).
+//! This also keeps a command from overwriting its input, which exists. A command checks before its work, so
+//! that it refuses at once and writes nothing. An output gets its name only once it is complete, and only if
+//! the name is still free (`output_file`).
 
 use std::path::{Path, PathBuf};
 
@@ -58,9 +58,10 @@ pub fn within(folder: &Path, names: &[&str]) -> Vec<PathBuf> {
 
 #[cfg(test)]
 mod tests {
-    /// Commands with an output, and the argument that names it. All are in the table of `tests/processes/outputs.rs`,
-    /// except `run` and `stress`, which create a folder with a new name, and `proc recorder`, which `run` starts in it;
-    /// `sweep list`, which writes nothing; and `sweep run`, which takes a new folder or its own (`tests/processes/sweeps.rs`).
+    /// Commands with an output, and the argument that names it. All are in the table of
+    /// `tests/processes/outputs.rs`, except `run` and `stress`, which create a folder with a new name, and
+    /// `proc recorder`, which `run` starts in it; `sweep list`, which writes nothing; and `sweep run`, which
+    /// takes a new folder or its own (`tests/processes/sweeps.rs`).
     const KNOWN: [&str; 21] = [
         "calibrate --output",
         "docs install --output",

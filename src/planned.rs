@@ -4,12 +4,14 @@ use std::path::Path;
 
 use markups::{Arc, Plan};
 
-/// Bend of the standard tool in air per newton on its tendon, deg: `configs/calibration/tension_sweep.csv`. Feedback corrects what bone adds.
+/// Bend of the standard tool in air per newton on its tendon, deg: `configs/calibration/tension_sweep.csv`.
+/// Feedback corrects what bone adds.
 const BEND_DEG_PER_N: f64 = 8.65;
 /// Feed on a curve, mm/s: that of the default scene.
 const FEED_MM_PER_S: f64 = 1.5;
-/// Feed on a straight line, mm/s. No tendon holds the tool there: the burr's force, which grows with the feed, bends it off the line. In
-/// the dense bone behind 55 mm of the pelvis phantom it ends 0.89 mm off at 1.5 mm/s and 0.62 mm off at this (test `plans`).
+/// Feed on a straight line, mm/s. No tendon holds the tool there: the burr's force, which grows with
+/// the feed, bends it off the line. In the dense bone behind 55 mm of the pelvis phantom it ends 0.89
+/// mm off at 1.5 mm/s and 0.62 mm off at this (test `plans`).
 const STRAIGHT_FEED_MM_PER_S: f64 = 0.5;
 /// Simulated time after the feed, s: the tool comes to rest.
 const REST_S: f64 = 2.0;

@@ -1,9 +1,9 @@
-//! Writes the launcher's output on a separate thread, so that a stopped terminal (Ctrl-S) or an unread pipe delays
-//! neither the response to a signal nor the run. Before [`start`], and in every other command, output is written
-//! directly.
+//! Writes the launcher's output on a separate thread, so that a stopped terminal (Ctrl-S) or an unread pipe
+//! delays neither the response to a signal nor the run. Before [`start`], and in every other command, output
+//! is written directly.
 //!
-//! Output that does not fit the queue is dropped and counted. The command's answer, its standard output, is never
-//! dropped: `finish` waits for it at the end, up to a limit, unless a signal cuts the wait short.
+//! Output that does not fit the queue is dropped and counted. The command's answer, its standard output, is
+//! never dropped: `finish` waits for it at the end, up to a limit, unless a signal cuts the wait short.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -30,8 +30,8 @@ const HURRIED_LIMIT: Duration = Duration::from_millis(500);
 /// Interval between retries on a stream that is non-blocking.
 const RETRY: Duration = Duration::from_millis(10);
 
-/// Printers of standard output and standard error; the same printer twice if both lead to the same place, to keep the
-/// order.
+/// Printers of standard output and standard error; the same printer twice if both lead to the same place, to
+/// keep the order.
 static PRINTERS: OnceLock<[Arc<Printer>; 2]> = OnceLock::new();
 static HURRIED: AtomicBool = AtomicBool::new(false);
 
@@ -229,8 +229,8 @@ pub fn leave(code: u8) -> ! {
     std::process::exit(code.into());
 }
 
-/// Whether earlier output still waits for the terminal; then do not draw a table that would be outdated when it
-/// appears.
+/// Whether earlier output still waits for the terminal; then do not draw a table that would be outdated when
+/// it appears.
 pub fn is_behind() -> bool {
     PRINTERS.get().is_some_and(|printers| !printers[1].lock().waiting.is_empty())
 }
@@ -286,7 +286,8 @@ mod tests {
         let to = Arc::new(File::from(std::os::fd::OwnedFd::from(writer)));
         let printer = Printer::start().unwrap();
         let line = [b"x".repeat(99), b"\n".to_vec()].concat();
-        // More than a pipe and the queue hold; how much exactly depends on what the printer has taken meanwhile.
+        // More than a pipe and the queue hold; how much exactly depends on what the printer has taken
+        // meanwhile.
         let lines = 5000;
         (0..lines).for_each(|_| printer.push(&to, Priority::Echo, &line));
         printer.push(&to, Priority::Word, b"a word\n");
@@ -300,7 +301,8 @@ mod tests {
         // The printer's handle is dropped with its last piece; the thread waits for more.
         let text = text_within(&reading, ANSWER_LIMIT, "the pipe");
         let shown = text.lines().filter(|line| line.starts_with('x')).count();
-        // One notice, or several where the printer made room while lines still came: together they count every line.
+        // One notice, or several where the printer made room while lines still came: together they count
+        // every line.
         let notice = |line: &str| -> Option<usize> {
             let told = line.strip_prefix("trabecula: ")?;
             told.strip_suffix(" lines dropped because nothing read standard error")?.parse().ok()

@@ -15,8 +15,8 @@ const EXIT_DONE: u8 = 0;
 /// The exit codes, for the help.
 pub const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed; 2 bad input; 3 done, but the log has a gap or is incomplete; 130 interrupted";
 
-/// Runs a program: `parse` reads its command line, `dispatch` executes the command. A command that returns an exit code, as a part of a
-/// session does, prints no answer and ends with that code.
+/// Runs a program: `parse` reads its command line, `dispatch` executes the command. A command that returns an
+/// exit code, as a part of a session does, prints no answer and ends with that code.
 pub fn run<C>(
     parse: impl FnOnce() -> Result<C, clap::Error>,
     dispatch: impl FnOnce(C) -> Result<Option<ExitCode>, Failure>,
@@ -36,8 +36,8 @@ pub fn run<C>(
     ExitCode::from(with_its_answer(code))
 }
 
-/// Prepares this process: exceeding the file size limit becomes an error instead of killing the process, and remarks about the cache of
-/// volumes are told.
+/// Prepares this process: exceeding the file size limit becomes an error instead of killing the process, and
+/// remarks about the cache of volumes are told.
 fn start() -> Result<(), Failure> {
     crate::cache::tell_remarks_by(|text| tell!("trabecula: {text}"));
     signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::new(AtomicBool::new(false)))
@@ -63,8 +63,8 @@ fn parsed<A>(parsed: Result<A, clap::Error>) -> Result<Option<A>, Failure> {
     }
 }
 
-/// The exit code of a command that ends with `code`: if its answer could not be written, success or a gap becomes a
-/// failure.
+/// The exit code of a command that ends with `code`: if its answer could not be written, success or a gap
+/// becomes a failure.
 fn with_its_answer(code: u8) -> u8 {
     let unwritten = printer::finish_answers().or_else(|| say::unwritten().map(str::to_owned));
     let code = match unwritten {

@@ -1,6 +1,6 @@
-//! A file that redirects the browser to the viewer's page. The page's address holds the token, and every user of the
-//! machine can read every program's arguments, so the address must not be one. Only this user may read the file; the
-//! viewer removes it, or, if it was killed, the next viewer or run does.
+//! A file that redirects the browser to the viewer's page. The page's address holds the token, and every user
+//! of the machine can read every program's arguments, so the address must not be one. Only this user may read
+//! the file; the viewer removes it, or, if it was killed, the next viewer or run does.
 
 use std::ffi::OsStr;
 use std::fs::File;
@@ -26,8 +26,8 @@ pub struct RedirectFile {
 }
 
 impl RedirectFile {
-    /// Asks the desktop to open a new redirect file. None without a desktop, or if the file cannot be written: the
-    /// address has already been printed.
+    /// Asks the desktop to open a new redirect file. None without a desktop, or if the file cannot be
+    /// written: the address has already been printed.
     pub fn open(url: &str, folder: &Path) -> Option<RedirectFile> {
         if !["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some()) {
             return None;
@@ -75,8 +75,8 @@ fn has_our_name(name: &OsStr) -> bool {
     middle.is_some_and(|text| text.len() == RANDOM && text.bytes().all(|byte| byte.is_ascii_alphanumeric()))
 }
 
-/// Whether the file is private to this user, has one link, starts as a viewer's file does, and is not locked by a
-/// viewer.
+/// Whether the file is private to this user, has one link, starts as a viewer's file does, and is not locked
+/// by a viewer.
 fn is_dead_viewers(path: &Path) -> bool {
     let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
     let Ok(file) = openat(CWD, path, flags, Mode::empty()).map(File::from) else { return false };

@@ -1,8 +1,8 @@
 //! Standard output and error. Every command prints through this module.
 //!
-//! A reader that stops early (`| head`) is not an error. An answer that cannot be written is one, whatever else the
-//! command has done: [`unwritten`] reports it at the end. Output may contain untrusted text, so everything that a
-//! terminal would interpret is escaped.
+//! A reader that stops early (`| head`) is not an error. An answer that cannot be written is one, whatever
+//! else the command has done: [`unwritten`] reports it at the end. Output may contain untrusted text, so
+//! everything that a terminal would interpret is escaped.
 
 use std::io::{self, BufWriter, ErrorKind, Stdout, StdoutLock, Write};
 use std::sync::OnceLock;
@@ -101,15 +101,16 @@ pub fn line(out: &mut dyn Write, text: &str) {
     let _ = out.write_all(text.as_bytes());
 }
 
-/// Like `println!`, but a failed write is reported only when the command ends, and untrusted text is escaped as by
-/// `foreign_text`.
+/// Like `println!`, but a failed write is reported only when the command ends, and untrusted text is escaped
+/// as by `foreign_text`.
 #[macro_export]
 macro_rules! say {
     () => { $crate::say::answer("") };
     ($($arguments:tt)*) => { $crate::say::answer(&format!($($arguments)*)) };
 }
 
-/// Like `eprintln!`, with the same escaping; write failures are ignored, since there is nowhere left to report them.
+/// Like `eprintln!`, with the same escaping; write failures are ignored, since there is nowhere left to
+/// report them.
 #[macro_export]
 macro_rules! tell {
     ($($arguments:tt)*) => { $crate::say::line(&mut $crate::printer::Words, &format!($($arguments)*)) };

@@ -7,7 +7,8 @@ use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use simulation::arm::{ArmParameters, six_joints};
 use trabecula::commands::view_arm::{arm_looks, arm_parts};
 
-/// Two joints about z, 0.4 m and 0.3 m long, then four about x and y in one place; a cube of 2 cm on the second link.
+/// Two joints about z, 0.4 m and 0.3 m long, then four about x and y in one place; a cube of 2 cm on the
+/// second link.
 const SCENE: &str = "name = \"a\"
 run = { mode = \"lockstep\", duration_s = 1.0 }
 tool = { burr_start_mm = [0.0, 0.0, 0.0], direction = [1.0, 0.0, 0.0], bend_toward = [0.0, 0.0, 1.0] }
@@ -70,7 +71,8 @@ fn a_cube_on_the_second_link_moves_as_two_joints_in_a_plane_say() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("cube.stl"), cube(-10.0, 10.0)).unwrap();
     for mirrored in [1.0, -1.0] {
-        // Half a turn about the link's x swaps y and z's signs; the cube's centre stands 0.3 m along the link and 0.05 m above it.
+        // Half a turn about the link's x swaps y and z's signs; the cube's centre stands 0.3 m along the link
+        // and 0.05 m above it.
         let look = format!(
             "<visual><origin xyz=\"0.3 0 0.05\" rpy=\"3.141592653589793 0 0\"/>\
                  <geometry><mesh filename=\"cube.stl\" scale=\"0.001 0.001 {}\"/></geometry></visual>",

@@ -1,6 +1,7 @@
 //! The viewer's page in a real browser: headless Chromium, driven by Playwright (`tests/browser/*.py`).
 //!
-//! Chromium is the system's, or comes from npm into the target folder; its screenshots lie in `target/tmp/browser`.
+//! Chromium is the system's, or comes from npm into the target folder; its screenshots lie in
+//! `target/tmp/browser`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 #[allow(dead_code, reason = "these tests need a part of what the others share")]
@@ -130,8 +131,8 @@ fn skip(reason: &str) {
     println!("\n*** SKIPPED: the page in a browser: {reason} ***\n");
 }
 
-/// Makes the checks, and once more where they fail: a browser whose pictures the processor draws, on a machine that others use, is
-/// late at times. What fails twice has failed.
+/// Makes the checks, and once more where they fail: a browser whose pictures the processor draws, on a
+/// machine that others use, is late at times. What fails twice has failed.
 fn twice(attempt: impl Fn() -> Result<(), String>) {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     if let Err(first) = attempt() {
@@ -180,7 +181,8 @@ fn commands(folder: &Path, burr_speed_rad_per_s: f64) -> usize {
     ticks.map_while(Result::ok).filter(is_asked).count()
 }
 
-/// Sets a flag when it is dropped, in a panic too: a check that ran into its limit left the test waiting for its thread.
+/// Sets a flag when it is dropped, in a panic too: a check that ran into its limit left the test waiting for
+/// its thread.
 struct SetAtEnd<'f>(&'f AtomicBool);
 
 impl Drop for SetAtEnd<'_> {
@@ -200,7 +202,8 @@ fn a_live_run_is_watched_and_driven_from_the_page() {
         let over = AtomicBool::new(false);
         std::thread::scope(|scope| {
             let _over = SetAtEnd(&over);
-            // Another hub clears the dead session away at once: the viewer must not take the end for a regular one.
+            // Another hub clears the dead session away at once: the viewer must not take the end for a
+            // regular one.
             scope.spawn(|| {
                 while !over.load(Ordering::Relaxed) && host_is_alive(Path::new(&session)) {
                     std::thread::sleep(Duration::from_millis(1));
@@ -209,7 +212,8 @@ fn a_live_run_is_watched_and_driven_from_the_page() {
             });
             check(&python, "live", &viewer, &["--victim".to_owned(), run.pid().to_string()])
         })?;
-        // The page has ended the launcher; the other parts finish the log. What the gamepad commanded is in it, and replays.
+        // The page has ended the launcher; the other parts finish the log. What the gamepad commanded is in
+        // it, and replays.
         let folder = run.end().folder;
         wait_for("the end of the other parts", || parts_of(&session).is_empty().then_some(()));
         assert!(commands(&folder, GAMEPAD_RAD_PER_S) > 0, "the gamepad's burr speed is not in the log");

@@ -1,4 +1,5 @@
-//! The cores compute and do nothing else: no core depends on a crate that waits, sends or opens, and none reads a clock.
+//! The cores compute and do nothing else: no core depends on a crate that waits, sends or opens, and none
+//! reads a clock.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests fail the test")]
 
@@ -30,7 +31,8 @@ const CORES: [(&str, &str); 17] = [
     ("hub_simulator", "crates/hub/simulator"),
 ];
 
-/// Crates that no core reaches, and why. Only normal dependencies count: tests and build scripts may use them.
+/// Crates that no core reaches, and why. Only normal dependencies count: tests and build scripts may use
+/// them.
 const KEPT_OUT: [(&str, &str); 17] = [
     ("iceoryx2", "shared memory: a core that sends can be driven by nothing but the real transport"),
     ("ipc_types", "sessions, ports and the monotonic clock: the transport itself"),
@@ -84,7 +86,8 @@ const UNSAID: [(&str, &str); 21] = [
     ("std::{", "an import that this test does not look into: write one line for each"),
 ];
 
-/// What is said all the same: file, what, and why that is right. A line that is no longer needed fails the test.
+/// What is said all the same: file, what, and why that is right. A line that is no longer needed fails the
+/// test.
 const SAID_ALL_THE_SAME: [(&str, &str, &str); 1] = [(
     "crates/scene/src/lib.rs",
     "std::path::absolute",
@@ -208,7 +211,8 @@ fn members() -> Vec<String> {
     packages.iter().map(|package| package["name"].as_str().unwrap().to_owned()).collect()
 }
 
-/// Fails unless each selection gives every crate the features that it has in a build of the whole workspace with its tests.
+/// Fails unless each selection gives every crate the features that it has in a build of the whole workspace
+/// with its tests.
 fn assert_one_build_of_each_crate<'a>(selections: impl IntoIterator<Item = Vec<&'a str>>, edges: &str) {
     let whole = crates_with_features(&["--workspace", "--edges", "normal,build,dev"]);
     let mut apart = BTreeMap::<String, String>::new();
@@ -261,7 +265,8 @@ fn dependencies_of_tests_and_build_scripts_do_not_count() {
     assert_eq!(graph(r#""build""#).way("hub", "tokio"), None);
 }
 
-/// The lines of a source that are compiled into the crate, with their numbers: no comments, and nothing behind `#[cfg(test)]`.
+/// The lines of a source that are compiled into the crate, with their numbers: no comments, and nothing
+/// behind `#[cfg(test)]`.
 fn code_of(source: &str) -> Vec<(usize, &str)> {
     let mut in_tests = false;
     let mut code = Vec::new();

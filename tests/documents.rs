@@ -202,8 +202,8 @@ fn value(path: &str, expression: &str) -> u64 {
     }
 }
 
-/// Constants that are named like capacities and limit nothing that a user has: working memory of a method, time, what is derived from a
-/// listed constant, what a report or a terminal shows.
+/// Constants that are named like capacities and limit nothing that a user has: working memory of a method,
+/// time, what is derived from a listed constant, what a report or a terminal shows.
 const NO_CAPACITIES: &[(&str, &str)] = &[
     ("LONGEST", "ipc_types/src/session/folder.rs"),
     ("LONGEST_GAP", "crates/run_log/src/gaps.rs"),

@@ -67,7 +67,8 @@ fn with_tool(from: &str, to: &str) -> Scene {
     Scene::parse_with(text, &folder.join("scene.toml"), &read).unwrap()
 }
 
-/// What each of them takes from one line of a tool file: physics, X-ray, viewer, exported surface, robot description.
+/// What each of them takes from one line of a tool file: physics, X-ray, viewer, exported surface, robot
+/// description.
 #[test]
 fn a_changed_radius_in_a_tool_file_changes_physics_x_ray_and_viewer() {
     let seen = |scene: &Scene| {

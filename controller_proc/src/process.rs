@@ -174,7 +174,8 @@ impl Ports {
         Ok(())
     }
 
-    /// Gives the controller the readings that arrive up to the state of this tick. They were published before it.
+    /// Gives the controller the readings that arrive up to the state of this tick. They were published before
+    /// it.
     fn readings_for(&mut self, tick: Tick, controller: &mut dyn Controller) -> Result<(), PortError> {
         let Some(readings) = &self.readings else { return Ok(()) };
         loop {

@@ -1,5 +1,5 @@
-//! Gives the crate its target, its compiler, and a hash of all source code that decides a tick. They go into every
-//! log's header, so that a log of another build is refused by name.
+//! Gives the crate its target, its compiler, and a hash of all source code that decides a tick. They go into
+//! every log's header, so that a log of another build is refused by name.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,5 @@
-//! Time (ms) and error of the exact projectors on a thigh of 240 x 200 x 320 voxels of 1 mm, 384 x 384 pixels.
+//! Time (ms) and error of the exact projectors on a thigh of 240 x 200 x 320 voxels of 1 mm, 384 x 384
+//! pixels.
 //!
 //! `cargo run --release -p drr_proc --example render_time -- [threads]`
 

@@ -16,7 +16,8 @@ impl Machine for ThisMachine {
         pool.build().map_err(|cause| cause.to_string())
     }
 
-    /// Uses the standard library's clock, which also works under valgrind (`trabecula-lab bench instructions`).
+    /// Uses the standard library's clock, which also works under valgrind (`trabecula-lab bench
+    /// instructions`).
     fn now_ns(&self) -> u64 {
         static START: LazyLock<Instant> = LazyLock::new(Instant::now);
         START.elapsed().as_nanos() as u64

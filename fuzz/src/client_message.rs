@@ -38,8 +38,9 @@ thread_local! {
     });
 }
 
-/// The first byte says what it is: a message of any service by its length, a request for an X-ray, or commands one after
-/// the other. Every tick after an accepted command is made, and ends in a state of finite numbers.
+/// The first byte says what it is: a message of any service by its length, a request for an X-ray, or
+/// commands one after the other. Every tick after an accepted command is made, and ends in a state of finite
+/// numbers.
 pub fn client_message(data: &[u8]) {
     let Some((kind, bytes)) = data.split_first() else { return };
     match kind {

@@ -66,7 +66,8 @@ manipulator = { model = "modal" }
 const LONGEST: usize = 1 << 20;
 
 struct World {
-    // In a box, and made one at a time: four of 105 kB, moved a few times each, are too many for the 2 MB of a thread's stack.
+    // In a box, and made one at a time: four of 105 kB, moved a few times each, are too many for the 2 MB of
+    // a thread's stack.
     simulation: Box<Simulation<'static>>,
     initial: SimulationSnapshot,
     start: State,
@@ -131,9 +132,9 @@ thread_local! {
     static WORLDS: RefCell<Vec<World>> = RefCell::new(SCENES.iter().map(|text| World::new(text)).collect());
 }
 
-/// The first byte says which scene's; the others are the keyframe. What is taken leads to ticks, and comes out again as a
-/// keyframe that is taken. The world of rigid bodies is Rapier's own, whose tables only Rapier could check: where it panics, a replay
-/// says so and goes on (`run_log::segments`), and so does this target.
+/// The first byte says which scene's; the others are the keyframe. What is taken leads to ticks, and comes
+/// out again as a keyframe that is taken. The world of rigid bodies is Rapier's own, whose tables only Rapier
+/// could check: where it panics, a replay says so and goes on (`run_log::segments`), and so does this target.
 pub fn keyframe(data: &[u8]) {
     let Some((scene, bytes)) = data.split_first() else { return };
     WORLDS.with_borrow_mut(|worlds| {

@@ -1,8 +1,8 @@
-//! What a fuzzer runs: every reader of foreign bytes as a function of bytes that must end without a panic, without much
-//! memory and soon, whatever the bytes are. Each function checks what must hold besides.
+//! What a fuzzer runs: every reader of foreign bytes as a function of bytes that must end without a panic,
+//! without much memory and soon, whatever the bytes are. Each function checks what must hold besides.
 //!
-//! `tests/stable.rs` runs them with stable Rust over the kept corpus and over mutated seeds; `libfuzzer/` runs them under
-//! libFuzzer. See `fuzz/README.md`.
+//! `tests/stable.rs` runs them with stable Rust over the kept corpus and over mutated seeds; `libfuzzer/`
+//! runs them under libFuzzer. See `fuzz/README.md`.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,

@@ -9,8 +9,8 @@ const SCENE: &str = "name = \"plan\"\n[run]\nmode = \"lockstep\"\nduration_s = 1
                      [drr]\nrate_hz = 0.0\ncolumns = 16\nrows = 16\npixel_pitch_mm = 1.0\n[[controller]]\nname = \"c\"\ndrives = []\n\
                      curved_drilling = { feed_mm_per_s = 1.0, tension_n = 1.0, burr_speed_rpm = 0.0, feedback = \"none\" }\n";
 
-/// A file of markups. What is taken has finite places and reads as itself when written; a plan in it makes a scene, or the scene says
-/// which of its keys is out of range.
+/// A file of markups. What is taken has finite places and reads as itself when written; a plan in it makes a
+/// scene, or the scene says which of its keys is out of range.
 pub fn plan(data: &[u8]) {
     let Ok(text) = std::str::from_utf8(data) else { return };
     let Ok(markups) = read(text) else { return };

@@ -261,15 +261,17 @@ pub fn dicom() -> Vec<Vec<u8>> {
     ]
 }
 
-/// A JPEG 2000 codestream of 130 x 100 pixels (ITU-T T.800) with what [`jpeg_2000`] lacks: four tiles, two decompositions by the irreversible
-/// transform, three layers, precincts, code-blocks of 16 x 16 in several passes' segments, and packets of arbitrary bits.
+/// A JPEG 2000 codestream of 130 x 100 pixels (ITU-T T.800) with what [`jpeg_2000`] lacks: four tiles, two
+/// decompositions by the irreversible transform, three layers, precincts, code-blocks of 16 x 16 in several
+/// passes' segments, and packets of arbitrary bits.
 fn jpeg_2000_tiles() -> Vec<u8> {
     let whole = jpeg_2000(100, 130);
     let [siz, main] = [whole[..45].to_vec(), whole[45..].to_vec()];
     let mut data = siz;
     data[24..28].copy_from_slice(&65_u32.to_be_bytes());
     data[28..32].copy_from_slice(&50_u32.to_be_bytes());
-    // By position, markers of packets, three layers; blocks of 16 x 16, terminated and bypassing the arithmetic coder.
+    // By position, markers of packets, three layers; blocks of 16 x 16, terminated and bypassing the
+    // arithmetic coder.
     data.extend([0xff, 0x52, 0, 15, 7, 2, 0, 3, 0, 2, 2, 2, 0x2d, 0, 0x44, 0x55, 0x66]);
     // Two guard bits, the exponents and mantissas of 7 subbands.
     data.extend([0xff, 0x5c, 0, 17, 0x42]);

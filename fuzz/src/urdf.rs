@@ -9,7 +9,8 @@ const SCENE: &str = "name = \"arm\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.
                      direction = [1.0, 0.0, 0.0]\nbend_toward = [0.0, 0.0, 1.0]\n[arm]\nurdf = \"a\"\n\
                      initial_joints_deg = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n";
 
-/// A URDF file. What is taken is an arm of finite poses, and its scene is the same when written and read again.
+/// A URDF file. What is taken is an arm of finite poses, and its scene is the same when written and read
+/// again.
 pub fn urdf(data: &[u8]) {
     let Ok(text) = std::str::from_utf8(data) else { return };
     let Ok(scene) = Scene::parse_with(SCENE, Path::new("/s.toml"), &|_| Ok(text.to_owned())) else { return };

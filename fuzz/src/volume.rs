@@ -121,8 +121,9 @@ pub fn metaimage(data: &[u8]) {
     }
 }
 
-/// DICOM: a file, read with its neighbour in the series, and its data set deflated by us; or, where it is none, a data set without a
-/// preamble, and packed pixels of a slice that is valid but for them. Their first bytes are transfer syntax, rows and columns.
+/// DICOM: a file, read with its neighbour in the series, and its data set deflated by us; or, where it is
+/// none, a data set without a preamble, and packed pixels of a slice that is valid but for them. Their first
+/// bytes are transfer syntax, rows and columns.
 pub fn dicom(data: &[u8]) {
     if data.get(128..132) == Some(b"DICM") {
         read("series/001.dcm", data);
@@ -144,7 +145,8 @@ pub fn dicom(data: &[u8]) {
     read("v.dcm", &slice.bytes());
 }
 
-/// A slice's meta group that says "deflated", and behind it what follows the preamble and the first 200 bytes, deflated.
+/// A slice's meta group that says "deflated", and behind it what follows the preamble and the first 200
+/// bytes, deflated.
 fn deflated(data: &[u8]) -> Vec<u8> {
     let slice = DicomSlice { transfer_syntax: DEFLATED_SYNTAX, ..DicomSlice::default() }.bytes();
     let told = slice.get(140..144).and_then(|bytes| bytes.try_into().ok()).map_or(0, u32::from_le_bytes);

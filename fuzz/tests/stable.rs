@@ -55,7 +55,8 @@ fn mutate(seed: &[u8], random: &mut Rng) -> Vec<u8> {
     data
 }
 
-/// Runs the inputs of all targets, each named, and fails for one that panics, takes too much memory or does not end.
+/// Runs the inputs of all targets, each named, and fails for one that panics, takes too much memory or does
+/// not end.
 fn run(inputs: impl Fn(&'static Target) -> Vec<(String, Vec<u8>)>) {
     for target in TARGETS {
         let inputs = inputs(target);

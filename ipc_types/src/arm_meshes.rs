@@ -110,7 +110,8 @@ pub fn load(arm: &Arm) -> Result<Vec<LoadedMesh<'_>>, ArmMeshError> {
     Ok(loaded)
 }
 
-/// The meshes that X-ray frames show, in the file's frame and unit; none without `arm.xray_density_g_per_cm3`.
+/// The meshes that X-ray frames show, in the file's frame and unit; none without
+/// `arm.xray_density_g_per_cm3`.
 ///
 /// # Errors
 /// As [`load`]; a mesh that is not closed.
@@ -125,8 +126,8 @@ pub fn solids(arm: &Arm) -> Result<Vec<(&ArmMesh, ClosedMesh)>, ArmMeshError> {
     load(arm)?.into_iter().map(solid).collect()
 }
 
-/// Notes what is in the files that X-ray frames show, so that a replay shows the same or says why not. Files that cannot be read are left
-/// to [`load`].
+/// Notes what is in the files that X-ray frames show, so that a replay shows the same or says why not. Files
+/// that cannot be read are left to [`load`].
 pub fn note_content(arm: &mut Arm) {
     if arm.xray_density_g_per_cm3.is_none() {
         return;

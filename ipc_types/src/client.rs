@@ -38,8 +38,9 @@ impl Session {
     /// Joins the session in a folder; waits up to ten seconds for its announcement.
     ///
     /// # Errors
-    /// [`SessionError::NotASession`], at once; [`SessionError::NoSession`]; [`SessionError::Version`], [`SessionError::Transport`] or [`SessionError::Layout`] for
-    /// a hub of another version; a transport failure.
+    /// [`SessionError::NotASession`], at once; [`SessionError::NoSession`]; [`SessionError::Version`],
+    /// [`SessionError::Transport`] or [`SessionError::Layout`] for a hub of another version; a transport
+    /// failure.
     pub fn join(folder: &Path) -> Result<Session, SessionError> {
         Session::join_within(folder, JOIN_TIME)
     }
@@ -67,7 +68,8 @@ impl Session {
         is_locked(&self.handle)
     }
 
-    /// Whether the announcement is still in the session's folder. A host removes it when it ends; a killed host leaves it behind.
+    /// Whether the announcement is still in the session's folder. A host removes it when it ends; a killed
+    /// host leaves it behind.
     pub fn is_announced(&self) -> bool {
         rustix::fs::accessat(&self.handle, ANNOUNCEMENT_FILE, Access::EXISTS, AtFlags::empty()).is_ok()
     }
@@ -126,8 +128,8 @@ impl Session {
     /// A publisher for a service, with all its shared memory reserved.
     ///
     /// # Errors
-    /// [`SessionError::Layout`], [`SessionError::SharedMemory`], [`SessionError::Reserved`] for a service of a part that this program is
-    /// not ([`Session::claim`]), or a transport failure.
+    /// [`SessionError::Layout`], [`SessionError::SharedMemory`], [`SessionError::Reserved`] for a service of
+    /// a part that this program is not ([`Session::claim`]), or a transport failure.
     pub fn publisher<M: Message>(&self, service: &Service) -> Result<Publisher<M>, SessionError> {
         self.named_publisher(service.name, service)
     }
@@ -149,8 +151,8 @@ impl Session {
         self.named_subscriber(service.name, service)
     }
 
-    /// A subscriber that keeps only the newest message. The writer then cycles through a few cached samples instead of filling a long queue
-    /// for a reader that rarely polls.
+    /// A subscriber that keeps only the newest message. The writer then cycles through a few cached samples
+    /// instead of filling a long queue for a reader that rarely polls.
     ///
     /// # Errors
     /// As [`Session::subscriber`].
@@ -158,7 +160,8 @@ impl Session {
         self.named_subscriber(service.name, &Service { queue_length: 1, ..*service })
     }
 
-    /// A subscriber with the longest queue, for readers that must not lose a message even if they stall for seconds.
+    /// A subscriber with the longest queue, for readers that must not lose a message even if they stall for
+    /// seconds.
     ///
     /// # Errors
     /// As [`Session::subscriber`].
@@ -247,7 +250,8 @@ impl Session {
         let builder = || self.node.service_builder(&service_name).publish_subscribe::<[u8]>();
         let end = Instant::now() + OPEN_TIME;
         let mut opened = builder().open_with_attributes(&attributes);
-        // The host has announced the service, so it exists; on a loaded machine opening it may still fail briefly.
+        // The host has announced the service, so it exists; on a loaded machine opening it may still fail
+        // briefly.
         while matches!(opened, Err(PublishSubscribeOpenError::DoesNotExist)) && Instant::now() < end {
             std::thread::sleep(RETRY_TIME);
             opened = builder().open_with_attributes(&attributes);

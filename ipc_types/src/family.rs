@@ -6,16 +6,18 @@ use std::process::Command;
 use rustix::io::Errno;
 use rustix::process::{Pid, Signal, getpid, getppid, set_parent_process_death_signal, setsid};
 
-/// Has the kernel send SIGTERM to this process when its parent dies, so that a killed launcher leaves no orphans. This misses a parent that
-/// died earlier, so a part checks its session's lock afterwards ([`host_is_alive`](crate::session::host_is_alive)).
+/// Has the kernel send SIGTERM to this process when its parent dies, so that a killed launcher leaves no
+/// orphans. This misses a parent that died earlier, so a part checks its session's lock afterwards
+/// ([`host_is_alive`](crate::session::host_is_alive)).
 pub fn end_with_parent() {
     // If the kernel refuses, the process still ends when its session's states stop.
     let _ = set_parent_process_death_signal(Some(Signal::TERM));
 }
 
-/// As [`end_with_parent`], for a program about to be started. Also makes it a session of its own: the terminal's Ctrl-C then does not reach
-/// it, because the launcher ends its parts in order, and the kernel shares cores between it and everything else
-/// ([`prioritise`](crate::process::prioritise)). The thread that starts it counts as its parent.
+/// As [`end_with_parent`], for a program about to be started. Also makes it a session of its own: the
+/// terminal's Ctrl-C then does not reach it, because the launcher ends its parts in order, and the kernel
+/// shares cores between it and everything else ([`prioritise`](crate::process::prioritise)). The thread that
+/// starts it counts as its parent.
 pub fn bind_to_parent(command: &mut Command) -> &mut Command {
     bind_to_parent_with(command, Signal::TERM)
 }
@@ -23,8 +25,8 @@ pub fn bind_to_parent(command: &mut Command) -> &mut Command {
 /// As [`bind_to_parent`], with another signal.
 pub fn bind_to_parent_with(command: &mut Command, signal: Signal) -> &mut Command {
     let parent = getpid();
-    // SAFETY: the closure runs between fork and exec, where only async-signal-safe calls are allowed; it makes three system calls (prctl,
-    // getppid, setsid), allocates nothing and takes no lock.
+    // SAFETY: the closure runs between fork and exec, where only async-signal-safe calls are allowed; it
+    // makes three system calls (prctl, getppid, setsid), allocates nothing and takes no lock.
     unsafe {
         command.pre_exec(move || {
             let _ = set_parent_process_death_signal(Some(signal));
@@ -38,8 +40,8 @@ pub fn bind_to_parent_with(command: &mut Command, signal: Signal) -> &mut Comman
     }
 }
 
-/// All living descendants of a process, whatever group or session they have created. Orphans count as children of their nearest subreaper
-/// (`PR_SET_CHILD_SUBREAPER`).
+/// All living descendants of a process, whatever group or session they have created. Orphans count as
+/// children of their nearest subreaper (`PR_SET_CHILD_SUBREAPER`).
 pub fn descendants(of: Pid) -> Vec<Pid> {
     let pairs = families();
     let mut found = vec![of];

@@ -1,9 +1,10 @@
 //! Removes shared memory that a process was killed while creating.
 //!
-//! The transport creates a segment in two steps, `shm_open` and `ftruncate`. A process that opens a segment of size zero waits for the
-//! second step without a limit (iceoryx2 0.10, `dynamic_storage/posix_shared_memory.rs`, the arm `MappingSizeIsZero`). If the creator is
-//! killed between the two, every process that opens the segment, or cleans up after dead processes, hangs. Removing the name ends their
-//! wait with an error.
+//! The transport creates a segment in two steps, `shm_open` and `ftruncate`. A process that opens a segment
+//! of size zero waits for the second step without a limit (iceoryx2 0.10,
+//! `dynamic_storage/posix_shared_memory.rs`, the arm `MappingSizeIsZero`). If the creator is killed between
+//! the two, every process that opens the segment, or cleans up after dead processes, hangs. Removing the name
+//! ends their wait with an error.
 
 use std::collections::BTreeMap;
 use std::os::fd::OwnedFd;
@@ -20,8 +21,8 @@ use crate::shared_memory::SharedMemory;
 
 /// Time between two sweeps.
 const SWEEP_PERIOD: Duration = Duration::from_millis(200);
-/// How long a segment may have size zero while every process in its name is alive. Creation takes microseconds; the timeout is the only
-/// evidence about a creator in another PID namespace.
+/// How long a segment may have size zero while every process in its name is alive. Creation takes
+/// microseconds; the timeout is the only evidence about a creator in another PID namespace.
 const LONGEST_MAKING: Duration = Duration::from_secs(10);
 
 /// A thread that removes a session's half-made segments until it is dropped.
@@ -32,11 +33,13 @@ pub struct HalfMadeSweeper {
 }
 
 impl HalfMadeSweeper {
-    /// Sweeps the session in this folder as soon as its host is dead, which until then sweeps by itself. Every part runs one, because each
-    /// may be the last, and started before it joins, because joining opens segments. When it is dropped, it removes what it still finds.
+    /// Sweeps the session in this folder as soon as its host is dead, which until then sweeps by itself.
+    /// Every part runs one, because each may be the last, and started before it joins, because joining opens
+    /// segments. When it is dropped, it removes what it still finds.
     ///
     /// # Errors
-    /// The folder is not a session's; the system refuses to start the thread or to open the shared-memory folder.
+    /// The folder is not a session's; the system refuses to start the thread or to open the shared-memory
+    /// folder.
     pub fn after_host(session: &Path) -> std::io::Result<HalfMadeSweeper> {
         let id = SessionId::of(session).ok_or(std::io::ErrorKind::InvalidInput)?;
         let folder = open_folder(session).map_err(std::io::Error::other)?;
@@ -186,7 +189,8 @@ mod tests {
         assert!(!in_the_making.0.exists() && whole.0.exists());
     }
 
-    /// A run without a recorder hung if its launcher was killed while it made a segment: only launcher and recorder swept.
+    /// A run without a recorder hung if its launcher was killed while it made a segment: only launcher and
+    /// recorder swept.
     #[test]
     fn a_part_sweeps_when_its_host_is_dead_and_a_last_time_when_it_ends() {
         let prefix = format!("trabecula_half_made_after_host_{}_", std::process::id());

@@ -1,5 +1,5 @@
-//! Identifies a message's sender by the transport, not by what the message claims: which controller sent it, and whether a part's message
-//! really comes from that part.
+//! Identifies a message's sender by the transport, not by what the message claims: which controller sent it,
+//! and whether a part's message really comes from that part.
 
 use std::cell::{Cell, RefCell};
 
@@ -14,7 +14,8 @@ use crate::ports::Received;
 use crate::session::{ByteService, Session, SessionError};
 use crate::shared_page::SharedPage;
 
-/// The process whose number is part of a unique number of the transport: bits 64 to 95 (iceoryx2-bb-posix 0.10, `UniqueSystemId`).
+/// The process whose number is part of a unique number of the transport: bits 64 to 95
+/// (iceoryx2-bb-posix 0.10, `UniqueSystemId`).
 pub(crate) fn process_of(number: u128) -> u32 {
     (number >> 64) as u32
 }
@@ -78,8 +79,8 @@ impl Guard {
         part
     }
 
-    /// Once a part has ended its port is gone, but its last messages may still be queued. It is then identified by its process number,
-    /// which both the port's and the node's number contain.
+    /// Once a part has ended its port is gone, but its last messages may still be queued. It is then
+    /// identified by its process number, which both the port's and the node's number contain.
     fn look_for(&self, sender: UniquePublisherId) -> Option<Part> {
         let node = publishers(&self.service).find(|details| details.publisher_id == sender);
         let node = node.map(|details| details.node_id.value());
@@ -101,8 +102,8 @@ impl Guard {
 
 /// Tells who may request frames from the DRR process, from the connected ports.
 ///
-/// A program has one node in a session, and all its ports belong to it. The program that holds a controller's command port is that
-/// controller, so no request can impersonate another's.
+/// A program has one node in a session, and all its ports belong to it. The program that holds a controller's
+/// command port is that controller, so no request can impersonate another's.
 #[derive(Debug)]
 pub struct Requesters {
     requests: ByteService,
@@ -125,7 +126,8 @@ impl Session {
 }
 
 impl Requesters {
-    /// The controller that sent a request; `None` if it came from an observer or from a program that has since ended.
+    /// The controller that sent a request; `None` if it came from an observer or from a program that has
+    /// since ended.
     pub fn controller_of(&self, request: &Received<DrrRequest>) -> Option<ControllerIndex> {
         let Sender(sender) = request.sender();
         let node = publishers(&self.requests).find(|details| details.publisher_id == sender)?.node_id;

@@ -1,4 +1,5 @@
-//! Publishers and subscribers: messages are bytes in shared memory, checked against their layout at both ends.
+//! Publishers and subscribers: messages are bytes in shared memory, checked against their layout at both
+//! ends.
 
 use core::marker::PhantomData;
 use core::mem::MaybeUninit;
@@ -16,12 +17,13 @@ use crate::messages::layout::Message;
 use crate::messages::services;
 use crate::own::Own;
 
-/// Messages of the wrong length that one call takes off a queue, so that a flood of them cannot stall the reader.
+/// Messages of the wrong length that one call takes off a queue, so that a flood of them cannot stall the
+/// reader.
 const REFUSED_AT_ONCE: usize = 64;
 /// From here on a message is copied by two threads: far beyond every message of a tick.
 const TWO_THREADS_BYTES: usize = 32 << 20;
-/// The same limit for other programs' messages on a part's service. More than any queue holds, because the part's own messages behind them must
-/// not be late.
+/// The same limit for other programs' messages on a part's service. More than any queue holds, because the
+/// part's own messages behind them must not be late.
 const MAX_FOREIGN_MESSAGES: usize = 1 << 14;
 
 const _: () = {
@@ -121,8 +123,8 @@ impl<M: Message> Publisher<M> {
             copy(part, head);
             rest = tail;
         }
-        // SAFETY: the sample is exactly as long as all parts together, and `copy` has written each part; a thread of it that died would have
-        // let the scope, and so this function, panic.
+        // SAFETY: the sample is exactly as long as all parts together, and `copy` has written each part; a
+        // thread of it that died would have let the scope, and so this function, panic.
         let sample = unsafe { sample.assume_init() };
         sample
             .send()
@@ -138,7 +140,8 @@ impl<M: Message> Publisher<M> {
     }
 }
 
-/// Copies bytes to a place of the same length, all of it. A volume on two threads: the kernel makes its pages at their first use.
+/// Copies bytes to a place of the same length, all of it. A volume on two threads: the kernel makes its pages
+/// at their first use.
 fn copy(bytes: &[u8], target: &mut [MaybeUninit<u8>]) {
     if bytes.len() >= TWO_THREADS_BYTES {
         let (first, second) = bytes.split_at(bytes.len() / 2);
@@ -177,10 +180,11 @@ impl<M: Message> Subscriber<M> {
         Subscriber { raw: Own::new(raw), name, guard, message: PhantomData }
     }
 
-    /// Takes the oldest message in the queue, if any. Its bytes stay in shared memory until the return value is dropped.
+    /// Takes the oldest message in the queue, if any. Its bytes stay in shared memory until the return value
+    /// is dropped.
     ///
-    /// Takes a message of the wrong length off the queue and returns an error. On a part's service, skips and counts messages from programs
-    /// that are not that part ([`Subscriber::foreign_messages`]).
+    /// Takes a message of the wrong length off the queue and returns an error. On a part's service, skips and
+    /// counts messages from programs that are not that part ([`Subscriber::foreign_messages`]).
     pub fn receive(&self) -> Result<Option<Received<M>>, PortError> {
         for _ in 0..MAX_FOREIGN_MESSAGES {
             let sample = self.raw.receive().map_err(|cause| PortError::Receive {
@@ -205,8 +209,8 @@ impl<M: Message> Subscriber<M> {
         self.guard.as_ref().map_or(0, Guard::foreign_messages)
     }
 
-    /// Takes the oldest valid message, if any, on services that every client may write. Messages of the wrong length go to `refused`, a
-    /// limited number per call so that the caller is not held up.
+    /// Takes the oldest valid message, if any, on services that every client may write. Messages of the wrong
+    /// length go to `refused`, a limited number per call so that the caller is not held up.
     ///
     /// # Errors
     /// [`PortError::Receive`].
@@ -238,7 +242,8 @@ impl<M: Message> Subscriber<M> {
     }
 }
 
-/// A message in shared memory. Copy it before deciding on its content: its writer is another process and could change it.
+/// A message in shared memory. Copy it before deciding on its content: its writer is another process and
+/// could change it.
 #[derive(Debug)]
 pub struct Received<M> {
     pub(crate) sample: Own<Sample<ipc::Service, [u8], ()>>,
@@ -275,9 +280,9 @@ impl<M: Message> Received<M> {
     pub fn message(&self) -> &M {
         match &self.copy {
             Some(copy) => copy,
-            // SAFETY: `new` checked that the sample holds at least a message's bytes and, as there is no copy, proved with
-            // `ref_from_prefix` that they form a valid `&M`. The sample keeps them in place for as long as `self` lives, and no writer gets
-            // them before it is dropped.
+            // SAFETY: `new` checked that the sample holds at least a message's bytes and, as there is no
+            // copy, proved with `ref_from_prefix` that they form a valid `&M`. The sample keeps them in place
+            // for as long as `self` lives, and no writer gets them before it is dropped.
             None => unsafe { &*self.sample.payload().as_ptr().cast::<M>() },
         }
     }

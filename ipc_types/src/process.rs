@@ -54,7 +54,8 @@ impl ProcessorTime {
     /// CPU time of the process with this number, or of `self`; `None` if it is gone.
     pub fn of(process: &str) -> Option<ProcessorTime> {
         let text = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
-        // Fields 14 to 17 of the file, 11 to 14 after the name, which may contain anything (proc_pid_stat(5)); in hundredths of a second.
+        // Fields 14 to 17 of the file, 11 to 14 after the name, which may contain anything
+        // (proc_pid_stat(5)); in hundredths of a second.
         let (_, fields) = text.rsplit_once(')')?;
         let mut times = fields.split_whitespace().skip(11).map(|field| field.parse::<u64>().ok());
         let mut two = || Some(Duration::from_millis(10 * (times.next()?? + times.next()??)));
@@ -69,7 +70,8 @@ pub enum Role {
     Physics,
     /// Commands for the next tick.
     Controller,
-    /// May be delayed, but must never starve: its queues hold [`RECORDER_QUEUE_TICKS`](crate::messages::services::RECORDER_QUEUE_TICKS).
+    /// May be delayed, but must never starve: its queues hold
+    /// [`RECORDER_QUEUE_TICKS`](crate::messages::services::RECORDER_QUEUE_TICKS).
     Recorder,
     /// Renders frames; the frame rate may drop.
     Drr,
@@ -84,8 +86,9 @@ pub struct Priority {
     pub fifo: Option<i32>,
     /// Nice value if time-shared: one step changes the share of the core by a quarter (sched(7)).
     pub nice: i32,
-    /// Time slice to request if time-shared, instead of the kernel's default (about 3 ms). A thread with a short slice preempts one with a
-    /// long slice as soon as it wakes (Linux 6.12, `PREEMPT_SHORT`). Needs no privilege.
+    /// Time slice to request if time-shared, instead of the kernel's default (about 3 ms). A thread with a
+    /// short slice preempts one with a long slice as soon as it wakes (Linux 6.12, `PREEMPT_SHORT`). Needs no
+    /// privilege.
     pub slice_ns: Option<u64>,
 }
 
@@ -106,11 +109,13 @@ impl Role {
 /// The kernel's minimum.
 const SHORTEST_SLICE_NS: u64 = 100_000;
 
-/// Gives this thread, and the threads it starts from now on, a role's priority, as far as the system permits. Raising it needs a privilege
-/// (`CAP_SYS_NICE`, or RLIMIT_NICE and RLIMIT_RTPRIO), lowering it does not. Returns the priority in effect.
+/// Gives this thread, and the threads it starts from now on, a role's priority, as far as the system permits.
+/// Raising it needs a privilege (`CAP_SYS_NICE`, or RLIMIT_NICE and RLIMIT_RTPRIO), lowering it does not.
+/// Returns the priority in effect.
 ///
-/// Linux shares a core between sessions first, and only then between a session's threads (autogroup, sched(7)). A session leader therefore
-/// sets the same nice value for its session; otherwise the value would count only among its own threads.
+/// Linux shares a core between sessions first, and only then between a session's threads (autogroup,
+/// sched(7)). A session leader therefore sets the same nice value for its session; otherwise the value would
+/// count only among its own threads.
 pub fn prioritise(role: Role, policy: Policy) -> Priority {
     let wanted = role.priority(policy);
     let own = |nice: i32| rustix::process::setpriority_process(None, nice).is_ok();
@@ -137,7 +142,8 @@ struct SchedulingAttributes {
     period_ns: u64,
 }
 
-/// Requests a time slice for this thread, which is time-shared with this nice value. Kernels before 6.12 ignore it.
+/// Requests a time slice for this thread, which is time-shared with this nice value. Kernels before 6.12
+/// ignore it.
 ///
 /// # Errors
 /// The system does not permit it.
@@ -152,8 +158,9 @@ pub fn set_slice(slice_ns: u64, nice: i32) -> std::io::Result<()> {
         deadline_ns: 0,
         period_ns: 0,
     };
-    // SAFETY: 0 names the calling thread. The pointer is to a whole `sched_attr` of the size it states, which outlives the call; the kernel
-    // writes only its own size to it, if it knows a smaller one. The last argument is flags, none set.
+    // SAFETY: 0 names the calling thread. The pointer is to a whole `sched_attr` of the size it states, which
+    // outlives the call; the kernel writes only its own size to it, if it knows a smaller one. The last
+    // argument is flags, none set.
     let outcome = unsafe { libc::syscall(libc::SYS_sched_setattr, 0, &raw mut attributes, 0) };
     if outcome == 0 { Ok(()) } else { Err(std::io::Error::last_os_error()) }
 }
@@ -164,8 +171,8 @@ pub fn set_slice(slice_ns: u64, nice: i32) -> std::io::Result<()> {
 /// The system does not permit it.
 pub fn set_fifo(priority: i32) -> std::io::Result<()> {
     let parameters = libc::sched_param { sched_priority: priority };
-    // SAFETY: 0 names the calling thread. The second pointer is to a whole `sched_param` that outlives the call, and the kernel only reads
-    // it.
+    // SAFETY: 0 names the calling thread. The second pointer is to a whole `sched_param` that outlives the
+    // call, and the kernel only reads it.
     let outcome =
         unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK, &parameters) };
     if outcome == 0 { Ok(()) } else { Err(std::io::Error::last_os_error()) }

@@ -1,5 +1,5 @@
-//! A session's names in `/dev/shm`, a folder where every user of the machine can create files. Anything to be changed, reserved or removed
-//! there is first opened and checked to belong to this user.
+//! A session's names in `/dev/shm`, a folder where every user of the machine can create files. Anything to be
+//! changed, reserved or removed there is first opened and checked to belong to this user.
 
 use std::fmt::{self, Display, Formatter};
 use std::io;
@@ -18,7 +18,8 @@ pub(crate) struct SharedMemory(OwnedFd);
 /// A number that the kernel draws at each start (random(4)).
 const BOOT_ID: &str = "/proc/sys/kernel/random/boot_id";
 
-/// Which `/dev/shm` a program sees: the machine's, or that of a container. Its text is what a session's folder keeps.
+/// Which `/dev/shm` a program sees: the machine's, or that of a container. Its text is what a session's
+/// folder keeps.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Identity {
     /// The machine's start, which ends all shared memory before it.
@@ -35,8 +36,8 @@ impl Identity {
         Ok(Identity { boot, device: rustix::fs::fstat(SharedMemory::open()?.0)?.st_dev })
     }
 
-    /// Whether what remains of the memory of a session that has kept this text is in this one: it is the same one, or that one ended with the
-    /// machine's last start.
+    /// Whether what remains of the memory of a session that has kept this text is in this one: it is the same
+    /// one, or that one ended with the machine's last start.
     pub(crate) fn holds_what_remains_of(&self, text: &str) -> bool {
         let Some((boot, device)) = text.split_once(' ') else { return false };
         let has_ended = boot != self.boot && !boot.is_empty() && !self.boot.is_empty();
@@ -86,8 +87,8 @@ impl SharedMemory {
         (is_own(&stat) && stat.st_nlink == 1).then_some((file, stat))
     }
 
-    /// Closes a session's shared memory to other users. The transport's first node makes one segment world-writable, for nodes of several
-    /// users; a session has none.
+    /// Closes a session's shared memory to other users. The transport's first node makes one segment
+    /// world-writable, for nodes of several users; a session has none.
     pub(crate) fn close_to_others(&self, prefix: &str) -> io::Result<()> {
         for name in self.names(prefix) {
             if let Some((file, _)) = self.open_own(&name, OFlags::RDONLY) {
@@ -115,8 +116,9 @@ impl SharedMemory {
         }
     }
 
-    /// Reserves the memory of every data segment of a session now, so that a full `/dev/shm` is an error here rather than a SIGBUS at the
-    /// first write. Passes over what another port has reserved: reserving a page twice makes the kernel clear it at once.
+    /// Reserves the memory of every data segment of a session now, so that a full `/dev/shm` is an error here
+    /// rather than a SIGBUS at the first write. Passes over what another port has reserved: reserving a page
+    /// twice makes the kernel clear it at once.
     pub(crate) fn reserve(&self, prefix: &str) -> Result<(), Short> {
         for name in self.names(prefix).iter().filter(|name| name.ends_with(".data")) {
             // The segment of a process that has just ended needs no memory.
@@ -144,8 +146,8 @@ fn is_own(stat: &Stat) -> bool {
         && stat.st_uid == rustix::process::geteuid().as_raw()
 }
 
-/// Checks for free memory before a port is created: the transport touches its memory before we can reserve it, and that is a SIGBUS if
-/// there is none.
+/// Checks for free memory before a port is created: the transport touches its memory before we can reserve
+/// it, and that is a SIGBUS if there is none.
 pub(crate) fn require_free(bytes: u64) -> Result<(), Short> {
     match rustix::fs::statvfs(FOLDER) {
         Ok(stat) if stat.f_blocks > 0 && stat.f_bavail * stat.f_frsize < bytes => {
@@ -171,7 +173,8 @@ pub(crate) enum Refused {
     },
 }
 
-/// Why shared memory takes no more files or bytes, if so. The transport reports neither where nor why it failed to create a segment.
+/// Why shared memory takes no more files or bytes, if so. The transport reports neither where nor why it
+/// failed to create a segment.
 pub(crate) fn refusal() -> Option<Refused> {
     refusal_of(FOLDER)
 }
@@ -252,7 +255,8 @@ mod tests {
         );
     }
 
-    /// Links and other users' files under a session's names must be left alone, including the file that a link points to.
+    /// Links and other users' files under a session's names must be left alone, including the file that a
+    /// link points to.
     #[test]
     fn planted_files_and_links_keep_their_mode_and_stay() {
         let folder = tempfile::tempdir().unwrap();

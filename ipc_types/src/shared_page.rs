@@ -1,7 +1,8 @@
-//! The page of memory that all processes of a session share beside the transport: the readers' wake flags, and which node is which part.
+//! The page of memory that all processes of a session share beside the transport: the readers' wake flags,
+//! and which node is which part.
 //!
-//! It is a file in the session's folder, mapped by everyone who joins. What lies in it is therefore there as long as anyone needs it, even
-//! if the folder's name is removed during the run.
+//! It is a file in the session's folder, mapped by everyone who joins. What lies in it is therefore there as
+//! long as anyone needs it, even if the folder's name is removed during the run.
 
 use std::fs::File;
 use std::os::fd::AsFd;
@@ -61,15 +62,16 @@ impl SharedPage {
 
     pub(crate) fn flag(&self, reader: usize) -> &AtomicU32 {
         assert!(reader < FLAG_COUNT, "a session has {FLAG_COUNT} readers at most");
-        // SAFETY: the mapping is page-aligned, PAGE_BYTES long (checked when mapped) and lives as long as `self`; `reader` is in range, so
-        // the four bytes lie inside, before NODES_OFFSET, and are aligned. Every process accesses them only through atomics of this size.
+        // SAFETY: the mapping is page-aligned, PAGE_BYTES long (checked when mapped) and lives as long as
+        // `self`; `reader` is in range, so the four bytes lie inside, before NODES_OFFSET, and are aligned.
+        // Every process accesses them only through atomics of this size.
         unsafe { AtomicU32::from_ptr(self.map.as_mut_ptr().add(reader * FLAG_STRIDE).cast::<u32>()) }
     }
 
     /// Makes a node the part, if no other is. Returns whether it is.
     ///
-    /// A node's number is not 0 in either half: the upper one holds the process number, the lower one the time at which the node was made
-    /// (iceoryx2-bb-posix 0.10, `UniqueSystemId`).
+    /// A node's number is not 0 in either half: the upper one holds the process number, the lower one the
+    /// time at which the node was made (iceoryx2-bb-posix 0.10, `UniqueSystemId`).
     pub(crate) fn claim(&self, part: Part, node: u128) -> bool {
         let [lower, upper] = self.node_words(part);
         // The upper half decides who has it; the lower one is written last and says that both are there.
@@ -93,8 +95,9 @@ impl SharedPage {
     fn node_words(&self, part: Part) -> [&AtomicU64; 2] {
         [0, 1].map(|word| {
             let offset = NODES_OFFSET + WORD * (2 * part as usize + word);
-            // SAFETY: as for `flag`: `part as usize` is below the number of parts, so the eight bytes lie inside the mapping, behind the
-            // flags, and are aligned. Every process accesses them only through atomics of this size.
+            // SAFETY: as for `flag`: `part as usize` is below the number of parts, so the eight bytes lie
+            // inside the mapping, behind the flags, and are aligned. Every process accesses them only through
+            // atomics of this size.
             unsafe { AtomicU64::from_ptr(self.map.as_mut_ptr().add(offset).cast::<u64>()) }
         })
     }

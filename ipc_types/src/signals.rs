@@ -8,11 +8,12 @@ use signal_hook::consts::{SIGCONT, SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use signal_hook::low_level::signal_name;
 
-/// Signals within this time count as one request: `timeout` signals a process and then its group, and a closing terminal sends SIGHUP
-/// twice.
+/// Signals within this time count as one request: `timeout` signals a process and then its group, and a
+/// closing terminal sends SIGHUP twice.
 const ONE_REQUEST: Duration = Duration::from_millis(300);
 
-/// Set when the process is asked to end: SIGTERM, SIGINT (Ctrl-C), SIGHUP (a closed terminal, a dropped connection).
+/// Set when the process is asked to end: SIGTERM, SIGINT (Ctrl-C), SIGHUP (a closed terminal, a dropped
+/// connection).
 #[derive(Debug, Clone, Default)]
 pub struct EndRequest {
     asked: Arc<AtomicBool>,
@@ -29,7 +30,8 @@ pub enum EndSignal {
 }
 
 impl EndRequest {
-    /// From now on the signals set the flag instead of killing the process. An ignored SIGHUP (`nohup`) stays ignored.
+    /// From now on the signals set the flag instead of killing the process. An ignored SIGHUP (`nohup`) stays
+    /// ignored.
     ///
     /// # Errors
     /// The system refuses to install a handler.
@@ -41,8 +43,8 @@ impl EndRequest {
         Ok(request)
     }
 
-    /// As [`install`](EndRequest::install), with a thread that hands each request to `answer` at once, however busy the rest of the process
-    /// is.
+    /// As [`install`](EndRequest::install), with a thread that hands each request to `answer` at once,
+    /// however busy the rest of the process is.
     ///
     /// # Errors
     /// The system refuses to install a handler or to start the thread.
@@ -75,13 +77,15 @@ impl EndRequest {
         self.asked.load(Ordering::Relaxed)
     }
 
-    /// Whether it has been asked again. SIGHUP never counts as the second request: the user has left and cannot be impatient.
+    /// Whether it has been asked again. SIGHUP never counts as the second request: the user has left and
+    /// cannot be impatient.
     pub fn is_urgent(&self) -> bool {
         self.urged.load(Ordering::Relaxed)
     }
 }
 
-/// Set when the process resumes after a stop (SIGSTOP, Ctrl-Z, a debugger's detach); the kernel then sends SIGCONT.
+/// Set when the process resumes after a stop (SIGSTOP, Ctrl-Z, a debugger's detach); the kernel then sends
+/// SIGCONT.
 #[derive(Debug, Clone, Default)]
 pub struct Continued(Arc<AtomicBool>);
 

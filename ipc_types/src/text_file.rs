@@ -1,5 +1,5 @@
-//! Reads files that a user names, whole: texts (scenes, poses, calibrations) and meshes. A device, a pipe or an endless file is rejected by
-//! name; reading it would block or fill the memory.
+//! Reads files that a user names, whole: texts (scenes, poses, calibrations) and meshes. A device, a pipe or
+//! an endless file is rejected by name; reading it would block or fill the memory.
 
 use std::fs::OpenOptions;
 use std::io::{self, Read};
@@ -11,7 +11,8 @@ pub const MAX_TEXT_BYTES: u64 = 16 << 20;
 
 const BYTE_ORDER_MARK: char = '\u{feff}';
 
-/// Reads a regular file of at most [`MAX_TEXT_BYTES`] as UTF-8, without the byte order mark with which spreadsheets and editors begin some.
+/// Reads a regular file of at most [`MAX_TEXT_BYTES`] as UTF-8, without the byte order mark with which
+/// spreadsheets and editors begin some.
 ///
 /// # Errors
 /// The system's; not a regular file; too long; not UTF-8.

@@ -1,15 +1,18 @@
 //! Waiting for messages: poll for a short while, then sleep until woken.
 //!
-//! How long a reader polls before it sleeps is set by its [`Way`]. No reader holds a core that another part needs: it spins only while
-//! there are more cores than spinning parts; otherwise it yields between two polls. If a yield loses the core to another thread, it sleeps
-//! instead, for this wait and the next ones ([`YieldBackoff`]).
+//! How long a reader polls before it sleeps is set by its [`Way`]. No reader holds a core that another part
+//! needs: it spins only while there are more cores than spinning parts; otherwise it yields between two
+//! polls. If a yield loses the core to another thread, it sleeps instead, for this wait and the next ones
+//! ([`YieldBackoff`]).
 //!
-//! Waking must be free while the reader is awake. A reader about to sleep therefore raises a flag that it shares with its writers, polls
-//! its queues once more, and then blocks on its iceoryx2 event; a writer sends the event only if the flag is raised. The flag starts
-//! raised, so a client that does not know about it is always woken.
+//! Waking must be free while the reader is awake. A reader about to sleep therefore raises a flag that it
+//! shares with its writers, polls its queues once more, and then blocks on its iceoryx2 event; a writer sends
+//! the event only if the flag is raised. The flag starts raised, so a client that does not know about it is
+//! always woken.
 //!
-//! No wake-up is lost: the reader stores the flag before it polls the queue, the writer stores into the queue before it reads the flag, and
-//! both have a sequentially consistent fence in between. At least one of them sees the other's store.
+//! No wake-up is lost: the reader stores the flag before it polls the queue, the writer stores into the queue
+//! before it reads the flag, and both have a sequentially consistent fence in between. At least one of them
+//! sees the other's store.
 
 use std::cell::Cell;
 use std::sync::atomic::{Ordering, fence};
@@ -24,12 +27,13 @@ use crate::scene::{Policy, Wait};
 use crate::session::EventService;
 use crate::shared_page::{FLAG_NEW, SharedPage};
 
-/// How long a reader yields before it sleeps. Measured: pure spinning is a thousand times slower once spinners outnumber cores; yielding
-/// for 20 µs costs nothing there and catches nearly every answer of a running peer.
+/// How long a reader yields before it sleeps. Measured: pure spinning is a thousand times slower once
+/// spinners outnumber cores; yielding for 20 µs costs nothing there and catches nearly every answer of a
+/// running peer.
 pub const YIELD_TIME: Duration = Duration::from_micros(20);
 
-/// Shortest sleep. iceoryx2 passes it to the kernel as `SO_RCVTIMEO` in whole microseconds, and 0 means no limit: a reader with less than 1
-/// µs left would sleep until woken, and nobody wakes the recorder.
+/// Shortest sleep. iceoryx2 passes it to the kernel as `SO_RCVTIMEO` in whole microseconds, and 0 means no
+/// limit: a reader with less than 1 µs left would sleep until woken, and nobody wakes the recorder.
 const SHORTEST_SLEEP: Duration = Duration::from_micros(10);
 /// Longest sleep before a reader polls again by itself.
 const LONGEST_SLEEP: Duration = Duration::from_millis(10);
@@ -58,8 +62,9 @@ impl Waker {
 
     /// As [`wake`](Waker::wake); returns whether it took a system call.
     ///
-    /// A reader killed in its sleep leaves its flag raised. A writer that woke nobody therefore does not retry at every message, but only
-    /// when the number of listeners has changed, when the flag has been down, or after some messages.
+    /// A reader killed in its sleep leaves its flag raised. A writer that woke nobody therefore does not
+    /// retry at every message, but only when the number of listeners has changed, when the flag has been
+    /// down, or after some messages.
     pub fn try_to_wake(&self) -> bool {
         fence(Ordering::SeqCst);
         let flag = self.page.flag(self.reader).load(Ordering::Relaxed);
@@ -98,8 +103,8 @@ pub enum Way {
 }
 
 impl Way {
-    /// How one of `spinning` parts waits on `cores` cores. On one core it sleeps. If the parts that spin leave no core free they yield, or
-    /// sleep under `SCHED_FIFO`, where a yield lets no other part run.
+    /// How one of `spinning` parts waits on `cores` cores. On one core it sleeps. If the parts that spin
+    /// leave no core free they yield, or sleep under `SCHED_FIFO`, where a yield lets no other part run.
     pub fn of(wait: Wait, policy: Policy, spinning: usize, cores: usize) -> Way {
         match (wait, policy) {
             (Wait::Event, _) => Way::Sleep,
@@ -130,7 +135,8 @@ impl YieldBackoff {
         skipped_waits == 0
     }
 
-    /// Yields; returns false if that took longer than a peer needs to answer, because another thread had the core.
+    /// Yields; returns false if that took longer than a peer needs to answer, because another thread had the
+    /// core.
     pub fn offer_core(&self) -> bool {
         let began = Instant::now();
         std::thread::yield_now();

@@ -27,7 +27,8 @@ for pose in plan["poses"]:
     source, centre = np.array(pose["source_mm"]), np.array(pose["detector_centre_mm"])
     columns, rows, pitch = pose["columns"], pose["rows"], pose["pixel_pitch_mm"]
     distance = float(np.linalg.norm(source - centre))
-    # The isocentre is where the user says; here in the middle between source and detector. The normal points to the source.
+    # The isocentre is where the user says; here in the middle between source and detector. The normal points
+    # to the source.
     normal = (source - centre) / distance
     middle = 0.5 * (source + centre)
     for threads in threads_of_all:

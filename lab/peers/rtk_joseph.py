@@ -24,7 +24,8 @@ for pose in plan["poses"]:
         itk.Vector[itk.D, 3](row.tolist()), itk.Vector[itk.D, 3](column.tolist()))
     if not ok:
         sys.exit(f"RTK refuses the pose {pose['name']}")
-    # RTK's projection matrix (world to detector, millimetres) must see points where the chart's geometry sees them.
+    # RTK's projection matrix (world to detector, millimetres) must see points where the chart's geometry sees
+    # them.
     matrix = itk.array_from_matrix(geometry.GetMatrix(0))
     for point in itertools.product((-100.0, 0.0, 100.0), repeat=3):
         u, v, w = matrix @ [*point, 1.0]

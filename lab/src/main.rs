@@ -1,6 +1,6 @@
-//! `trabecula-lab`: measures what the product costs, how accurate it is, and what published results it reproduces. A separate
-//! program, so that `trabecula` stays small; it uses the same library, and starts the parts to be measured from its
-//! own executable.
+//! `trabecula-lab`: measures what the product costs, how accurate it is, and what published results it
+//! reproduces. A separate program, so that `trabecula` stays small; it uses the same library, and starts the
+//! parts to be measured from its own executable.
 
 #![cfg_attr(not(test), warn(clippy::print_stdout))]
 

@@ -139,8 +139,8 @@ pub struct Phantom {
 }
 
 impl Phantom {
-    /// A pelvis-like phantom in a box of 256 x 256 x 200 mm: a body, a shell, a femoral head and neck, a hollow oblique shaft, 80 small
-    /// ellipsoids (trabeculae) and a row of beads, placed by a seeded hash.
+    /// A pelvis-like phantom in a box of 256 x 256 x 200 mm: a body, a shell, a femoral head and neck, a
+    /// hollow oblique shaft, 80 small ellipsoids (trabeculae) and a row of beads, placed by a seeded hash.
     pub fn pelvis(seed: u64) -> Self {
         let ellipsoid = |centre: [f64; 3], semi: [f64; 3], added_hu: f64| {
             let mm = |v: [f64; 3]| v.map(|x| x * 1e-3);
@@ -182,7 +182,8 @@ impl Phantom {
         self.solids.iter().map(|s| mu_water_per_m * s.added_hu() / 1000.0 * s.chord_m(ray)).sum()
     }
 
-    /// Hounsfield units on a grid along the world axes, x fastest; a voxel that a surface intersects is the mean of `samples`^3 points.
+    /// Hounsfield units on a grid along the world axes, x fastest; a voxel that a surface intersects is the
+    /// mean of `samples`^3 points.
     pub fn voxelise(&self, grid: &Grid, samples: usize) -> Vec<i16> {
         let (dims, spacing) = (grid.dims(), grid.spacing_m());
         let mut hu = vec![-1000_i16; grid.voxels()];

@@ -1,4 +1,5 @@
-//! What a measurement finds: lines for people as they come, or with `--json` all figures as one object at its end.
+//! What a measurement finds: lines for people as they come, or with `--json` all figures as one object at its
+//! end.
 
 use serde_json::{Map, Value, json};
 use trabecula::machine::Machine;
@@ -73,7 +74,8 @@ impl Sheet {
         !self.found.is_empty()
     }
 
-    /// Prints the object if it is for programs. A measurement that fails after it has found something calls this, too.
+    /// Prints the object if it is for programs. A measurement that fails after it has found something calls
+    /// this, too.
     pub fn end(self) {
         if self.figures.json {
             say!("{}", Value::Object(self.found));

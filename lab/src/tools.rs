@@ -49,7 +49,8 @@ fn shipped((name, text): (&str, &str)) -> Result<NamedTool, Failure> {
     Ok(NamedTool { name: name.to_owned(), parameters: half_out(&scene)? })
 }
 
-/// A scene's tool; one that slides out of an outer tube stands half out: as if that tube ended so much nearer to the tool's base.
+/// A scene's tool; one that slides out of an outer tube stands half out: as if that tube ended so much nearer
+/// to the tool's base.
 fn half_out(scene: &Scene) -> Result<ManipulatorParameters, Failure> {
     let mut parameters = manipulator_parameters(scene).map_err(Failure::bad_input)?;
     if let (Some(outer), Some(described)) = (&mut parameters.outer_tube, scene.manipulator.outer_tube()) {

@@ -75,7 +75,8 @@ fn the_short_chart_of_the_physics_has_its_six_panels_and_its_peers() {
     assert!(out.join("physics-plan.csv").exists() && out.join("accuracy-physics.png").exists());
 }
 
-/// The chart without other projectors, an eighth of the resolution: every projector, pose and resolution, and the figure.
+/// The chart without other projectors, an eighth of the resolution: every projector, pose and resolution, and
+/// the figure.
 #[test]
 fn the_quick_chart_has_every_projector_with_its_error() {
     let place = tempfile::tempdir().unwrap();

@@ -21,14 +21,16 @@ const IGTL_PORT: u16 = 18944;
 /// Bridges.
 #[derive(Debug, Subcommand)]
 pub enum BridgeCommand {
-    /// OpenIGTLink, for 3D Slicer, PLUS and trackers: poses, tool, X-rays and figures out; plans, pauses and C-arm poses in.
+    /// OpenIGTLink, for 3D Slicer, PLUS and trackers: poses, tool, X-rays and figures out; plans, pauses and
+    /// C-arm poses in.
     ///
     /// Positions are in RAS and millimetres, as Slicer takes them. docs/slicer.md lists the messages.
     Igtl(Box<IgtlArguments>),
-    /// ROS 2 with CRTK's topics: states, transforms, X-rays out; servo and move commands in. Needs no ROS installation.
+    /// ROS 2 with CRTK's topics: states, transforms, X-rays out; servo and move commands in. Needs no ROS
+    /// installation.
     ///
-    /// Stamps are simulated time, which /clock carries; the frame `world` is the patient frame, LPS, in metres. docs/ros2.md lists the
-    /// topics.
+    /// Stamps are simulated time, which /clock carries; the frame `world` is the patient frame, LPS, in
+    /// metres. docs/ros2.md lists the topics.
     Ros2(Box<Ros2Arguments>),
 }
 
@@ -45,14 +47,15 @@ pub struct Ros2Arguments {
     /// Folder of the session; without it this user's only running one.
     #[arg(long)]
     session: Option<String>,
-    /// Controller of the scene (`external = true`) that the bridge is, so that ROS 2 can command it and pause the run; without it the
-    /// bridge only shows the run.
+    /// Controller of the scene (`external = true`) that the bridge is, so that ROS 2 can command it and pause
+    /// the run; without it the bridge only shows the run.
     #[arg(long)]
     controller: Option<String>,
     /// DDS domain.
     #[arg(long, value_name = "N", env = "ROS_DOMAIN_ID", default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=232))]
     domain_id: u16,
-    /// Who can hear and, with --controller, command. DDS is not encrypted: beyond LOCALHOST everybody in the network can.
+    /// Who can hear and, with --controller, command. DDS is not encrypted: beyond LOCALHOST everybody in the
+    /// network can.
     #[arg(
         long,
         value_name = "RANGE",
@@ -71,7 +74,8 @@ pub struct Ros2Arguments {
     /// Name of the manipulator in topics and frames.
     #[arg(long, value_name = "NAME", default_value = "CM")]
     manipulator: String,
-    /// Send X-rays as they are, 16 bit, however large: subscribers of Fast DDS then need larger receive buffers (docs/ros2.md).
+    /// Send X-rays as they are, 16 bit, however large: subscribers of Fast DDS then need larger receive
+    /// buffers (docs/ros2.md).
     #[arg(long)]
     full_images: bool,
 }
@@ -83,14 +87,15 @@ pub struct IgtlArguments {
     /// Folder of the session; without it this user's only running one.
     #[arg(long)]
     session: Option<String>,
-    /// Controller of the scene (`external = true`) that the bridge is, so that peers can drive the arm; without it they only watch and
-    /// steer the run.
+    /// Controller of the scene (`external = true`) that the bridge is, so that peers can drive the arm;
+    /// without it they only watch and steer the run.
     #[arg(long)]
     controller: Option<String>,
     /// Port to listen at; 0 takes a free one.
     #[arg(long, default_value_t = IGTL_PORT)]
     port: u16,
-    /// Address to listen at. OpenIGTLink is not encrypted: beyond loopback everybody on the way reads and forges it.
+    /// Address to listen at. OpenIGTLink is not encrypted: beyond loopback everybody on the way reads and
+    /// forges it.
     #[arg(long, default_value = "127.0.0.1")]
     bind: IpAddr,
     /// Connect to a server, such as Slicer's connector, instead of listening.

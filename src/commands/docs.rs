@@ -34,7 +34,8 @@ pub enum DocsCommand {
     },
     /// The man page, in roff: `trabecula docs man | man -l -`.
     Man,
-    /// Write man pages and shell completions to where a system looks for them below a prefix, such as `~/.local` or `/usr`.
+    /// Write man pages and shell completions to where a system looks for them below a prefix, such as
+    /// `~/.local` or `/usr`.
     Install {
         /// The prefix; its folders are created if missing.
         #[arg(short, long)]
@@ -59,7 +60,8 @@ pub fn run(command: &DocsCommand) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Where shells and `man` look below a prefix (the paths of bash-completion, fish's vendor folder and zsh's site functions).
+/// Where shells and `man` look below a prefix (the paths of bash-completion, fish's vendor folder and zsh's
+/// site functions).
 fn install(prefix: &Path) -> Result<(), Failure> {
     let mut files: Vec<(PathBuf, Vec<u8>)> = Vec::new();
     for (place, shell) in [

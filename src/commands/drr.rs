@@ -29,14 +29,16 @@ pub struct DrrArguments {
     volume: PathBuf,
     #[command(flatten)]
     choice: VolumeChoice,
-    /// Output file: .png (16-bit), .nrrd (32-bit float) or .dcm (X-ray angiography). Several poses give numbered files.
+    /// Output file: .png (16-bit), .nrrd (32-bit float) or .dcm (X-ray angiography). Several poses give
+    /// numbered files.
     #[arg(short, long)]
     output: PathBuf,
-    /// Pose file: .toml or .json with one pose or a list named `pose`, or .csv with angles. The keys are the same as in a
-    /// scene's `[drr]` and `[drr.carm]`.
+    /// Pose file: .toml or .json with one pose or a list named `pose`, or .csv with angles. The keys are the
+    /// same as in a scene's `[drr]` and `[drr.carm]`.
     #[arg(long)]
     pose: Option<PathBuf>,
-    /// DICOM primary angle, degrees: at 0 the detector is in front of the chest, at +90 on the patient's left.
+    /// DICOM primary angle, degrees: at 0 the detector is in front of the chest, at +90 on the patient's
+    /// left.
     #[arg(long, allow_negative_numbers = true)]
     primary_deg: Option<f64>,
     /// DICOM secondary angle, degrees: positive is cranial.
@@ -78,7 +80,8 @@ pub struct DrrArguments {
     /// Photon energy, 30 to 120 keV.
     #[arg(long, default_value_t = 60.0, conflicts_with = "tube_kv")]
     energy_kev: f64,
-    /// Use the spectrum of this tube voltage, 50 to 120 kV, filtered by 3 mm of aluminium, instead of one energy.
+    /// Use the spectrum of this tube voltage, 50 to 120 kV, filtered by 3 mm of aluminium, instead of one
+    /// energy.
     #[arg(long)]
     tube_kv: Option<f64>,
     /// Photons per unattenuated pixel; without it, no noise.
@@ -130,7 +133,8 @@ enum Kind {
 /// Runs the command.
 ///
 /// # Errors
-/// An invalid volume, pose or option, or a folder that cannot be written (2, and nothing is written); a full disk (1).
+/// An invalid volume, pose or option, or a folder that cannot be written (2, and nothing is written); a full
+/// disk (1).
 pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
     let kind = kind_of(&arguments.output)?;
     let poses = all_poses(arguments)?;

@@ -20,7 +20,8 @@ use crate::say::Figures;
 /// Arguments of `scene from-markups`.
 #[derive(Debug, Args)]
 pub struct FromMarkupsArguments {
-    /// Markups of 3D Slicer (`.mrk.json`, `.fcsv`): points named entry, target and, for a curve, bend; or a line.
+    /// Markups of 3D Slicer (`.mrk.json`, `.fcsv`): points named entry, target and, for a curve, bend; or a
+    /// line.
     plan: PathBuf,
     /// The CT in which they were set, or a segmentation (`.seg.nrrd`) with `--segment`.
     #[arg(long)]
@@ -40,7 +41,8 @@ pub struct FromMarkupsArguments {
 /// Runs the command.
 ///
 /// # Errors
-/// No plan, no volume, points outside of it, a scene that makes no sense, an output that exists (2); a full disk (1).
+/// No plan, no volume, points outside of it, a scene that makes no sense, an output that exists (2); a full
+/// disk (1).
 pub fn run(arguments: &FromMarkupsArguments) -> Result<(), Failure> {
     let name = name_of(&arguments.plan);
     let output = arguments.output.clone().unwrap_or_else(|| Path::new(&name).with_extension("toml"));
@@ -88,7 +90,8 @@ fn check(text: &str, file: &Path, volume_files: VolumeFiles) -> Result<Vec<Strin
     Ok(notes)
 }
 
-/// Refuses a plan whose points lie beside its volume: it was made in another one, or its file says the wrong frame.
+/// Refuses a plan whose points lie beside its volume: it was made in another one, or its file says the wrong
+/// frame.
 fn refuse_outside(arguments: &FromMarkupsArguments, plan: &Plan, volume: &Volume) -> Result<(), Failure> {
     let points =
         [("entry", Some(plan.entry_mm())), ("bend", plan.bend_mm()), ("target", Some(plan.target_mm()))];

@@ -1,5 +1,5 @@
-//! `trabecula plan SCENE`: shows which settings meet a scene's tolerance; `trabecula plan --check LOG`: measures the
-//! error that a run actually made.
+//! `trabecula plan SCENE`: shows which settings meet a scene's tolerance; `trabecula plan --check LOG`:
+//! measures the error that a run actually made.
 
 use std::path::{Path, PathBuf};
 
@@ -20,11 +20,12 @@ use crate::scenes::SceneSource;
 pub struct PlanArguments {
     /// Scene file with a `tolerance`.
     scene: Option<PathBuf>,
-    /// Step a log's commands through the reference model and report the tip error; takes a run's folder or its `run.mcap`.
+    /// Step a log's commands through the reference model and report the tip error; takes a run's folder or
+    /// its `run.mcap`.
     #[arg(long, value_name = "LOG", conflicts_with_all = ["scene", "list"])]
     check: Option<PathBuf>,
-    /// Print the table of errors and costs behind the choice; with a scene, that of its tool, which is measured if it is not the
-    /// standard one.
+    /// Print the table of errors and costs behind the choice; with a scene, that of its tool, which is
+    /// measured if it is not the standard one.
     #[arg(long)]
     list: bool,
     /// With `--check`: number of ticks to compare.

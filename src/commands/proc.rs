@@ -89,8 +89,8 @@ impl ProcCommand {
 }
 
 impl Joined {
-    /// The session's folder, if its host is alive. The check covers a host that died before [`end_with_parent`] was
-    /// set up, because then no signal comes.
+    /// The session's folder, if its host is alive. The check covers a host that died before
+    /// [`end_with_parent`] was set up, because then no signal comes.
     fn to_living(&self) -> Result<&Path, Failure> {
         match host_is_alive(&self.session) {
             true => Ok(&self.session),

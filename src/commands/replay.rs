@@ -28,7 +28,8 @@ use crate::say::Figures;
 pub struct ReplayArguments {
     /// `run.mcap`, or the folder of a run.
     log: PathBuf,
-    /// Compare hash, state and removed voxels at every tick, and every keyframe; report the first difference, exit code 1.
+    /// Compare hash, state and removed voxels at every tick, and every keyframe; report the first difference,
+    /// exit code 1.
     #[arg(long)]
     verify: bool,
     /// Start here: a tick, or seconds such as `1.5s`. The replay starts at the last keyframe before it.
@@ -46,7 +47,8 @@ pub struct ReplayArguments {
     /// Record the replay to `run.mcap` in this folder and compare it with the original file.
     #[arg(short, long, value_name = "FOLDER", conflicts_with_all = ["from", "to"])]
     output: Option<PathBuf>,
-    /// Run this program as one of the scene's controllers, feed it the logged states and compare its commands. May be repeated.
+    /// Run this program as one of the scene's controllers, feed it the logged states and compare its
+    /// commands. May be repeated.
     #[arg(long, value_name = "[NAME=]COMMAND", conflicts_with_all = ["verify", "from", "frames", "output"])]
     controller: Vec<String>,
     /// With `--controller`: step the physics with the program's commands, in lockstep.
@@ -97,8 +99,8 @@ impl Moment {
 /// Replays a log.
 ///
 /// # Errors
-/// Bad input (2): not a log, another build, layout, scene or volume. A difference, or a damaged log (1). Everything in
-/// the log is identical, but it has a gap, is cut or was not ended (3).
+/// Bad input (2): not a log, another build, layout, scene or volume. A difference, or a damaged log (1).
+/// Everything in the log is identical, but it has a gap, is cut or was not ended (3).
 pub fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
     let overrides = Overrides {
         volume: arguments.volume.clone(),
@@ -171,8 +173,8 @@ fn replay_frames(
     }))
 }
 
-/// Steps the physics from the keyframe before the range's first tick, or the start, to its last, or the end. Returns the exit code, and the
-/// figures for `--json`.
+/// Steps the physics from the keyframe before the range's first tick, or the start, to its last, or the end.
+/// Returns the exit code, and the figures for `--json`.
 fn replay(
     arguments: &ReplayArguments,
     log: &OpenedLog,

@@ -117,8 +117,8 @@ pub const POLICIES: [Choice<Policy>; 2] = [
 /// Runs a scene.
 ///
 /// # Errors
-/// Bad input (exit code 2); a part that died, a log that disappeared, an incomplete report, an output that could not
-/// be written (1); a log with a gap (3); Ctrl-C (130).
+/// Bad input (exit code 2); a part that died, a log that disappeared, an incomplete report, an output that
+/// could not be written (1); a log with a gap (3); Ctrl-C (130).
 pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     printer::start().map_err(|cause| Failure::failed(format!("cannot write to standard output: {cause}")))?;
     let interrupts = Interrupts::install().map_err(Failure::signals)?;
@@ -156,7 +156,8 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     let mut shown = false;
     let result = volume.and_then(|volume| {
         let ran = run_with(&plan, volume, began, &interrupts.end, |snapshot| {
-            // The parts have started. Everything from here on only serves the display and must not compete with them.
+            // The parts have started. Everything from here on only serves the display and must not compete
+            // with them.
             if !std::mem::replace(&mut shown, true) && plan.scene.run.mode == Mode::Realtime {
                 prioritise(Role::Viewer, plan.scene.run.policy);
             }

@@ -1,5 +1,5 @@
-//! `trabecula scene check FILE` validates a scene; `scene init` writes one to start from; `scene show` draws one; `scene schema` prints the
-//! JSON schema of scenes, for editors.
+//! `trabecula scene check FILE` validates a scene; `scene init` writes one to start from; `scene show` draws
+//! one; `scene schema` prints the JSON schema of scenes, for editors.
 
 use std::path::{Path, PathBuf};
 
@@ -18,7 +18,8 @@ use crate::scenes::{BuiltIn, SceneSource};
 /// What to do with a scene.
 #[derive(Debug, Subcommand)]
 pub enum SceneCommand {
-    /// Check all keys and ranges, that the volume and the calibrations are readable, and that the scene makes sense.
+    /// Check all keys and ranges, that the volume and the calibrations are readable, and that the scene makes
+    /// sense.
     Check {
         /// Scene file.
         file: PathBuf,
@@ -38,8 +39,8 @@ pub enum SceneCommand {
     },
     /// Write a scene from a plan made in 3D Slicer: entry, bend and target, and the CT that they lie in.
     FromMarkups(FromMarkupsArguments),
-    /// Draw a scene before its run: CT slices through burr start, entry and target, the planned path, pilot hole and tool, Hounsfield units
-    /// along the path, and what is measured there.
+    /// Draw a scene before its run: CT slices through burr start, entry and target, the planned path, pilot
+    /// hole and tool, Hounsfield units along the path, and what is measured there.
     Show(ShowArguments),
     /// Print the JSON schema of scenes (draft 7), by which an editor completes and checks them.
     Schema,

@@ -12,7 +12,8 @@ use trabecula_client::{Client, ClientError, Connection};
 
 use crate::failure::Failure;
 
-/// How long the command waits for a session, and then for the answer of its physics, which may still be starting.
+/// How long the command waits for a session, and then for the answer of its physics, which may still be
+/// starting.
 const LIMIT: Duration = Duration::from_secs(30);
 
 /// What to do with sessions.

@@ -45,7 +45,8 @@ pub struct StressArguments {
     /// Run only N combinations, chosen to cover as many pairs of settings as possible.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     subset: Option<u64>,
-    /// CPU quota of hub and load together, in percent of one core; needs permission to create a control group.
+    /// CPU quota of hub and load together, in percent of one core; needs permission to create a control
+    /// group.
     #[arg(long, value_name = "PERCENT", value_parser = clap::value_parser!(u64).range(1..=100_000))]
     quota: Option<u64>,
     /// Compare with an earlier test's stress.json.
@@ -66,8 +67,8 @@ pub struct StressArguments {
 /// Runs a stress test.
 ///
 /// # Errors
-/// Bad input (2), nothing written; a run that failed, or a log that does not replay (1); Ctrl-C (130): the report
-/// holds the finished runs.
+/// Bad input (2), nothing written; a run that failed, or a log that does not replay (1); Ctrl-C (130): the
+/// report holds the finished runs.
 pub fn run(arguments: &StressArguments) -> Result<(), Failure> {
     let plan = plan_of(arguments)?;
     let end = EndRequest::install().map_err(Failure::signals)?;

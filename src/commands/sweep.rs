@@ -30,7 +30,8 @@ pub enum SweepCommand {
     List(ListArguments),
     /// Join the rows of one study from one or more folders into a Parquet table.
     Gather(GatherArguments),
-    /// Print how a figure depends on each parameter: rank correlations, and Sobol indices of a Saltelli design.
+    /// Print how a figure depends on each parameter: rank correlations, and Sobol indices of a Saltelli
+    /// design.
     Report(ReportArguments),
     /// Draw a figure against each parameter.
     Plot(PlotArguments),

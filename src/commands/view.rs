@@ -27,7 +27,8 @@ const LEAVE_LIMIT: Duration = Duration::from_secs(2);
 /// Arguments of `view`.
 #[derive(Debug, Args)]
 pub struct ViewArguments {
-    /// Log to show: a run's folder or its `run.mcap`; or a scene (`.toml`) before its run; default: a running session.
+    /// Log to show: a run's folder or its `run.mcap`; or a scene (`.toml`) before its run; default: a running
+    /// session.
     #[arg(conflicts_with = "session")]
     log: Option<PathBuf>,
     /// Second log, to compare with the first.
@@ -50,10 +51,12 @@ pub struct ServerArguments {
     /// Address to listen on. Beyond loopback, the token is sent unencrypted.
     #[arg(long, default_value = "127.0.0.1")]
     bind: IpAddr,
-    /// Allow pages from this origin to connect, for example http://localhost:8080 for a self-hosted Lichtblick.
+    /// Allow pages from this origin to connect, for example http://localhost:8080 for a self-hosted
+    /// Lichtblick.
     #[arg(long)]
     allow_origin: Vec<String>,
-    /// Let anyone who can reach the port, such as other users of this machine, watch without the token. Commands still need it.
+    /// Let anyone who can reach the port, such as other users of this machine, watch without the token.
+    /// Commands still need it.
     #[arg(long)]
     watch_by_anyone: bool,
     /// Do not open a browser.
@@ -184,8 +187,8 @@ pub(super) fn failure(error: &ViewerError) -> Failure {
     Failure::by_kind(error.is_bad_input(), error)
 }
 
-/// Tool and arm of a scene as the page draws them. A mesh that is no longer there is told, and its arm drawn as tubes: a log may be shown
-/// where its arm's files are not.
+/// Tool and arm of a scene as the page draws them. A mesh that is no longer there is told, and its arm drawn
+/// as tubes: a log may be shown where its arm's files are not.
 fn shapes(scene: &Scene) -> (ToolShape, ArmLooks) {
     let tubes = |cause: ArmMeshError| ArmLooks {
         meshes: Vec::new(),

@@ -46,8 +46,8 @@ pub fn arm_looks(scene: &Scene) -> Result<ArmLooks, ArmMeshError> {
     })
 }
 
-/// The frame that a mesh moves with, from 0, and the mesh's frame in it. A link behind k joints that turn moves with frame k, whatever
-/// joints that stand still are between.
+/// The frame that a mesh moves with, from 0, and the mesh's frame in it. A link behind k joints that turn
+/// moves with frame k, whatever joints that stand still are between.
 fn placed(arm: &Arm, mesh: &ArmMesh, geometry: &ArmGeometry) -> (usize, Isometry3<f64>) {
     let before = arm.joints_before(mesh);
     let t_base_link = before.iter().fold(Isometry3::identity(), |t_base_link, joint| {

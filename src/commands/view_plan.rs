@@ -164,7 +164,8 @@ impl Planner for Editor<'_> {
     }
 }
 
-/// Writes over a file whose replacement the user has confirmed: whole, or not at all. A link is replaced, not what it leads to.
+/// Writes over a file whose replacement the user has confirmed: whole, or not at all. A link is replaced, not
+/// what it leads to.
 fn replaced(file: &Path, text: &str) -> Result<(), String> {
     let folder = output_file::folder_of(file);
     let write = || {
@@ -200,7 +201,8 @@ fn measure(
     })
 }
 
-/// The figures of `scene show`, the tool at the end of the path, the C-arm's source and detector, and the places as a scene's file has them.
+/// The figures of `scene show`, the tool at the end of the path, the C-arm's source and detector, and the
+/// places as a scene's file has them.
 fn plan(scene: &Scene, shapes: &Shapes, facts: Option<&Facts>) -> Result<Value, Failure> {
     let end = &shapes.at_end;
     let line_m: Vec<[f64; 3]> = end.tube.line_mm.iter().map(|point| (point * 1e-3).into()).collect();

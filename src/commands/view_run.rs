@@ -18,7 +18,8 @@ const WORDS_LIMIT: Duration = Duration::from_secs(2);
 /// Longest refusal kept, bytes.
 const LONGEST_WORDS: usize = 4096;
 
-/// `trabecula run FILE` as a child; it records where the same command of this terminal would, and goes on if the viewer ends.
+/// `trabecula run FILE` as a child; it records where the same command of this terminal would, and goes on if
+/// the viewer ends.
 #[derive(Debug)]
 pub struct StartedRun {
     child: Child,
@@ -102,7 +103,8 @@ impl StartedRun {
         self.session.as_deref()
     }
 
-    /// The log of a run that has ended already, if it recorded one; waits for its end, or until the user wants to end.
+    /// The log of a run that has ended already, if it recorded one; waits for its end, or until the user
+    /// wants to end.
     pub fn log(mut self, end: &EndRequest) -> Option<PathBuf> {
         while !end.is_set() && self.child.try_wait().is_ok_and(|ended| ended.is_none()) {
             std::thread::sleep(LOOK);

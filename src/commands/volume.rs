@@ -153,7 +153,8 @@ fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
 /// Runs the command.
 ///
 /// # Errors
-/// Not a volume, or not a log with one (2); a log that cannot be read to its end, a full disk (1); a log that is cut or was not ended (3).
+/// Not a volume, or not a log with one (2); a log that cannot be read to its end, a full disk (1); a log that
+/// is cut or was not ended (3).
 pub fn run(command: &VolumeCommand) -> Result<(), Failure> {
     let (file, choice, figures) = match command {
         VolumeCommand::Info { file, choice, figures } => (file, choice, figures),
@@ -190,7 +191,8 @@ pub struct PhantomArguments {
     /// New file: NIfTI if it ends in `.nii` or `.nii.gz`, otherwise NRRD (gzip).
     #[arg(short, long)]
     output: PathBuf,
-    /// Voxel size in millimetres, 0.25 to 2 (a pelvis from 0.34, or it has too many voxels); 0.5 by default, 1 for the pelvis.
+    /// Voxel size in millimetres, 0.25 to 2 (a pelvis from 0.34, or it has too many voxels); 0.5 by default,
+    /// 1 for the pelvis.
     #[arg(long)]
     spacing_mm: Option<f64>,
     #[command(flatten)]
@@ -206,7 +208,8 @@ pub enum PhantomKind {
     Block,
     /// A ball.
     Sphere,
-    /// A pelvis with both proximal femurs, in place of a patient's CT: `configs/pelvis_ct.toml` drills into it.
+    /// A pelvis with both proximal femurs, in place of a patient's CT: `configs/pelvis_ct.toml` drills into
+    /// it.
     Pelvis,
 }
 

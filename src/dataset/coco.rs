@@ -1,5 +1,5 @@
-//! COCO's JSON: <https://cocodataset.org/#format-data>. Masks are uncompressed run lengths, so they are exact; keypoints have pixel centres at
-//! whole numbers, boxes the edges of pixels.
+//! COCO's JSON: <https://cocodataset.org/#format-data>. Masks are uncompressed run lengths, so they are
+//! exact; keypoints have pixel centres at whole numbers, boxes the edges of pixels.
 
 use std::path::PathBuf;
 

@@ -19,9 +19,11 @@ pub use split::Split;
 /// Format of a data set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Format {
-    /// `images/*.png` (16 bits) and `annotations.json` with masks, boxes and keypoints, as pycocotools reads it.
+    /// `images/*.png` (16 bits) and `annotations.json` with masks, boxes and keypoints, as pycocotools reads
+    /// it.
     Coco,
-    /// `images/*.png` (8 bits), `labels/*.txt` with boxes and keypoints, and `data.yaml`, as Ultralytics reads it for pose estimation.
+    /// `images/*.png` (8 bits), `labels/*.txt` with boxes and keypoints, and `data.yaml`, as Ultralytics
+    /// reads it for pose estimation.
     Yolo,
     /// The same with polygons of the masks in `labels/*.txt`, as Ultralytics reads it for segmentation.
     YoloSegment,
@@ -60,8 +62,8 @@ impl Run {
 }
 
 impl Sample {
-    /// Camera and pose of the frame: world points go into the camera by `rotation` and `translation_m`, and into the image by
-    /// `intrinsics`, with pixel centres at whole numbers.
+    /// Camera and pose of the frame: world points go into the camera by `rotation` and `translation_m`, and
+    /// into the image by `intrinsics`, with pixel centres at whole numbers.
     fn pose(&self, run: &Run) -> Value {
         let CArmProjection { intrinsics, rotation, translation_m, .. } = self.frame.projection;
         let rows = |m: [f64; 9]| [[m[0], m[1], m[2]], [m[3], m[4], m[5]], [m[6], m[7], m[8]]];

@@ -110,7 +110,8 @@ impl Zip {
             encoder.write_all(content).and_then(|()| encoder.finish()).map_err(|cause| cause.to_string())?;
         let too_large = |_| format!("`{name}` is larger than the 4 GiB of a zip archive");
         let size = |bytes: usize| u32::try_from(bytes).map_err(too_large);
-        // What the entry and the directory have in common: version 2.0, no flags, deflated, midnight of 1 January 1980.
+        // What the entry and the directory have in common: version 2.0, no flags, deflated, midnight of 1
+        // January 1980.
         let mut facts = Vec::new();
         [20_u16, 0, 8, 0, 0x21].iter().for_each(|x| facts.extend(x.to_le_bytes()));
         let sizes = [crc.sum(), size(packed.len())?, size(content.len())?];

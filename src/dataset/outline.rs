@@ -1,8 +1,10 @@
-//! Polygons of a mask: borders followed as by S. Suzuki and K. Abe, "Topological structural analysis of digitized binary images by border
-//! following", Comput. Vis. Graph. Image Process. 30 (1985) 32, algorithm 1.
+//! Polygons of a mask: borders followed as by S. Suzuki and K. Abe, "Topological structural analysis
+//! of digitized binary images by border following", Comput. Vis. Graph. Image Process. 30 (1985) 32,
+//! algorithm 1.
 //!
-//! Corners are pixel centres of the mask, pixels that touch at a corner belong together. A hole is cut into the polygon around it by a
-//! stretch of the mask that the polygon runs to and fro. Filled with the even-odd rule, edges included, the polygons are the mask again.
+//! Corners are pixel centres of the mask, pixels that touch at a corner belong together. A hole is cut into
+//! the polygon around it by a stretch of the mask that the polygon runs to and fro. Filled with the even-odd
+//! rule, edges included, the polygons are the mask again.
 
 use std::collections::HashMap;
 
@@ -12,8 +14,8 @@ pub(super) type Corner = (i32, i32);
 /// Neighbours of a pixel, clockwise from the right.
 const AROUND: [Corner; 8] = [(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)];
 
-/// Polygons of the pixels that are true, one for each connected part, by their first pixels from the top; closed, the last corner is not the
-/// first again.
+/// Polygons of the pixels that are true, one for each connected part, by their first pixels from the top;
+/// closed, the last corner is not the first again.
 pub(super) fn polygons(mask: impl Iterator<Item = bool>, columns: usize) -> Vec<Vec<Corner>> {
     let mut borders = Borders::new(mask, columns);
     borders.find();
@@ -40,7 +42,8 @@ struct Border {
 }
 
 struct Borders {
-    /// With a frame of zeros about the mask: 0 outside, 1 not yet on a border, 2 on one, -2 on one whose right neighbour is outside.
+    /// With a frame of zeros about the mask: 0 outside, 1 not yet on a border, 2 on one, -2 on one whose
+    /// right neighbour is outside.
     labels: Vec<i8>,
     width: i32,
     height: i32,

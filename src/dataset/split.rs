@@ -45,8 +45,9 @@ impl Split {
         self.parts.iter().map(|(name, _)| *name).collect()
     }
 
-    /// The part of a run: a function of the seed and the run alone, so that more runs change the part of none. The first 53 bits of SHA-256
-    /// of `SEED RUN` are a number from 0 to 1, and the parts lie there one after the other.
+    /// The part of a run: a function of the seed and the run alone, so that more runs change the part of
+    /// none. The first 53 bits of SHA-256 of `SEED RUN` are a number from 0 to 1, and the parts lie there one
+    /// after the other.
     pub fn part_of(&self, seed: u64, run: &str) -> usize {
         let digest = Sha256::digest(format!("{seed} {run}").as_bytes());
         let bits = digest.iter().take(8).fold(0_u64, |bits, byte| bits << 8 | u64::from(*byte)) >> 11;

@@ -1,7 +1,8 @@
-//! The formats of Ultralytics, which reads one kind of label from a file: for pose (<https://docs.ultralytics.com/datasets/pose/>) a line for
-//! each class in a frame with class, box and keypoints; for segmentation (<https://docs.ultralytics.com/datasets/segment/>) a line for each
-//! connected part of a class with the corners of its polygon. All are fractions of the image's width and height from its upper left edge.
-//! Only the tool has keypoints; those of the others are 0.
+//! The formats of Ultralytics, which reads one kind of label from a file: for pose
+//! (<https://docs.ultralytics.com/datasets/pose/>) a line for each class in a frame with class, box and
+//! keypoints; for segmentation (<https://docs.ultralytics.com/datasets/segment/>) a line for each connected
+//! part of a class with the corners of its polygon. All are fractions of the image's width and height from
+//! its upper left edge. Only the tool has keypoints; those of the others are 0.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;

@@ -17,8 +17,9 @@ impl Mesh {
         triangle.map(|corner| self.points_mm[corner as usize])
     }
 
-    /// Volume within a closed surface: the sum of the tetrahedra between its triangles and its first point (the divergence theorem for the
-    /// field x/3). The first point and not the origin, because a patient's tunnel lies far from the origin and the parts would cancel.
+    /// Volume within a closed surface: the sum of the tetrahedra between its triangles and its first point
+    /// (the divergence theorem for the field x/3). The first point and not the origin, because a patient's
+    /// tunnel lies far from the origin and the parts would cancel.
     pub fn volume_mm3(&self) -> f64 {
         let Some(origin) = self.points_mm.first() else { return 0.0 };
         let six_times = |triangle: &[u32; 3]| {

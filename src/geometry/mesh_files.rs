@@ -1,8 +1,9 @@
 //! Files of surfaces and curves: STL, OBJ, and VTK's PolyData as XML (`.vtp`).
 //!
-//! Sources: "The StL Format" (fabbers.com/tech/STL_Format, 1989) for binary STL; Wavefront's "Object files (.obj)"; VTK's "File formats for
-//! VTK version 4.2", XML formats. Written here because each is twenty lines, and the crates that write `.vtp` were last released in 2021.
-//! `SPACE=LPS` is how 3D Slicer tells a file in LPS from one in RAS.
+//! Sources: "The StL Format" (fabbers.com/tech/STL_Format, 1989) for binary STL; Wavefront's "Object files
+//! (.obj)"; VTK's "File formats for VTK version 4.2", XML formats. Written here because each is twenty lines,
+//! and the crates that write `.vtp` were last released in 2021. `SPACE=LPS` is how 3D Slicer tells a file in
+//! LPS from one in RAS.
 
 use std::fmt::Write;
 

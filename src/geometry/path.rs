@@ -25,7 +25,8 @@ pub struct Deviation {
     pub deviation_mm: f64,
 }
 
-/// Where the burr was, a place whenever it has come this far from the last one; the first and the last always.
+/// Where the burr was, a place whenever it has come this far from the last one; the first and the last
+/// always.
 #[derive(Debug)]
 pub struct Travelled {
     step_mm: f64,
@@ -64,7 +65,8 @@ impl Travelled {
     }
 }
 
-/// How far the burr was from the planned path on its way in, up to the place that is farthest along it: what follows is the way out.
+/// How far the burr was from the planned path on its way in, up to the place that is farthest along it: what
+/// follows is the way out.
 pub fn deviations(planned_mm: &[[f64; 3]], places: &[Place]) -> Vec<Deviation> {
     let mut all: Vec<Deviation> = places.iter().filter_map(|place| deviation(planned_mm, *place)).collect();
     let farthest = (0..all.len()).max_by(|a, b| all[*a].along_mm.total_cmp(&all[*b].along_mm));

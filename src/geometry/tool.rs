@@ -11,7 +11,8 @@ const SIDES: u32 = 24;
 /// Circles of a ball of the burr between its poles.
 const CIRCLES: u32 = 11;
 
-/// The tool of a state: a tube through base and links up to the burr, closed at both ends, the burr, and the outer tube if there is one.
+/// The tool of a state: a tube through base and links up to the burr, closed at both ends, the burr, and the
+/// outer tube if there is one.
 pub fn surface(state: &State, radii: &ToolRadii) -> Mesh {
     let count = (state.joint_count as usize).min(state.t_world_link.len());
     let poses =
@@ -30,7 +31,8 @@ pub fn surface(state: &State, radii: &ToolRadii) -> Mesh {
     tool
 }
 
-/// Circles of the burr from its back to its front: of each ball those in its own zone, and where two balls meet.
+/// Circles of the burr from its back to its front: of each ball those in its own zone, and where two balls
+/// meet.
 fn burr_rings<'p>(pose: &'p Pose, cutter: &Cutter) -> Vec<Ring<'p>> {
     let zones: Vec<CutterZone> = cutter.zones().collect();
     let mut rings = Vec::new();
@@ -99,8 +101,8 @@ mod tests {
     use crate::geometry::mesh::tests::assert_closed;
     use ipc_types::scene::STANDARD_RADII;
 
-    /// A straight tool of 40 mm: cylinder and ball in closed form. 24 corners hold sin(15°)/15° = 98.9 % of a circle's area, and
-    /// 12 zones of the ball a little less.
+    /// A straight tool of 40 mm: cylinder and ball in closed form. 24 corners hold sin(15°)/15° = 98.9 % of a
+    /// circle's area, and 12 zones of the ball a little less.
     #[test]
     fn a_straight_tool_has_the_volume_of_its_cylinder_and_its_burr() {
         let mut state = State::zeroed();

@@ -11,8 +11,8 @@ use super::mesh::Mesh;
 /// A voxel that is gone, to the mesher, whose inside is what is above its threshold of 0.
 const GONE: i16 = 1000;
 
-/// The closed surface around these voxels, half-way between them and their neighbours: the viewer's surface nets
-/// (`viewer_proc::surface`), with the tunnel as what is inside.
+/// The closed surface around these voxels, half-way between them and their neighbours: the viewer's surface
+/// nets (`viewer_proc::surface`), with the tunnel as what is inside.
 pub fn surface(grid: &VoxelGrid, gone: &[u32]) -> Mesh {
     let mut inside = vec![-GONE; grid.voxel_count()];
     for index in gone {
@@ -76,7 +76,8 @@ mod tests {
         (0..grid.voxel_count() as u32).filter(is_in).collect()
     }
 
-    /// Surface nets round the edges of voxels off: of a bore of 7 mm in voxels of 0.5 mm they take 2 % or less, wherever the bore ends.
+    /// Surface nets round the edges of voxels off: of a bore of 7 mm in voxels of 0.5 mm they take 2 % or
+    /// less, wherever the bore ends.
     #[test]
     fn the_surface_of_a_bore_is_closed_and_holds_its_voxels() {
         for (k_axis, last) in [([0.0, 0.0, 1.0], 40), ([0.0, 0.0, -1.0], 40), ([0.0, 0.0, 1.0], 59)] {

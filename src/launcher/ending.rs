@@ -1,8 +1,8 @@
 //! Ends a run.
 //!
-//! Order: the physics exits once its consumers have received everything; the DRR process and the controllers exit when
-//! the physics says so; the recorder is stopped last, when nobody publishes any more. A signal shortens every wait
-//! except the recorder's, which must finish the log; a second signal ends that one too.
+//! Order: the physics exits once its consumers have received everything; the DRR process and the controllers
+//! exit when the physics says so; the recorder is stopped last, when nobody publishes any more. A signal
+//! shortens every wait except the recorder's, which must finish the log; a second signal ends that one too.
 
 use std::time::{Duration, Instant};
 
@@ -22,12 +22,13 @@ const POLL_PERIOD: Duration = Duration::from_millis(5);
 const END_LIMIT: Duration = Duration::from_secs(130);
 /// The same limit after a failure.
 const FAILED_LIMIT: Duration = Duration::from_secs(10);
-/// The same limit after a signal: once for the physics, then once for all others together, which get half of it before
-/// they receive SIGTERM.
+/// The same limit after a signal: once for the physics, then once for all others together, which get half of
+/// it before they receive SIGTERM.
 const HURRIED_LIMIT: Duration = Duration::from_secs(1);
 /// How long a controller that ignores the end of the run may continue before it is asked to end.
 const CONTROLLER_END_TIME: Duration = Duration::from_secs(3);
-/// How long the viewer may take to tell its clients that the run has ended; when nobody watches it ends at once.
+/// How long the viewer may take to tell its clients that the run has ended; when nobody watches it ends at
+/// once.
 const VIEWER_LIMIT: Duration = Duration::from_secs(3);
 
 /// A run that is ending.
@@ -48,8 +49,8 @@ struct Wait<'a> {
 }
 
 impl Wait<'_> {
-    /// Whether a limit has expired. The hurried limit counts from the signal, or from the start of the wait if the
-    /// signal came earlier.
+    /// Whether a limit has expired. The hurried limit counts from the signal, or from the start of the wait
+    /// if the signal came earlier.
     fn is_over(&mut self, limit: Duration, hurried_limit: Duration) -> bool {
         if self.hurried.is_none() && self.end.is_set() {
             self.hurried = Some(Instant::now());
@@ -71,7 +72,8 @@ impl Ending<'_> {
         Wait { end: self.end, began: Instant::now(), hurried: None }
     }
 
-    /// Ends all parts in order; returns when the physics ended, and the outcome updated by how the others ended.
+    /// Ends all parts in order; returns when the physics ended, and the outcome updated by how the others
+    /// ended.
     pub(super) fn end_parts(&self, outcome: Outcome, parts: &mut [Part]) -> (Instant, Outcome) {
         let mut outcome = outcome;
         let mut reason = None;
@@ -109,8 +111,8 @@ impl Ending<'_> {
         (over, if is_deaf { outcome } else { self.with_end_of(RECORDER, outcome, parts) })
     }
 
-    /// Ends the physics. It stays until the DRR process and the recorder have everything; if one of them dies, or the
-    /// user is in a hurry, it is told to stop waiting.
+    /// Ends the physics. It stays until the DRR process and the recorder have everything; if one of them
+    /// dies, or the user is in a hurry, it is told to stop waiting.
     fn end_physics(&self, limit: Duration, ask: Ask, parts: &mut [Part]) {
         let (mut wait, mut asked) = (self.wait(), false);
         loop {
@@ -137,7 +139,8 @@ impl Ending<'_> {
         }
     }
 
-    /// Ends the DRR process and the controllers in parallel. With [`Ask::AtOnce`], they have not been told that the run is over.
+    /// Ends the DRR process and the controllers in parallel. With [`Ask::AtOnce`], they have not been told
+    /// that the run is over.
     fn end_others(&self, limit: Duration, ask: Ask, parts: &mut [Part]) {
         let mut others: Vec<(&mut Part, bool)> = parts
             .iter_mut()
@@ -152,8 +155,8 @@ impl Ending<'_> {
             }
             let is_over = wait.is_over(limit, HURRIED_LIMIT);
             for (part, asked) in &mut others {
-                // When the physics ends it tells the DRR process and the controllers, but some controllers do not
-                // listen.
+                // When the physics ends it tells the DRR process and the controllers, but some controllers do
+                // not listen.
                 let own_time = if part.name == DRR { END_LIMIT } else { CONTROLLER_END_TIME };
                 if !*asked && (ask == Ask::AtOnce || wait.is_over(own_time, HURRIED_LIMIT / 2)) {
                     part.ask_to_end();
@@ -169,8 +172,8 @@ impl Ending<'_> {
         }
     }
 
-    /// Lets the viewer come to its end, or kills it. After a regular run that was recorded it shows the log as long as a page is open, and is
-    /// returned.
+    /// Lets the viewer come to its end, or kills it. After a regular run that was recorded it shows the log
+    /// as long as a page is open, and is returned.
     pub(super) fn end_viewer(&self, mut viewer: Part, outcome: &Outcome) -> Option<Part> {
         let may_stay = self.plan.output.is_some() && outcome.is_regular();
         let mut wait = self.wait();
@@ -192,8 +195,8 @@ impl Ending<'_> {
         }
     }
 
-    /// A run whose log could not be finished, or whose last frames are missing, has failed even if all its ticks were
-    /// run. An interrupted run may lack frames.
+    /// A run whose log could not be finished, or whose last frames are missing, has failed even if all its
+    /// ticks were run. An interrupted run may lack frames.
     fn with_end_of(&self, name: &str, outcome: Outcome, parts: &mut [Part]) -> Outcome {
         let expected = self.end.is_urgent() || (name == DRR && outcome == Outcome::Interrupted);
         let found = parts.iter_mut().find(|part| part.name == name);
@@ -206,8 +209,8 @@ impl Ending<'_> {
         died
     }
 
-    /// Tells the recorder the end reason for the log: through a file in the session's folder, or, if that has been
-    /// removed, in the run's folder.
+    /// Tells the recorder the end reason for the log: through a file in the session's folder, or, if that has
+    /// been removed, in the run's folder.
     fn write_reason(&self, in_output: &mut Option<SavedFile>, outcome: &Outcome, parts: &[Part]) {
         let reason = match outcome {
             Outcome::Completed => EndReason::Completed,
@@ -231,7 +234,8 @@ impl Ending<'_> {
             return;
         }
         let Some(recorder) = parts.iter().find(|part| part.name == RECORDER) else { return };
-        // If neither folder works, the log's end blames the launcher; the exit code and the message still tell.
+        // If neither folder works, the log's end blames the launcher; the exit code and the message still
+        // tell.
         if in_output.is_none() {
             *in_output = SavedFile::create(&reason_file::in_output(output, recorder.pid())).ok();
         }

@@ -89,8 +89,8 @@ pub enum HubError {
     },
 }
 
-/// How the parts wait for each other. In real time the next state is a period away: a hybrid wait would yield in vain,
-/// and yielding may lose the core for as long as a renderer's thread wants it.
+/// How the parts wait for each other. In real time the next state is a period away: a hybrid wait would yield
+/// in vain, and yielding may lose the core for as long as a renderer's thread wants it.
 fn wait_for_each_other(scene: &Scene) -> Wait {
     match (scene.run.mode, scene.run.wait) {
         (Mode::Realtime, Wait::Hybrid) => Wait::Event,
@@ -107,8 +107,8 @@ pub enum Recording {
     Off,
 }
 
-/// Files that each process of a session may have open, at least: physics and launcher have some 130 open. Below that, shared memory that
-/// a process waits for never comes.
+/// Files that each process of a session may have open, at least: physics and launcher have some 130 open.
+/// Below that, shared memory that a process waits for never comes.
 const LEAST_FILES: u64 = 256;
 
 /// Raises the limit of open files, which the parts inherit, to what a session needs.
@@ -175,7 +175,8 @@ impl Hub {
         self.host.session.folder()
     }
 
-    /// Sends the volume to everyone who has joined since the last call. Reports once when nobody can join any more.
+    /// Sends the volume to everyone who has joined since the last call. Reports once when nobody can join any
+    /// more.
     pub fn serve_late_joiners(&self) -> Result<(), PortError> {
         if !self.is_hidden.get() && !self.host.session.is_announced() {
             self.is_hidden.set(true);

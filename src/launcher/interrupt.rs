@@ -1,5 +1,5 @@
-//! What a signal to the launcher does at each stage of a run. A dedicated thread handles it, so that the launcher
-//! responds even while it reads a volume or draws a figure.
+//! What a signal to the launcher does at each stage of a run. A dedicated thread handles it, so that the
+//! launcher responds even while it reads a volume or draws a figure.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -16,8 +16,8 @@ const EXIT_LIMIT: Duration = Duration::from_secs(2);
 
 #[derive(Debug)]
 enum Stage {
-    /// Nothing runs yet and nothing can be lost: a signal ends the process and removes these folders if they are
-    /// empty.
+    /// Nothing runs yet and nothing can be lost: a signal ends the process and removes these folders if they
+    /// are empty.
     Before(Vec<PathBuf>),
     /// Parts are running or ending.
     Running,
@@ -43,13 +43,14 @@ impl Interrupts {
     pub fn install() -> std::io::Result<Interrupts> {
         let stage = Arc::new(Mutex::new(Stage::Before(Vec::new())));
         let seen = Arc::clone(&stage);
-        // The thread holds the lock until the process ends, so that no new stage begins once it has decided to exit.
+        // The thread holds the lock until the process ends, so that no new stage begins once it has decided
+        // to exit.
         let end = EndRequest::answered(move |signal| answer(&lock(&seen), signal))?;
         Ok(Interrupts { end, stage })
     }
 
-    /// Creates the run's folder. A signal before the run begins removes it, along with any parent folders created for
-    /// it.
+    /// Creates the run's folder. A signal before the run begins removes it, along with any parent folders
+    /// created for it.
     pub fn make_folder(
         &self,
         parent: &Path,
@@ -64,7 +65,8 @@ impl Interrupts {
         Ok(folder)
     }
 
-    /// Marks the run as begun: from now on there is something to lose. Returns the folders that are still empty.
+    /// Marks the run as begun: from now on there is something to lose. Returns the folders that are still
+    /// empty.
     pub fn run_begins(&self) -> Vec<PathBuf> {
         match std::mem::replace(&mut *lock(&self.stage), Stage::Running) {
             Stage::Before(folders) => folders,

@@ -9,7 +9,8 @@ use std::time::{Duration, Instant};
 /// Interval between checks.
 const CHECK_PERIOD: Duration = Duration::from_millis(250);
 
-/// Watches `run.mcap`. Otherwise the recorder would keep writing to an unlinked file, and nobody would notice.
+/// Watches `run.mcap`. Otherwise the recorder would keep writing to an unlinked file, and nobody would
+/// notice.
 #[derive(Debug)]
 pub(super) struct LogWatch {
     log: PathBuf,

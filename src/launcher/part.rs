@@ -72,15 +72,15 @@ pub fn end_all_at_once() {
     running().iter().for_each(KillHandle::end_at_once);
 }
 
-/// Makes this process the subreaper: orphans of a killed keeper become its children and are killed with it. Only for a
-/// process whose children are all parts. A viewer must not be among them: its orphan is a browser, which the user
-/// keeps.
+/// Makes this process the subreaper: orphans of a killed keeper become its children and are killed with it.
+/// Only for a process whose children are all parts. A viewer must not be among them: its orphan is a browser,
+/// which the user keeps.
 pub fn adopt() {
     IS_SUBREAPER.store(set_child_subreaper(Some(getpid())).is_ok(), Ordering::Relaxed);
 }
 
-/// Kills the orphans of a killed keeper; a keeper that exits normally leaves none. Repeats, because a process may
-/// spawn another just before it is killed or ends, which one look through `/proc` can miss.
+/// Kills the orphans of a killed keeper; a keeper that exits normally leaves none. Repeats, because a process
+/// may spawn another just before it is killed or ends, which one look through `/proc` can miss.
 fn kill_orphans() {
     let end = Instant::now() + KEEPER_LIMIT;
     let mut killed = Vec::new();
@@ -139,7 +139,8 @@ pub struct Memory {
 }
 
 impl Memory {
-    /// Updates the figures from a process, given as a process ID or `self`. Does nothing if the process is gone.
+    /// Updates the figures from a process, given as a process ID or `self`. Does nothing if the process is
+    /// gone.
     pub fn measure(&mut self, process: &str) {
         let Ok(text) = std::fs::read_to_string(format!("/proc/{process}/status")) else { return };
         // A zombie has no such lines.

@@ -1,5 +1,5 @@
-//! The progress display: a small table rewritten in place on a terminal, a line every two seconds elsewhere, or lines
-//! of JSON for scripts.
+//! The progress display: a small table rewritten in place on a terminal, a line every two seconds elsewhere,
+//! or lines of JSON for scripts.
 
 use std::io::{IsTerminal, Write, stderr};
 use std::time::{Duration, Instant};

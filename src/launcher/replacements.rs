@@ -1,5 +1,5 @@
-//! Handles controller programs that end before the run does: restarts them, or continues without them, as the scene
-//! says.
+//! Handles controller programs that end before the run does: restarts them, or continues without them, as the
+//! scene says.
 
 use ipc_types::messages::{EventCode, Part as HubPart, Participant, Severity, Tick};
 use ipc_types::ports::PortError;
@@ -35,8 +35,8 @@ impl Replacements {
         (before < controller.restarts || controller.optional).then_some((controller, command, before))
     }
 
-    /// Removes the part at this index after the end of the run. False if the run could not have continued without it:
-    /// then its exit status counts.
+    /// Removes the part at this index after the end of the run. False if the run could not have continued
+    /// without it: then its exit status counts.
     pub(super) fn dismiss(&mut self, plan: &RunPlan, parts: &mut Vec<Part>, index: usize) -> bool {
         let may_go = self.dispensable(plan, &parts[index]).is_some();
         if may_go {

@@ -48,7 +48,8 @@ pub enum Outcome {
     Interrupted,
     /// The log was removed or moved; says what happened to it.
     LogGone(String),
-    /// A controller did not join in time, or in lockstep did not answer in time: which of the two, and the physics's words for it.
+    /// A controller did not join in time, or in lockstep did not answer in time: which of the two, and the
+    /// physics's words for it.
     ControllerFailed(Blame),
     /// The simulation could not compute a tick: which one and why, in the physics's words.
     SimulationFailed(String),
@@ -372,8 +373,8 @@ pub(super) enum RunState {
     Ended,
 }
 
-/// Judges how a part ended. Once the run is over, DRR and controllers may exit shortly before the physics does. The
-/// physics exits cleanly only after the run is over, and no part may exit before that.
+/// Judges how a part ended. Once the run is over, DRR and controllers may exit shortly before the physics
+/// does. The physics exits cleanly only after the run is over, and no part may exit before that.
 pub(super) fn judge(part: &mut Part, run: RunState) -> Outcome {
     let status = part.ended();
     let succeeded = status.is_some_and(|status| status.success());

@@ -1,7 +1,8 @@
-//! Confines a run to some cores by affinity, and to a share of them by a CPU quota where a cgroup can be created.
+//! Confines a run to some cores by affinity, and to a share of them by a CPU quota where a cgroup can be
+//! created.
 //!
-//! Affinity and cgroup apply to this thread; everything that it starts meanwhile inherits both. Dropping the guard
-//! restores them.
+//! Affinity and cgroup apply to this thread; everything that it starts meanwhile inherits both. Dropping the
+//! guard restores them.
 
 use std::path::{Path, PathBuf};
 
@@ -23,7 +24,8 @@ pub struct Confinement {
 #[derive(Debug)]
 struct Group {
     folder: PathBuf,
-    /// Files that accept threads (version 1) or processes (version 2), of the group and of the original group.
+    /// Files that accept threads (version 1) or processes (version 2), of the group and of the original
+    /// group.
     members: PathBuf,
     home: PathBuf,
 }
@@ -79,8 +81,8 @@ impl Group {
         if first_version {
             write("cpu.cfs_period_us", PERIOD_US.to_string())?;
             write("cpu.cfs_quota_us", quota_us.to_string())?;
-            // Without this the group may not hold SCHED_FIFO threads; kernels without group scheduling have no such
-            // file.
+            // Without this the group may not hold SCHED_FIFO threads; kernels without group scheduling have
+            // no such file.
             let _ = write("cpu.rt_runtime_us", "900000".to_owned());
         } else {
             write("cpu.max", format!("{quota_us} {PERIOD_US}"))?;

@@ -1,5 +1,5 @@
-//! Places of a scene moved by hand: from the scene's text to another one that differs in what follows from them, and keeps comments, order
-//! and everything else. Text in, text out.
+//! Places of a scene moved by hand: from the scene's text to another one that differs in what follows from
+//! them, and keeps comments, order and everything else. Text in, text out.
 //!
 //! | moved | what follows |
 //! |---|---|
@@ -116,8 +116,8 @@ fn to_target(scene: &Scene, drilling: &CurvedDrilling, places: &Places) -> Optio
     Some((ahead_mm, length(beside), beside))
 }
 
-/// Feeds as much farther as the arc has become longer, with the ramp in proportion; returns another direction to bend to, if the target
-/// needs one.
+/// Feeds as much farther as the arc has become longer, with the ramp in proportion; returns another direction
+/// to bend to, if the target needs one.
 fn follow(
     table: &mut dyn TableLike,
     scene: &Scene,
@@ -166,7 +166,8 @@ fn set(table: &mut dyn TableLike, key: &str, place: [f64; 3], decimals: i32) {
     }
 }
 
-/// Sets a number that stands in the text; a default that does not follows from the target by itself or not at all.
+/// Sets a number that stands in the text; a default that does not follows from the target by itself or not at
+/// all.
 fn set_number(table: &mut dyn TableLike, key: &str, number: f64) {
     let Some(value) = table.get_mut(key).and_then(Item::as_value_mut) else { return };
     let decor = value.decor().clone();
@@ -176,7 +177,8 @@ fn set_number(table: &mut dyn TableLike, key: &str, number: f64) {
 
 fn rounded(x: f64, decimals: i32) -> f64 {
     let scale = 10f64.powi(decimals);
-    // Beyond what a scene may hold the parser refuses it, with the number as it was given. No minus before a zero.
+    // Beyond what a scene may hold the parser refuses it, with the number as it was given. No minus before a
+    // zero.
     if x.abs() < 1e9 { (x * scale).round() / scale + 0.0 } else { x }
 }
 
@@ -225,7 +227,8 @@ mod tests {
         assert_eq!(edited(&places), expected, "the arc is the same, so the feed is");
     }
 
-    /// The arc from (0, 0, 42) to (0, 5, 57): radius 25 mm, angle 2 atan(1/3), as before, but the tool bends to +y.
+    /// The arc from (0, 0, 42) to (0, 5, 57): radius 25 mm, angle 2 atan(1/3), as before, but the tool bends
+    /// to +y.
     #[test]
     fn a_target_out_of_the_bending_plane_turns_it_and_a_farther_one_lengthens_the_feed() {
         let turned = edited(&Places { target_mm: Some([0.0, 5.0, 57.0]), ..Places::default() });

@@ -20,8 +20,8 @@ use crate::failure::Failure;
 
 /// The frames of a log, each paired with what the renderer makes of the same tick, C-arm and seed now.
 ///
-/// The log decides what a frame shows: the reply gives its tick, the scene or the request its C-arm, the scene its
-/// seed; the state and the removed voxels are those of that tick.
+/// The log decides what a frame shows: the reply gives its tick, the scene or the request its C-arm, the
+/// scene its seed; the state and the removed voxels are those of that tick.
 pub struct FrameReplay<'l> {
     log: &'l OpenedLog,
     view: VolumeView<'l>,
@@ -40,7 +40,8 @@ impl<'l> FrameReplay<'l> {
     /// Starts at the first frame; none if the scene has no X-ray.
     ///
     /// # Errors
-    /// The renderer refuses the scene, a mesh of the arm that frames show is not there or another one, or the file cannot be opened.
+    /// The renderer refuses the scene, a mesh of the arm that frames show is not there or another one, or the
+    /// file cannot be opened.
     pub fn new(log: &'l OpenedLog, threads: usize) -> Result<Option<FrameReplay<'l>>, Failure> {
         let (Some(drr), Some(ct)) = (&log.scene.drr, &log.ct) else { return Ok(None) };
         let view = VolumeView::try_from(&ct.volume).map_err(Failure::failed)?;
@@ -80,8 +81,8 @@ impl<'l> FrameReplay<'l> {
     /// Renders a recorded frame again; none if its tick lies in a gap of the log.
     ///
     /// # Errors
-    /// The reply disagrees with the frame or with the request; the log lacks the frame's tick; the renderer refuses
-    /// the frame.
+    /// The reply disagrees with the frame or with the request; the log lacks the frame's tick; the renderer
+    /// refuses the frame.
     pub fn render(&mut self, recorded: &Frame) -> Result<Option<FrameRecord>, Failure> {
         let Some(job) = self.job(recorded)? else { return Ok(None) };
         Ok(Some(self.render_job(&job)?))
@@ -138,8 +139,8 @@ impl<'l> FrameReplay<'l> {
         }))
     }
 
-    /// Reads the log up to the state that the frame shows, and collects the voxels removed until then. False if the
-    /// state lies in a gap.
+    /// Reads the log up to the state that the frame shows, and collects the voxels removed until then. False
+    /// if the state lies in a gap.
     fn advance_to(&mut self, frame: &Frame) -> Result<bool, Failure> {
         while self.state.tick < frame.tick {
             let Some(record) = self.ticks.next() else { break };

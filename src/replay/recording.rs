@@ -37,15 +37,16 @@ pub struct Recorded {
     pub remark: Option<String>,
 }
 
-/// Replays a log and writes the result into `run.mcap` of `folder`: commands and replies from the log; states, removed
-/// voxels and keyframes from the physics; frames rendered again on `frame_threads` threads or, without, copied from
-/// the log.
+/// Replays a log and writes the result into `run.mcap` of `folder`: commands and replies from the log;
+/// states, removed voxels and keyframes from the physics; frames rendered again on `frame_threads` threads
+/// or, without, copied from the log.
 ///
-/// Every message keeps its place in the log, because in real time the arrival of a frame is not a function of the run.
+/// Every message keeps its place in the log, because in real time the arrival of a frame is not a function of
+/// the run.
 ///
 /// # Errors
-/// The first difference; a log that cannot be read to its end; a folder that cannot be written. On error no file
-/// remains.
+/// The first difference; a log that cannot be read to its end; a folder that cannot be written. On error no
+/// file remains.
 pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> Result<Recorded, Failure> {
     let path = folder.join("run.mcap");
     refuse_existing(&[&path])?;

@@ -48,7 +48,8 @@ impl Replies {
         Ok(Replies { stream, waiting, scene, requests, without_request: 0, path, options, lacks: None })
     }
 
-    /// Requested frames so far whose request is not in the timing lane: their C-arm is compared with their reply's alone.
+    /// Requested frames so far whose request is not in the timing lane: their C-arm is compared with their
+    /// reply's alone.
     pub fn without_request(&self) -> u64 {
         self.without_request
     }
@@ -123,8 +124,8 @@ impl Replies {
 /// Requester and request number; a controller may reuse a number.
 type Key = (u32, u64);
 
-/// The requests of the timing lane. Of each only the key and a hash of its C-arm are kept (24 bytes), so that those of a day fit; the C-arm
-/// itself is read again for the report of a difference.
+/// The requests of the timing lane. Of each only the key and a hash of its C-arm are kept (24 bytes), so that
+/// those of a day fit; the C-arm itself is read again for the report of a difference.
 struct Requests {
     timing: PathBuf,
     options: ReadOptions,
@@ -163,7 +164,8 @@ impl Requests {
         None
     }
 
-    /// `replied` if a request with this key asked for it, otherwise what the first one asked for; none without a request.
+    /// `replied` if a request with this key asked for it, otherwise what the first one asked for; none
+    /// without a request.
     fn asked_for(&self, key: Key, replied: &CArmGeometry) -> Option<CArmGeometry> {
         if self.known.binary_search(&(key, hash(replied))).is_ok() {
             return Some(*replied);

@@ -11,8 +11,9 @@ use run_log::{LogError, SavedState, Verdict};
 use super::{OpenedLog, Overrides};
 use crate::failure::Failure;
 
-/// Steps a log without comparing its ticks: from keyframe to keyframe on several threads if that proves to come to what one pass comes to,
-/// else in one pass. A scene or build that is not the log's has other states than its keyframes, so it is stepped in one pass at once.
+/// Steps a log without comparing its ticks: from keyframe to keyframe on several threads if that proves to
+/// come to what one pass comes to, else in one pass. A scene or build that is not the log's has other states
+/// than its keyframes, so it is stepped in one pass at once.
 ///
 /// # Errors
 /// The log cannot be read, or the physics refuses the scene or a tick.

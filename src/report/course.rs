@@ -1,4 +1,5 @@
-//! What the states of a run show: where it began, its deepest place and its end, and the largest values on the way.
+//! What the states of a run show: where it began, its deepest place and its end, and the largest values on
+//! the way.
 
 use ipc_types::messages::{MAX_TENDONS, State};
 use ipc_types::scene::Scene;
@@ -16,7 +17,8 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// The plane through the first state's tip, spanned by its base's +x (toward tendon 0) and +z (insertion).
+    /// The plane through the first state's tip, spanned by its base's +x (toward tendon 0) and +z
+    /// (insertion).
     pub fn of(state: &State) -> Plane {
         let q = state.t_world_base.orientation_xyzw;
         let (bend_axis, insertion_axis) = (rotate(q, [1.0, 0.0, 0.0]), rotate(q, [0.0, 0.0, 1.0]));
@@ -172,7 +174,8 @@ fn put(kept: &mut Option<Box<State>>, state: &State) {
     }
 }
 
-/// Volume of a voxel, if the scene states it, as it does for phantoms and for files that are resampled to cubes.
+/// Volume of a voxel, if the scene states it, as it does for phantoms and for files that are resampled to
+/// cubes.
 fn voxel_volume_mm3(scene: &Scene) -> Option<f64> {
     let volume = scene.volume.as_ref()?;
     let edge_mm = volume.phantom.map(|_| volume.spacing_mm).or(volume.resample_mm)?;

@@ -59,7 +59,8 @@ impl Distribution {
         self.0.len()
     }
 
-    /// Quantiles in units of `unit_ns`; none without samples. At most half a bin (0.05 % with 3 digits) too high.
+    /// Quantiles in units of `unit_ns`; none without samples. At most half a bin (0.05 % with 3 digits) too
+    /// high.
     pub fn quantiles(&self, unit_ns: f64) -> Option<Quantiles> {
         let at = |quantile: f64| self.0.value_at_quantile(quantile) as f64 / unit_ns;
         let max = self.0.max() as f64 / unit_ns;

@@ -21,7 +21,8 @@ impl LogSummary {
 /// Maximum number of gaps that the table names individually.
 const GAPS_SHOWN: usize = 3;
 
-/// The short table at the end of a run: 20 lines, plus one for each caution and for each controller after the third.
+/// The short table at the end of a run: 20 lines, plus one for each caution and for each controller after the
+/// third.
 impl fmt::Display for Summary {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let unknown = || "unknown".to_string();
@@ -119,8 +120,8 @@ impl Summary {
             self.logs.mb_per_simulated_s.map_or(String::new(), |mb| format!(", {mb:.2} MB per simulated s"));
         let (run, timing) = (megabytes(self.logs.run_bytes), megabytes(self.logs.timing_bytes));
         rows.push(("logs", format!("run {run}, timing {timing}{rate}")));
-        // Shared memory counts in every process that maps it; the reader wants to know what each process costs by
-        // itself.
+        // Shared memory counts in every process that maps it; the reader wants to know what each process
+        // costs by itself.
         let own = self
             .peak_memory_bytes
             .iter()

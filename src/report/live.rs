@@ -96,8 +96,8 @@ pub fn progress_line(live: &LiveSnapshot) -> String {
     line
 }
 
-/// A number in at least `width` columns and at most 6 or `width`, whichever is more: a number that does not fit is
-/// written with an exponent, a non-finite one as a dash.
+/// A number in at least `width` columns and at most 6 or `width`, whichever is more: a number that does not
+/// fit is written with an exponent, a non-finite one as a dash.
 fn fixed(value: f64, width: usize, decimals: usize) -> String {
     if !value.is_finite() {
         return format!("{:>width$}", "-");

@@ -1,6 +1,7 @@
 //! What a user sees of a finished run: pictures, numbers, a table; and the line that shows how a run goes on.
 //!
-//! [`write()`] reads `run.mcap` and `timing.mcap` of a run folder once each, in bounded memory, and writes beside them:
+//! [`write()`] reads `run.mcap` and `timing.mcap` of a run folder once each, in bounded memory, and writes
+//! beside them:
 //!
 //! | file | what it shows |
 //! |---|---|
@@ -10,7 +11,8 @@
 //! | `summary.json` | [`Summary`] |
 //! | `report.html` | all of it on one page, with warnings, scene and the command that replays the run |
 //!
-//! Each file is on the disk before the next is begun. A log that is cut, damaged or not there gives what it holds; what is wrong stands in `LogSummary::notes`.
+//! Each file is on the disk before the next is begun. A log that is cut, damaged or not there gives what it
+//! holds; what is wrong stands in `LogSummary::notes`.
 
 pub mod calibration_figure;
 mod cautions;
@@ -111,8 +113,8 @@ pub struct Report {
     pub missing: Vec<FigureError>,
 }
 
-/// Writes the report of a run into its folder. Files are independent: if one cannot be written, the others still are,
-/// and existing files are never replaced.
+/// Writes the report of a run into its folder. Files are independent: if one cannot be written, the others
+/// still are, and existing files are never replaced.
 ///
 /// # Errors
 /// [`ReportError::Histogram`]: there are no numbers. Logs that cannot be read are not an error.

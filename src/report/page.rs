@@ -1,5 +1,5 @@
-//! `report.html`: the whole report as one page that needs no other file and no network. Every text in it may be a stranger's (a scene's
-//! name, a controller's warning), so the template escapes all of them.
+//! `report.html`: the whole report as one page that needs no other file and no network. Every text in it may
+//! be a stranger's (a scene's name, a controller's warning), so the template escapes all of them.
 
 use askama::Template;
 use data_encoding::BASE64;

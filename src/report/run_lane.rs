@@ -109,8 +109,8 @@ pub struct RunLane {
 const MAX_GAPS: usize = 100;
 
 impl RunLane {
-    /// Reads the file once. Faults become notes. `end_ns` is the simulated length of the run if known, used to choose
-    /// the middle frame; otherwise the scene's length is used.
+    /// Reads the file once. Faults become notes. `end_ns` is the simulated length of the run if known, used
+    /// to choose the middle frame; otherwise the scene's length is used.
     pub fn read(path: &Path, end_ns: Option<u64>) -> RunLane {
         let mut lane = RunLane::default();
         let stream = match MessageStream::open(&LogFile::at(path), ReadOptions::default()) {

@@ -30,7 +30,8 @@ pub struct Summary {
     pub wall_s: f64,
     /// Wall time from the start to the first tick.
     pub startup_s: f64,
-    /// Wall time of each phase of the run: volume, session and connecting before the first tick, ticks, end of the parts.
+    /// Wall time of each phase of the run: volume, session and connecting before the first tick, ticks, end
+    /// of the parts.
     #[serde(default)]
     pub phases_s: BTreeMap<String, f64>,
     /// Simulated over wall time.
@@ -39,7 +40,8 @@ pub struct Summary {
     pub final_hash: Option<String>,
     /// The tool; none without a state.
     pub tool: Option<ToolSummary>,
-    /// Known error of the model; none for a model that does not bend in one plane, without bone, or not measured.
+    /// Known error of the model; none for a model that does not bend in one plane, without bone, or not
+    /// measured.
     #[serde(default)]
     pub model_error: Option<ModelError>,
     /// What is most likely wrong with the run.
@@ -75,7 +77,8 @@ pub struct ToolSummary {
     pub tip_deepest_mm: [f64; 3],
     /// Front of the burr at the end, world frame.
     pub tip_end_mm: [f64; 3],
-    /// Distance of the burr centre from the controller's target at the deepest insertion; none without a target.
+    /// Distance of the burr centre from the controller's target at the deepest insertion; none without a
+    /// target.
     pub target_error_mm: Option<f64>,
     /// Bend at the deepest insertion.
     pub bend_deg: f64,

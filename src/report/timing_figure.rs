@@ -49,7 +49,8 @@ fn is_realtime(timing: &TimingLane) -> bool {
     timing.header.as_ref().is_some_and(|header| header.mode == RunMode::RealTime)
 }
 
-/// Middle (s) and quantiles (µs) of each interval. A last interval less than half full is merged into the one before.
+/// Middle (s) and quantiles (µs) of each interval. A last interval less than half full is merged into the one
+/// before.
 fn step_bins(timing: &TimingLane, end_s: f64) -> Vec<(f64, Quantiles)> {
     let bins = timing.step_over_time.iter();
     let mut bins: Vec<(f64, Quantiles)> =

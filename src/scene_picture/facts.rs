@@ -87,7 +87,8 @@ impl Facts {
         })
     }
 
-    /// Least, mean and largest Hounsfield units from the entry to the target; `None` if the path meets no bone.
+    /// Least, mean and largest Hounsfield units from the entry to the target; `None` if the path meets no
+    /// bone.
     pub fn hu_range(&self) -> Option<[f64; 3]> {
         let entry = self.entry?;
         let behind = self.profile.iter().filter(|sample| sample.along_mm >= entry.along_mm);
@@ -153,7 +154,8 @@ fn profile(volume: &Volume, shapes: &Shapes, is_bone: impl Fn(&Sample) -> bool) 
     before
 }
 
-/// How far the arm can move the tool's base straight ahead from the start, by its inverse kinematics and its joint limits.
+/// How far the arm can move the tool's base straight ahead from the start, by its inverse kinematics and its
+/// joint limits.
 fn feed_mm(scene: &Scene, shapes: &Shapes) -> f64 {
     let arm = ArmParameters::of(&scene.arm, scene.dt_s());
     let joints = initial_q_rad(&scene.arm);

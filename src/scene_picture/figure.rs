@@ -25,7 +25,8 @@ const PIXELS: f64 = 2.0;
 const HALF_MM: [f64; 2] = [25.0, 70.0];
 /// What is kept free around the path, mm.
 const AROUND_MM: f64 = 14.0;
-/// A part of the path this near to a plane is drawn solid, mm; the rest, as it lies before or behind the plane, dashed.
+/// A part of the path this near to a plane is drawn solid, mm; the rest, as it lies before or behind the
+/// plane, dashed.
 const NEAR_MM: f64 = 1.5;
 const ALONG_HEIGHT: f64 = 300.0;
 const PROFILE_HEIGHT: f64 = 230.0;

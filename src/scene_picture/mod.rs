@@ -1,5 +1,6 @@
-//! A scene before its run, as one picture: CT slices through the burr's start, the entry and the target, the planned path with its pilot
-//! hole, the tool to scale, Hounsfield units along the path, and what is measured there.
+//! A scene before its run, as one picture: CT slices through the burr's start, the entry and the target, the
+//! planned path with its pilot hole, the tool to scale, Hounsfield units along the path, and what is measured
+//! there.
 //!
 //! | module | what it holds |
 //! |---|---|

@@ -106,7 +106,8 @@ impl ToolShape {
 #[derive(Debug, Clone)]
 pub struct Shapes {
     pub holes: Vec<Hole>,
-    /// The planned path of the burr's centre, from the beginning of its pilot hole; without a controller that drills, a line ahead.
+    /// The planned path of the burr's centre, from the beginning of its pilot hole; without a controller that
+    /// drills, a line ahead.
     pub path_mm: Vec<Vector3<f64>>,
     /// Whether a controller drills along the path.
     pub is_planned: bool,

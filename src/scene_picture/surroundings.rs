@@ -10,8 +10,8 @@ const MOST_CELLS: usize = 16 << 20;
 /// Distance of the places of a ray, mm.
 const RAY_STEP_MM: f64 = 0.25;
 
-/// The places outside of the bone: below the threshold, and connected with the volume's border by such places. Marrow and the holes of
-/// cancellous bone, closed in by the cortex, are inside.
+/// The places outside of the bone: below the threshold, and connected with the volume's border by such
+/// places. Marrow and the holes of cancellous bone, closed in by the cortex, are inside.
 pub struct Surroundings<'a> {
     volume: &'a Volume,
     /// Voxels from one cell to the next.
@@ -107,7 +107,8 @@ impl<'a> Surroundings<'a> {
         }
     }
 
-    /// The nearest outside cell within a box of so many cells to each side, and whether the box is the whole map.
+    /// The nearest outside cell within a box of so many cells to each side, and whether the box is the whole
+    /// map.
     fn nearest_mm(&self, place: [f64; 3], size_mm: [f64; 3], half: usize) -> (f64, bool) {
         let middle =
             [0, 1, 2].map(|axis| place[axis].round().clamp(0.0, (self.cells[axis] - 1) as f64) as usize);
@@ -142,7 +143,8 @@ pub(super) mod tests {
     use super::*;
     use voxel_grid::VoxelGrid;
 
-    /// A cube of this many voxels of half a millimetre a side, of Hounsfield units by the distance from its middle, mm.
+    /// A cube of this many voxels of half a millimetre a side, of Hounsfield units by the distance from its
+    /// middle, mm.
     pub fn ball(count: usize, hu_at: impl Fn(f64) -> i16) -> Volume {
         let half_mm = 0.25 * (count - 1) as f64;
         let far = |index: usize| 0.5 * index as f64 - half_mm;

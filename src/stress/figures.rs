@@ -174,7 +174,8 @@ mod tests {
     use super::*;
     use crate::stress::plan::Load;
 
-    /// Five loads and each of the policies and waits: as wide as it gets, so two maps do not fit beside each other.
+    /// Five loads and each of the policies and waits: as wide as it gets, so two maps do not fit beside each
+    /// other.
     #[test]
     fn nothing_lies_over_anything_in_a_wide_map() {
         let loads = ["none", "spin:1", "memory:16", "disk:64", "fork:8"];

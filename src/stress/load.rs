@@ -1,7 +1,7 @@
 //! Neighbours on the hub's cores: processes of this program whose only purpose is to cause load.
 //!
-//! They never outlive the test: the kernel sends them SIGTERM, which they do not catch, when their parent dies;
-//! dropping their guard kills them; and each ends by itself after its limit.
+//! They never outlive the test: the kernel sends them SIGTERM, which they do not catch, when their parent
+//! dies; dropping their guard kills them; and each ends by itself after its limit.
 
 use std::io::{Seek, Write};
 use std::path::Path;
@@ -27,7 +27,8 @@ const STEPS: usize = 1 << 16;
 pub struct Loads(Vec<Child>);
 
 impl Loads {
-    /// Starts the neighbours, each with its own seed, on this thread's cores. A disk load writes below `folder`.
+    /// Starts the neighbours, each with its own seed, on this thread's cores. A disk load writes below
+    /// `folder`.
     pub fn start(load: Load, seed: u64, folder: &Path, limit: Duration) -> std::io::Result<Loads> {
         let program = std::env::current_exe()?;
         let mut loads = Loads::default();

@@ -1,7 +1,9 @@
-//! `trabecula stress`: the timing of a scene on limited cores with neighbours, with every late tick explained.
+//! `trabecula stress`: the timing of a scene on limited cores with neighbours, with every late tick
+//! explained.
 //!
-//! Each combination is a separate `trabecula run`, confined to the same cores as its neighbours. Its logs are read,
-//! replayed and removed. The report is rewritten after each one, so whatever ends the test keeps the finished results.
+//! Each combination is a separate `trabecula run`, confined to the same cores as its neighbours. Its logs are
+//! read, replayed and removed. The report is rewritten after each one, so whatever ends the test keeps the
+//! finished results.
 
 mod figures;
 pub mod load;
@@ -59,7 +61,8 @@ pub struct StressPlan {
     pub compare: Option<StressReport>,
 }
 
-/// Runs the combinations and writes the report into the output folder. The flag says whether it was interrupted.
+/// Runs the combinations and writes the report into the output folder. The flag says whether it was
+/// interrupted.
 ///
 /// # Errors
 /// An invalid scene (2); a report that cannot be written. A failed run is part of the report.

@@ -164,8 +164,8 @@ fn pairs(combination: &Combination) -> Vec<Pair> {
     pairs
 }
 
-/// Chooses `count` of the combinations, keeping their order, so that they cover as many pairs of levels as possible.
-/// Greedy: each next one covers the most uncovered pairs; the seed breaks ties.
+/// Chooses `count` of the combinations, keeping their order, so that they cover as many pairs of levels as
+/// possible. Greedy: each next one covers the most uncovered pairs; the seed breaks ties.
 pub fn subset(combinations: &[Combination], count: usize, seed: u64) -> Vec<Combination> {
     let mut random = Rng::with_seed(seed);
     let mut left: Vec<(u64, usize)> = (0..combinations.len()).map(|index| (random.u64(..), index)).collect();

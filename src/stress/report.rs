@@ -20,7 +20,8 @@ pub struct Tested {
     pub combination: Combination,
     /// Its measurements.
     pub measured: Measured,
-    /// Share of the machine's core time that was busy, and that was stolen by the hypervisor, during the run; percent.
+    /// Share of the machine's core time that was busy, and that was stolen by the hypervisor, during the run;
+    /// percent.
     pub busy_percent: f64,
     /// See `busy_percent`.
     pub stolen_percent: f64,
@@ -74,7 +75,8 @@ pub struct ExplainedShare {
     pub confirmed: f64,
     /// Time attributed to stealing.
     pub stolen_ms: f64,
-    /// Steal shown by the machine's own counter, `/proc/stat`, for the late ticks: an upper bound on `stolen_ms`.
+    /// Steal shown by the machine's own counter, `/proc/stat`, for the late ticks: an upper bound on
+    /// `stolen_ms`.
     pub counter_ms: f64,
 }
 

@@ -185,8 +185,8 @@ impl Folder {
         self.path.join("rows").join(format!("{point:07}.json"))
     }
 
-    /// Makes a folder for a run's log, from the sweep's. A run that was killed may have left one, and another worker may be making the same
-    /// run: nobody gets a folder twice.
+    /// Makes a folder for a run's log, from the sweep's. A run that was killed may have left one, and another
+    /// worker may be making the same run: nobody gets a folder twice.
     pub fn claim_run(&self, point: u64) -> Result<PathBuf, Failure> {
         let first = format!("{point:07}");
         let names = std::iter::once(first.clone()).chain((2_u32..).map(|number| format!("{first}-{number}")));
@@ -237,7 +237,8 @@ impl Folder {
         }
     }
 
-    /// Writes the rows that are there into a file of `table/`, in place of an earlier one of the same name. Returns it.
+    /// Writes the rows that are there into a file of `table/`, in place of an earlier one of the same name.
+    /// Returns it.
     pub fn write_table(&self, name: &str, rows: &[Row]) -> Result<PathBuf, Failure> {
         let file = self.path.join("table").join(name);
         let bytes = parquet::table(self.keys(), rows)?;

@@ -1,4 +1,5 @@
-//! A run of a sweep in this process: the physics, the scene's own controllers, and the X-ray frames that these look at.
+//! A run of a sweep in this process: the physics, the scene's own controllers, and the X-ray frames that
+//! these look at.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -24,7 +25,8 @@ pub enum Ran {
 /// Runs a scene to its end and fills the row in. `recorded` is the folder for its log.
 ///
 /// # Errors
-/// The machine's: no memory, no thread, a log that cannot be written. A row holds nothing that depends on the machine, so there is none.
+/// The machine's: no memory, no thread, a log that cannot be written. A row holds nothing that depends on the
+/// machine, so there is none.
 pub fn run(
     shared: &Arc<SharedScene>,
     mut row: Row,

@@ -1,4 +1,5 @@
-//! A run of a sweep as a session of its own, for scenes whose controllers are programs and for logs with X-ray frames.
+//! A run of a sweep as a session of its own, for scenes whose controllers are programs and for logs with
+//! X-ray frames.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -18,8 +19,8 @@ const ENDING_LIMIT: Duration = Duration::from_secs(30);
 /// How long to wait for the last words of one that has ended.
 const SAID_LIMIT: Duration = Duration::from_secs(5);
 
-/// Runs `trabecula run` with these arguments into a folder, and fills the row in from its `summary.json`. The folder keeps the log, because
-/// what a program of the user's did cannot be made again from the row.
+/// Runs `trabecula run` with these arguments into a folder, and fills the row in from its `summary.json`. The
+/// folder keeps the log, because what a program of the user's did cannot be made again from the row.
 pub fn run(
     arguments: &[String],
     mut row: Row,

@@ -9,8 +9,8 @@
 //! | `runs/0000012/` | its log, if the study keeps logs |
 //! | `table/shard-0-of-1.parquet` | the rows of a shard; the folder is a Parquet dataset |
 //!
-//! A row is a function of its point and the build, so a sweep that was killed goes on where it was, machines may share a folder, and
-//! folders may be joined.
+//! A row is a function of its point and the build, so a sweep that was killed goes on where it was, machines
+//! may share a folder, and folders may be joined.
 
 pub mod folder;
 mod in_process;

@@ -6,8 +6,8 @@ use serde_json::Value;
 use super::row::{FIGURES, Row};
 use crate::failure::Failure;
 
-/// The table: `point`, a column for each key, `outcome`, `reason`, `final_hash`, the figures, `log`, `command`. A key
-/// whose values are all numbers gives numbers, any other one texts.
+/// The table: `point`, a column for each key, `outcome`, `reason`, `final_hash`, the figures, `log`,
+/// `command`. A key whose values are all numbers gives numbers, any other one texts.
 pub fn table(keys: &[String], rows: &[Row]) -> Result<Vec<u8>, Failure> {
     let mut columns =
         vec![("point".to_owned(), Column::Integers(rows.iter().map(|row| row.point as i64).collect()))];

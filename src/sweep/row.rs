@@ -56,7 +56,8 @@ pub struct Row {
 /// A figure of a row: its name, and its value if the row has it.
 type Figure = (&'static str, fn(&Row) -> Option<f64>);
 
-/// The figures of a row; those of [`ToolSummary`] and [`DrillingSummary`] mean what they mean in `summary.json`.
+/// The figures of a row; those of [`ToolSummary`] and [`DrillingSummary`] mean what they mean in
+/// `summary.json`.
 pub const FIGURES: [Figure; 22] = [
     ("ticks", |row| Some(row.ticks as f64)),
     ("simulated_s", |row| Some(row.simulated_s)),

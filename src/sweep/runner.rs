@@ -53,10 +53,12 @@ pub struct Work {
     pub jobs: usize,
 }
 
-/// Runs what has no row, and tells of each row. Ends early when `is_to_end` says so; then the runs under way are given up.
+/// Runs what has no row, and tells of each row. Ends early when `is_to_end` says so; then the runs under way
+/// are given up.
 ///
 /// # Errors
-/// The study's scene is refused by itself; a row or a log cannot be written; the machine has no memory or threads for a run.
+/// The study's scene is refused by itself; a row or a log cannot be written; the machine has no memory or
+/// threads for a run.
 pub fn run(
     study: &OpenedStudy,
     folder: &Folder,
@@ -107,7 +109,8 @@ pub fn run(
     failure.into_inner().unwrap_or_else(PoisonError::into_inner).map_or(Ok(()), Err)
 }
 
-/// A worker's scene whose volume its next one may share. The first of all workers' is shared by all, so that they do not all read it.
+/// A worker's scene whose volume its next one may share. The first of all workers' is shared by all, so that
+/// they do not all read it.
 struct Volumes<'a> {
     own: Option<Arc<SharedScene>>,
     first: &'a Mutex<Option<Arc<SharedScene>>>,

@@ -32,7 +32,8 @@ fn length_m(cutter: &Cutter) -> f64 {
     cutter.front_radius_m() + cutter.span_m() + back_m
 }
 
-/// The dimensions of a scene's tool: the straight tool in its base's frame, whose z runs along the tool from the flange.
+/// The dimensions of a scene's tool: the straight tool in its base's frame, whose z runs along the tool from
+/// the flange.
 pub fn dimensions(scene: &Scene) -> Result<Vec<Dimension>, Failure> {
     let tool = manipulator_parameters(scene).map_err(Failure::bad_input)?;
     let first_m = tool.joint_positions_m.first().copied().unwrap_or(0.0);

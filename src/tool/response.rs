@@ -1,4 +1,5 @@
-//! What the tool does: its shape at rest and under each tendon, its first mode, and what a step of each rung costs.
+//! What the tool does: its shape at rest and under each tendon, its first mode, and what a step of each rung
+//! costs.
 
 use std::time::Instant;
 
@@ -23,7 +24,8 @@ const PAIR_N: f64 = 20.0;
 const MODES: usize = 3;
 /// Lengths out of an outer tube that are shown, as shares of its travel.
 const DEPLOYED_SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
-/// The tool has settled when no flexure turns faster, rad/s; at 1 ms it then moves less than a nanometre a step.
+/// The tool has settled when no flexure turns faster, rad/s; at 1 ms it then moves less than a nanometre a
+/// step.
 const SETTLED_RAD_PER_S: f64 = 1e-6;
 /// Steps of 1 ms in which a critically damped tool settles, or is given up.
 const MOST_STEPS: usize = 5000;
@@ -69,7 +71,8 @@ pub struct Cost {
     pub refused: Option<String>,
 }
 
-/// Ends of where the tool comes to in free space: with each tendon alone, with every two alike, or out of its outer tube and turned in it.
+/// Ends of where the tool comes to in free space: with each tendon alone, with every two alike, or out of its
+/// outer tube and turned in it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Workspace {
     /// The burr's centre toward `tool.bend_toward`.
@@ -278,7 +281,8 @@ mod tests {
     use super::*;
     use crate::scenes::BuiltIn;
 
-    /// Bug: numbers that had overflowed were printed as a shape, without a word. A pull of newtons on flexures of a micronewton metre.
+    /// Bug: numbers that had overflowed were printed as a shape, without a word. A pull of newtons on
+    /// flexures of a micronewton metre.
     #[test]
     fn a_tool_that_does_not_settle_is_said_not_to() {
         let mut scene = BuiltIn::FreeSpace.scene().unwrap();

@@ -18,7 +18,8 @@ pub struct ToolSource {
 }
 
 impl ToolSource {
-    /// Reads a scene or a tool file: a tool file has a `[tube]`. Without a file: the built-in femur, whose tool is the standard one.
+    /// Reads a scene or a tool file: a tool file has a `[tube]`. Without a file: the built-in femur, whose
+    /// tool is the standard one.
     pub fn load(file: Option<&Path>) -> Result<ToolSource, Failure> {
         if let Some(file) = file
             && let Ok(text) = text_file::read(file)

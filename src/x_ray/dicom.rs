@@ -1,7 +1,7 @@
 //! Writes frames as DICOM X-ray angiography (XA) images that `dciodvfy` (dicom3tools) accepts.
 //!
-//! Source: DICOM PS3.3 A.14 (the modules of an XA image), C.7 (patient, study, series, equipment, image), C.8.7.1 to C.8.7.5 (X-ray image,
-//! acquisition, XA positioner), C.11.1 (modality LUT).
+//! Source: DICOM PS3.3 A.14 (the modules of an XA image), C.7 (patient, study, series, equipment, image),
+//! C.8.7.1 to C.8.7.5 (X-ray image, acquisition, XA positioner), C.11.1 (modality LUT).
 
 use std::path::Path;
 
@@ -62,7 +62,8 @@ pub fn write_dicom(path: &Path, picture: &Picture, series: &Series, number: usiz
         (Ok(columns), Ok(rows)) => (columns, rows),
         _ => return Err(Failure::bad_input("DICOM images have at most 65535 rows and columns")),
     };
-    // UIDs derived from what they identify (PS3.5 B.2: 2.25 and a 128-bit number), so that the same call gives the same files.
+    // UIDs derived from what they identify (PS3.5 B.2: 2.25 and a 128-bit number), so that the same call
+    // gives the same files.
     let uid = |content: u128, kind: u128| format!("2.25.{}", (content ^ kind) >> 1);
     let content = xxh3_128(picture.greys.as_bytes()) ^ series.key.rotate_left(number as u32 % 128);
     let mut object = InMemDicomObject::new_empty();
@@ -158,7 +159,8 @@ fn decimal(value: f64) -> String {
 /// Least part of a unit vector that is worth a letter: 3 degrees.
 const LEAST_PART: f64 = 0.05;
 
-/// A direction in the patient's letters, the largest part first (PS3.3 C.7.6.1.1.1): left or right, posterior or anterior, head or foot.
+/// A direction in the patient's letters, the largest part first (PS3.3 C.7.6.1.1.1): left or right, posterior
+/// or anterior, head or foot.
 fn patient_direction(axis: [f64; 3]) -> String {
     let letters = [('L', 'R'), ('P', 'A'), ('H', 'F')];
     let mut parts: Vec<(f64, char)> = axis
@@ -170,8 +172,8 @@ fn patient_direction(axis: [f64; 3]) -> String {
     parts.into_iter().filter(|(size, _)| *size >= LEAST_PART).map(|(_, letter)| letter).collect()
 }
 
-/// The table from greys to what is linear in the detected X-ray intensity, which logarithmic images have (PS3.3 C.8.7.1.1.2): 65535 at the
-/// low end of the window, and less by exp(-attenuation) from there.
+/// The table from greys to what is linear in the detected X-ray intensity, which logarithmic images have
+/// (PS3.3 C.8.7.1.1.2): 65535 at the low end of the window, and less by exp(-attenuation) from there.
 fn intensity_table(picture: &Picture) -> DataElement<InMemDicomObject> {
     let WindowLimits { low, high } = picture.window;
     let intensity = |grey: u16| {

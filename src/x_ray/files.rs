@@ -21,7 +21,8 @@ const FRAME_MS: u16 = 66;
 pub struct Picture {
     pub placed: Placed,
     pub look: Look,
-    /// The attenuations (-ln of the fraction of photons) at the ends of the grey scale; of no meaning if linear.
+    /// The attenuations (-ln of the fraction of photons) at the ends of the grey scale; of no meaning if
+    /// linear.
     pub window: WindowLimits,
     /// Row by row, one per detector pixel.
     pub greys: Vec<u16>,
@@ -87,8 +88,8 @@ impl Animation {
     }
 }
 
-/// Writes a 32-bit NRRD of one frame: -ln of the readout, or the readout in linear mode; pixels in millimetres in the
-/// world frame.
+/// Writes a 32-bit NRRD of one frame: -ln of the readout, or the readout in linear mode; pixels in
+/// millimetres in the world frame.
 pub fn write_nrrd(path: &Path, picture: &Picture) -> Result<(), Failure> {
     let c_arm = &picture.placed.c_arm;
     let vector = |v: [f64; 3]| format!("({:?},{:?},{:?})", v[0] * 1e3, v[1] * 1e3, v[2] * 1e3);

@@ -154,7 +154,8 @@ impl Pose {
 }
 
 impl Pose {
-    /// Checks each number in the unit in which it is given: the renderer's own errors speak of radians and metres.
+    /// Checks each number in the unit in which it is given: the renderer's own errors speak of radians and
+    /// metres.
     fn check_ranges(&self) -> Result<(), String> {
         let isocentre_detector_mm = self.source_isocentre_mm.unwrap_or(SOURCE_ISOCENTRE_MM);
         let turn = (-180.0, 180.0);
@@ -195,8 +196,8 @@ const SOURCE_ISOCENTRE_MM: f64 = 700.0;
 /// Largest coordinate.
 const FURTHEST_MM: f64 = 1e5;
 
-/// Reads the poses of a file: TOML or JSON (one table, or a list `pose`), or CSV with a header of keys that hold one
-/// number.
+/// Reads the poses of a file: TOML or JSON (one table, or a list `pose`), or CSV with a header of keys that
+/// hold one number.
 ///
 /// # Errors
 /// A file that cannot be read, is not one of these, or has an unknown key (2).

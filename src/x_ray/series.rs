@@ -39,7 +39,8 @@ impl Look {
     }
 }
 
-/// Renders a frame of each pose, and has each written under its number, from 0 on. Returns how long rendering took, s.
+/// Renders a frame of each pose, and has each written under its number, from 0 on. Returns how long rendering
+/// took, s.
 pub fn render_and_write(
     renderer: &mut DrrRenderer,
     view: &VolumeView<'_>,

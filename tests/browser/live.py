@@ -21,7 +21,8 @@ def shows_the_tool(page: Page) -> None:
     page.until("the poses come", lambda: page.page.evaluate("trabecula.view.pictures > 3 && !!trabecula.model.poses"))
     picture = page.picture("scene-canvas")
     burr, links = count(picture, is_burr), count(picture, is_link)
-    # At the distance at which the page begins the burr is some ten pixels across, and the links are ten times as long.
+    # At the distance at which the page begins the burr is some ten pixels across, and the links are ten times
+    # as long.
     assert burr > BURR_PIXELS, f"{burr} pixels of the burr"
     assert links > 3 * BURR_PIXELS, f"{links} pixels of the links"
 

@@ -7,7 +7,8 @@ use test_support::limited::Limited;
 
 use crate::common::preload::library;
 
-/// A library that makes the wall clock of whoever preloads it step; the error is the reason why there is none.
+/// A library that makes the wall clock of whoever preloads it step; the error is the reason why there is
+/// none.
 pub fn stepping_clock() -> Result<PathBuf, String> {
     static LIBRARY: OnceLock<Result<PathBuf, String>> = OnceLock::new();
     LIBRARY.get_or_init(|| library("faults/clock_step.c")).clone()

@@ -10,7 +10,8 @@ use crate::common::scenes;
 use crate::name_space::NameSpace;
 use crate::scarce::{MEMORY, memory_left, start_in};
 
-/// The transport writes into a segment before it is reserved, which was a SIGBUS. Less than a session's first port needs: the error names the place and the bytes, and no signal ends the program.
+/// The transport writes into a segment before it is reserved, which was a SIGBUS. Less than a session's first
+/// port needs: the error names the place and the bytes, and no signal ends the program.
 #[test]
 fn a_full_shared_memory_is_an_error_and_no_sigbus() {
     let space = match NameSpace::with_tmpfs(Path::new(MEMORY), 64 << 10) {
@@ -26,7 +27,8 @@ fn a_full_shared_memory_is_an_error_and_no_sigbus() {
     assert_eq!(memory_left(&space), Vec::<String>::new());
 }
 
-/// The need was reckoned with as many copies of the CT as it may have readers: 35 times its bytes, where there is one.
+/// The need was reckoned with as many copies of the CT as it may have readers: 35 times its bytes, where
+/// there is one.
 #[test]
 fn the_default_scene_runs_with_one_gibibyte_of_shared_memory() {
     let space = match NameSpace::with_tmpfs(Path::new(MEMORY), 1 << 30) {
@@ -103,8 +105,8 @@ fn a_shared_memory_with_no_room_for_more_files_is_named() {
     assert_eq!((codes[0], codes.last()), (Some(1), Some(&Some(0))), "{codes:?}");
 }
 
-/// Two containers with one `/tmp`, each with a `/dev/shm` of its own: the hub of one removed the folder of a killed session of the other, and
-/// nobody knew of that one's memory any more.
+/// Two containers with one `/tmp`, each with a `/dev/shm` of its own: the hub of one removed the folder of a
+/// killed session of the other, and nobody knew of that one's memory any more.
 #[test]
 fn a_killed_session_in_another_shared_memory_is_left_to_a_hub_that_sees_it() {
     let Some(space) = own_memory("size=1g") else { return };

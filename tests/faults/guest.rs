@@ -151,8 +151,8 @@ fn controller(session: &Path, name: &str, behaviour: Behaviour) -> Result<(), tr
     }
 }
 
-/// Answers a state, and then holds room in shared memory for a command that it never sends: a program without the library,
-/// which takes such room only while it sends.
+/// Answers a state, and then holds room in shared memory for a command that it never sends: a program without
+/// the library, which takes such room only while it sends.
 fn loan(folder: &Path, name: &str) -> Result<(), Box<dyn std::error::Error>> {
     let session = Session::join(folder)?;
     let states = session.subscriber::<State>(&services::STATE)?;

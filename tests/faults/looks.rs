@@ -1,5 +1,6 @@
-//! How long a run takes to say what is wrong or to go on, counted in looks at it and not in seconds: on a machine that is
-//! slow the looks come as late as everybody else does, so a count of them means the same on every machine.
+//! How long a run takes to say what is wrong or to go on, counted in looks at it and not in seconds: on a
+//! machine that is slow the looks come as late as everybody else does, so a count of them means the same on
+//! every machine.
 
 use std::time::{Duration, Instant};
 

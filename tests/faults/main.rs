@@ -1,9 +1,9 @@
-//! Faults in the middle of a run, seeded: processes that are killed, stopped or starved, clients that misbehave, memory
-//! and disks that are full, sessions of the dead, clocks that step.
+//! Faults in the middle of a run, seeded: processes that are killed, stopped or starved, clients that
+//! misbehave, memory and disks that are full, sessions of the dead, clocks that step.
 //!
-//! In every trial the run goes on, or stops with an error that names the cause; nothing hangs and nobody panics; the log
-//! replays up to its end and holds what had been published; nothing is left behind; the next run starts. The error comes,
-//! or the next tick, within two seconds of looks at the run ([`looks`]).
+//! In every trial the run goes on, or stops with an error that names the cause; nothing hangs and nobody
+//! panics; the log replays up to its end and holds what had been published; nothing is left behind; the next
+//! run starts. The error comes, or the next tick, within two seconds of looks at the run ([`looks`]).
 //!
 //! An ordinary test run makes every fault once. As many trials as wanted, with the table:
 //!

@@ -17,7 +17,8 @@ pub struct NameSpace {
 }
 
 impl NameSpace {
-    /// A tmpfs of some bytes at a place that only this namespace sees; the error is the reason why there is none.
+    /// A tmpfs of some bytes at a place that only this namespace sees; the error is the reason why there is
+    /// none.
     pub fn with_tmpfs(at: &Path, bytes: u64) -> Result<NameSpace, String> {
         NameSpace::with(false, at, &format!("size={bytes}"))
     }

@@ -25,8 +25,8 @@ use crate::table::Outcome;
 
 /// Ticks that a run must make after a fault for it to have gone on.
 const TICKS_AFTER: u64 = 200;
-/// A killed recorder takes with it what it had not written: 100 ms, and on a machine as loaded as these tests make it what
-/// it was late by.
+/// A killed recorder takes with it what it had not written: 100 ms, and on a machine as loaded as these tests
+/// make it what it was late by.
 const RECORDER_LOSS: u64 = 400;
 /// A log's header is shorter: scene, calibration and schemas.
 const HEADER_BYTES: u64 = 100_000;
@@ -37,7 +37,8 @@ pub fn scene(lockstep: bool) -> String {
     let mode = if lockstep { "lockstep" } else { "realtime" };
     let guest =
         "\n[[controller]]\nname = \"guest\"\ndrives = [\"c_arm\"]\nexternal = true\noptional = true\n";
-    // Long enough for a lockstep run to be under way at the fault; late controllers are soon replaced or named.
+    // Long enough for a lockstep run to be under way at the fault; late controllers are soon replaced or
+    // named.
     let keys = "seed = 7\nhold_ticks = 20\ncontroller_limit_ms = 1500.0";
     scenes::drill(mode, 600.0).replace("seed = 7", keys) + guest + &scenes::keyframes(0.25)
 }
@@ -233,8 +234,8 @@ fn second_hub(random: &mut Rng) {
     wait_for("the end of its parts", || parts_of(&session).is_empty().then_some(()));
 }
 
-/// Waits until the run has ended, or has made enough ticks after the fault and is stopped. It must say what is wrong, or
-/// make a tick, within the limit of looks.
+/// Waits until the run has ended, or has made enough ticks after the fault and is stopped. It must say what
+/// is wrong, or make a tick, within the limit of looks.
 fn observe(fault: Fault, watched: &mut Watched, looks: &mut Looks) -> (Ended, bool) {
     let allowed = fault.allowed(watched.lockstep);
     let log =

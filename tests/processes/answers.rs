@@ -1,4 +1,5 @@
-//! Answers on standard output: one that cannot be written is a failure, one that nobody wants more of is none.
+//! Answers on standard output: one that cannot be written is a failure, one that nobody wants more of is
+//! none.
 
 use std::fs::{self, File};
 use std::process::{Command, Output, Stdio};
@@ -56,8 +57,8 @@ fn call(command: &str) -> Call {
         "tool show" => As("tool show @scene.toml"),
         // They need a run under way: `tests/processes/session_commands.rs`.
         "session stop" | "session pause" | "session resume" | "session env" => HelpOnly,
-        // It ends when it is told to. The others take minutes, and a part of a session answers nobody. All speak through
-        // `src/say.rs`: a lint refuses every other way to standard output.
+        // It ends when it is told to. The others take minutes, and a part of a session answers nobody. All
+        // speak through `src/say.rs`: a lint refuses every other way to standard output.
         "view" | "stress" => HelpOnly,
         // `tests/processes/sweeps.rs` runs them.
         _ if command.starts_with("sweep ") => HelpOnly,
@@ -107,8 +108,8 @@ fn assert_told(words: &[&str]) {
     assert_eq!(err.matches(UNWRITTEN).count(), 1, "{words:?}: {err}");
 }
 
-/// `log info`, `log diff`, `replay --verify`, `volume info`, `scene check`, `doctor`, `run --json` and most others ended with 0 though nobody
-/// had their answer.
+/// `log info`, `log diff`, `replay --verify`, `volume info`, `scene check`, `doctor`, `run --json` and most
+/// others ended with 0 though nobody had their answer.
 #[test]
 fn an_answer_that_cannot_be_written_ends_with_1_whatever_the_command() {
     let place = Place::new();

@@ -39,8 +39,9 @@ fn scene_in(run: &str) -> String {
     run_log::LogReader::open(&recorder_proc::log_file::LogFile::at(&log)).unwrap().header().scene_toml.clone()
 }
 
-/// `run` looked for `configs/femur_curved_drilling.toml` in the folder it was called in, and ended with exit code 2. What
-/// `scene init` writes is the same scene: the same text in the log, the same hash of the last state, from another folder.
+/// `run` looked for `configs/femur_curved_drilling.toml` in the folder it was called in, and ended with exit
+/// code 2. What `scene init` writes is the same scene: the same text in the log, the same hash of the last
+/// state, from another folder.
 #[test]
 fn the_default_scene_runs_and_replays_in_any_folder_and_is_the_one_that_init_writes() {
     let (empty, other) = (Place::new(), Place::new());

@@ -137,8 +137,8 @@ fn a_run_folder_that_is_moved_during_the_run_blames_no_part() {
     }
 }
 
-/// The pictures, figures and summary of a run replaced what somebody had put under their names, and one picture that could not be
-/// written cost summary and table.
+/// The pictures, figures and summary of a run replaced what somebody had put under their names, and one
+/// picture that could not be written cost summary and table.
 #[test]
 fn what_others_put_into_a_runs_folder_stays_and_costs_nothing_else() {
     const MINE: &str = "a user's own work";

@@ -1,4 +1,5 @@
-//! The cache of volumes, through the program: in every environment, by two runs at once, and killed while it is written.
+//! The cache of volumes, through the program: in every environment, by two runs at once, and killed while it
+//! is written.
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt;

@@ -8,8 +8,8 @@ use serde_json::Value;
 use crate::common::logs::{assert_replays, events};
 use crate::common::program::Place;
 
-/// 39 spheres (32 links) of 6 mm between four walls and in a hole that is no wider: 156 contacts with the walls, and about 300 with the
-/// bone. The planar solver has room for 410.
+/// 39 spheres (32 links) of 6 mm between four walls and in a hole that is no wider: 156 contacts with the
+/// walls, and about 300 with the bone. The planar solver has room for 410.
 const CROWDED: &str = "
 name = \"crowded\"
 [run]

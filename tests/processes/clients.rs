@@ -23,8 +23,8 @@ fn steered(state: &State) -> Command {
     command
 }
 
-/// Runs the shared scene with `steered`; `disturb` is called once, with the state of tick 150, and returns the state that
-/// is to be answered next.
+/// Runs the shared scene with `steered`; `disturb` is called once, with the state of tick 150, and returns
+/// the state that is to be answered next.
 fn flown(place: &Place, disturb: impl FnOnce(&mut Pilot, State) -> State) -> Ended {
     let run = place.start(&scenes::shared("lockstep", TICKS as f64 * 1e-3));
     let mut pilot = Pilot::join(&run.session(), "pilot");
@@ -108,7 +108,8 @@ fn bad_commands_are_refused_by_field_and_change_nothing() {
     assert_same_run(&disturbed, &flown(&other, |_, state| state));
 }
 
-/// A goal that no arm reaches is only found in the step: it is refused there, and the run goes on and replays.
+/// A goal that no arm reaches is only found in the step: it is refused there, and the run goes on and
+/// replays.
 #[test]
 fn an_unreachable_goal_is_refused_with_an_event() {
     let place = Place::new();

@@ -1,5 +1,5 @@
-//! What a run leaves when the machine loses its power: on a file system in a file, of which copies are taken as they lie on the
-//! disk; and, without any right, in which order files are brought there.
+//! What a run leaves when the machine loses its power: on a file system in a file, of which copies are taken
+//! as they lie on the disk; and, without any right, in which order files are brought there.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -128,8 +128,8 @@ fn a_completed_run_survives_a_crash_of_the_machine() {
     }
 }
 
-/// What was published before a pause is soon on the disk but for the open chunk, while the run goes on; and in the middle of a chunk what
-/// is there can be read.
+/// What was published before a pause is soon on the disk but for the open chunk, while the run goes on; and
+/// in the middle of a chunk what is there can be read.
 #[test]
 fn a_run_under_way_survives_a_crash_of_the_machine() {
     let Some(disk) = disk() else { return };
@@ -167,7 +167,8 @@ fn a_run_under_way_survives_a_crash_of_the_machine() {
     assert_nothing_left(ended.pid);
 }
 
-/// The same without any right: files, their folder and the folders made above are brought to the disk before anything is said.
+/// The same without any right: files, their folder and the folders made above are brought to the disk before
+/// anything is said.
 #[test]
 fn all_files_and_folders_are_brought_to_the_disk_before_the_summary_is_shown() {
     let library = preload::library("processes/sync_order.c").unwrap();

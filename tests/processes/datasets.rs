@@ -1,4 +1,5 @@
-//! Data sets of labelled frames: what the command takes, refuses and splits. `clients/python/tests/test_datasets.py` reads them.
+//! Data sets of labelled frames: what the command takes, refuses and splits.
+//! `clients/python/tests/test_datasets.py` reads them.
 
 use std::fs;
 

@@ -5,7 +5,8 @@ use crate::common::program::{Place, assert_nothing_left, trabecula};
 use crate::common::scenes;
 use crate::frames::frames_of;
 
-/// Place of each joint in the one before it, mm, and its turn there about x, degrees: the PUMA 560 of `configs/examples/arm_joints.toml`.
+/// Place of each joint in the one before it, mm, and its turn there about x, degrees: the PUMA 560 of
+/// `configs/examples/arm_joints.toml`.
 const PUMA: [([f64; 3], f64); 6] = [
     ([0.0, 0.0, 0.0], 0.0),
     ([0.0, 0.0, 0.0], 90.0),
@@ -63,7 +64,8 @@ fn the_log_of_a_scene_with_a_tool_file_and_a_urdf_file_replays_without_them() {
     assert_nothing_left(ended.pid);
 }
 
-/// The PUMA with its meshes in the beam: live, replayed and without them; and a replay that would show another arm says so.
+/// The PUMA with its meshes in the beam: live, replayed and without them; and a replay that would show
+/// another arm says so.
 #[test]
 fn x_ray_frames_show_the_arm_of_the_run_or_none() {
     let place = Place::new();

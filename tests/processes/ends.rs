@@ -1,4 +1,5 @@
-//! Runs that end before their time: Ctrl-C, parts and programs that die. Every part that is killed in turn: `tests/faults`.
+//! Runs that end before their time: Ctrl-C, parts and programs that die. Every part that is killed in turn:
+//! `tests/faults`.
 
 use ipc_types::messages::Tick;
 use run_log::EndReason;

@@ -1,4 +1,5 @@
-//! Scenes that make no sense: `scene check`, `run` and `plan` say the same of them. What is said of each: `crates/simulation/tests/physics/feasibility/`.
+//! Scenes that make no sense: `scene check`, `run` and `plan` say the same of them. What is said of each:
+//! `crates/simulation/tests/physics/feasibility/`.
 
 use std::path::Path;
 
@@ -9,7 +10,8 @@ use trabecula::launcher::volume_source::{self, VolumeFiles};
 use crate::common::program::{Place, trabecula};
 use crate::common::scenes;
 
-/// What the three commands say of a scene: exit code and standard error, and for `scene check` also standard output.
+/// What the three commands say of a scene: exit code and standard error, and for `scene check` also standard
+/// output.
 fn said(place: &Place, text: &str) -> [(Option<i32>, String); 3] {
     let scene = place.scene(text);
     let check = trabecula(&[&"scene", &"check", &scene]);

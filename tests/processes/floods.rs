@@ -11,8 +11,8 @@ use crate::common::scenes;
 use crate::languages::clients;
 use crate::strays::{answer_here, joined, stopped};
 
-/// While messages came, the limit of a controller and run control were not looked at: a flood of refused commands held a
-/// lockstep run for ever.
+/// While messages came, the limit of a controller and run control were not looked at: a flood of refused
+/// commands held a lockstep run for ever.
 #[test]
 fn a_stop_is_heard_while_a_controller_floods_in_lockstep() {
     let place = Place::new();
@@ -69,7 +69,8 @@ fn two_clients_of_one_process_have_requests_of_their_own() {
     stopped(run, other, mine);
 }
 
-/// Waiting for a frame, for the volume or for run control went on after the run's end until the caller's own limit.
+/// Waiting for a frame, for the volume or for run control went on after the run's end until the caller's own
+/// limit.
 #[test]
 fn the_end_of_the_run_ends_the_wait_for_a_frame_of_a_future_tick() {
     let place = Place::new();

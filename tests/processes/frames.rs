@@ -112,7 +112,8 @@ fn turned(angle_deg: f64) -> Pose {
     Pose { position_m: [0.0, 0.0, -0.045], orientation_xyzw: [-c * half, -s * half, s * half, c * half] }
 }
 
-/// A batch of poses for one tick is answered in the order of the requests, and the scheduled frames are those of a run without it.
+/// A batch of poses for one tick is answered in the order of the requests, and the scheduled frames are those
+/// of a run without it.
 #[test]
 fn a_batch_of_poses_is_answered_in_order_and_leaves_the_scheduled_frames_alone() {
     let text = std::fs::read_to_string(clients().join("scenes/image_guided.toml")).unwrap();
@@ -162,7 +163,8 @@ fn write_requests(timing: &Path, requests: impl Iterator<Item = DrrRequest>) {
     log.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
 }
 
-/// A replay compared the first 65,536 requests with their frames and later ones, without a word, with their own replies.
+/// A replay compared the first 65,536 requests with their frames and later ones, without a word, with their
+/// own replies.
 #[test]
 fn a_request_behind_a_hundred_thousand_others_is_compared_with_its_frame() {
     let place = Place::new();

@@ -1,4 +1,5 @@
-//! Logs that are not whole, asked by every command: a gap, a damage, a reply that lies; and what a replay never does.
+//! Logs that are not whole, asked by every command: a gap, a damage, a reply that lies; and what a replay
+//! never does.
 
 use std::fs;
 use std::path::Path;
@@ -16,7 +17,8 @@ fn said(done: &Done, code: i32, words: &[&str]) {
     words.iter().for_each(|word| assert!(text.contains(word), "`{word}` in: {text}"));
 }
 
-/// A recorder that stands still for longer than its queues loses ticks in the middle; all that follows is whole.
+/// A recorder that stands still for longer than its queues loses ticks in the middle; all that follows is
+/// whole.
 fn with_gap(from: &Path, to: &Path, ticks: std::ops::Range<u64>) {
     edited(from, to, |topic, body| match topic {
         "/latched" => !ticks.contains(&Latched::read_from_bytes(body).unwrap().tick),

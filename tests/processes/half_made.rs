@@ -9,8 +9,8 @@ use crate::common::program::{
 };
 use crate::common::scenes;
 
-/// Kills a part at one of its first segments, and sees that the run ends for it. Returns whether it was killed: how many segments it makes
-/// depends on who connects when.
+/// Kills a part at one of its first segments, and sees that the run ends for it. Returns whether it was
+/// killed: how many segments it makes depends on who connects when.
 fn ends_when_killed(library: &Path, part: &str, killed_at: usize) -> bool {
     let place = Place::new();
     let scene = place.scene(&scenes::hold("lockstep", 0.2));
@@ -28,7 +28,8 @@ fn ends_when_killed(library: &Path, part: &str, killed_at: usize) -> bool {
     true
 }
 
-/// The launcher, which opened the segment of the dead part to clean up after it, waited for its size for ever.
+/// The launcher, which opened the segment of the dead part to clean up after it, waited for its size for
+/// ever.
 #[test]
 fn a_part_that_is_killed_while_it_makes_a_segment_hangs_no_run() {
     let library = match library("processes/half_made.c") {
@@ -47,8 +48,8 @@ fn a_part_that_is_killed_while_it_makes_a_segment_hangs_no_run() {
     std::fs::remove_file(library).unwrap();
 }
 
-/// Kills the launcher of a run without a recorder at one of its segments, and sees that every part ends for it. Returns whether it was
-/// killed.
+/// Kills the launcher of a run without a recorder at one of its segments, and sees that every part ends for
+/// it. Returns whether it was killed.
 fn parts_end_when_the_launcher_is_killed(library: &Path, killed_at: usize) -> bool {
     let place = Place::new();
     let scene = place.scene(&scenes::hold("lockstep", 0.2));

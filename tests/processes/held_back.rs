@@ -148,7 +148,8 @@ fn a_physics_whose_group_has_used_up_its_quota_is_called_throttled_and_not_stole
         }
     };
     let place = Place::new();
-    // A quota that a busy machine leaves to the group all the same, used up at once however little the run itself needs.
+    // A quota that a busy machine leaves to the group all the same, used up at once however little the run
+    // itself needs.
     let mut busy = group.command("sh").args(["-c", "while :; do :; done"]).spawn().unwrap();
     let run = group.start(&place);
     let misses = misses(run, |_, client| {

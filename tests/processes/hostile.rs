@@ -1,5 +1,5 @@
-//! Hostile and odd files, each given to the command that reads it: the verdict, the time and the peak memory. And what the largest volumes
-//! cost in the smallest files.
+//! Hostile and odd files, each given to the command that reads it: the verdict, the time and the peak memory.
+//! And what the largest volumes cost in the smallest files.
 //!
 //! `WRITE_TABLE=1 cargo test --release --test processes -- hostile` writes `docs/hostile_files.md`.
 
@@ -15,8 +15,8 @@ use crate::common::program::{Place, wait_for};
 use crate::dicom_bytes::{DicomSlice, JPEG_2000_SYNTAXES, LOSSLESS_JPEG, jpeg_2000, write_series};
 
 const PAGE: &str = "docs/hostile_files.md";
-/// Most address space that a refusal may take, KiB, set as a limit: the program, its threads' stacks, 16 MiB that compressed data may grow
-/// by before the ratio counts, and the syntax tree of a large text.
+/// Most address space that a refusal may take, KiB, set as a limit: the program, its threads' stacks, 16 MiB
+/// that compressed data may grow by before the ratio counts, and the syntax tree of a large text.
 const MOST_KIB: u64 = 512 << 10;
 
 /// What is wrong with a file, the command that reads it, and the file.
@@ -79,7 +79,8 @@ fn gzip_zeros(bytes: usize) -> Vec<u8> {
     encoder.finish().unwrap()
 }
 
-/// A label map as one zlib stream: of `slices` slices of 800 x 800 bytes, every hundredth has a square of labels.
+/// A label map as one zlib stream: of `slices` slices of 800 x 800 bytes, every hundredth has a square of
+/// labels.
 fn zlib_labels(slices: usize) -> Vec<u8> {
     let mut encoder = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::best());
     for slice in 0..slices {

@@ -1,4 +1,5 @@
-//! Whose a message is: programs of the same user that speak for a part of the hub, or go on writing what they have sent.
+//! Whose a message is: programs of the same user that speak for a part of the hub, or go on writing what they
+//! have sent.
 
 use std::fs::{self, File};
 use std::os::unix::fs::FileExt;
@@ -24,8 +25,8 @@ fn progress(tick: u64) -> Progress {
     Progress { tick, lost_messages: 0, consumer: SENDER_RECORDER, reserved: 0 }
 }
 
-/// Every client could report for the recorder: that it had taken what it had not, and the ticks ran away from it; or that it
-/// stood still, and so did they.
+/// Every client could report for the recorder: that it had taken what it had not, and the ticks ran away from
+/// it; or that it stood still, and so did they.
 #[test]
 fn progress_from_a_foreign_program_neither_lifts_nor_stalls_lockstep() {
     let place = Place::new();
@@ -51,7 +52,8 @@ fn progress_from_a_foreign_program_neither_lifts_nor_stalls_lockstep() {
         }
         newest
     };
-    // It runs a while ahead of the stopped recorder, and then waits for it: quiet for longer than a busy machine explains.
+    // It runs a while ahead of the stopped recorder, and then waits for it: quiet for longer than a busy
+    // machine explains.
     let mut quiet_looks = 0;
     wait_for("the wait for the recorder", || {
         std::thread::sleep(Duration::from_millis(200));
@@ -81,7 +83,8 @@ fn progress_from_a_foreign_program_neither_lifts_nor_stalls_lockstep() {
     assert_replays(&ended.folder);
 }
 
-/// Without X-ray and keyframes the ports of their services are free; seven bytes over one of them ended the recorder.
+/// Without X-ray and keyframes the ports of their services are free; seven bytes over one of them ended the
+/// recorder.
 #[test]
 fn a_foreign_program_on_a_free_port_of_a_part_does_not_end_the_recorder() {
     let place = Place::new();
@@ -106,8 +109,8 @@ fn a_foreign_program_on_a_free_port_of_a_part_does_not_end_the_recorder() {
     assert_replays(&ended.folder);
 }
 
-/// A program that goes on writing into a command that it has sent, while the physics decides on it: what is latched is what
-/// was checked.
+/// A program that goes on writing into a command that it has sent, while the physics decides on it: what is
+/// latched is what was checked.
 #[test]
 fn a_writer_that_keeps_writing_changes_no_decision() {
     const HONEST_N: f64 = 2.718_043_917_265;

@@ -46,7 +46,8 @@ fn name(signal: Signal) -> &'static str {
     }
 }
 
-/// Whether SIGHUP is ignored here, as below `nohup`: every program that a test starts inherits that, and must keep it. Says so.
+/// Whether SIGHUP is ignored here, as below `nohup`: every program that a test starts inherits that, and must
+/// keep it. Says so.
 fn hangup_is_ignored() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:")).unwrap().trim();
@@ -78,8 +79,8 @@ fn assert_interrupted(place: &Place, ended: &Ended, sent: Signal, after: &str) {
     assert_replays(&ended.folder);
 }
 
-/// The launcher asked a physics that did not listen yet, and then waited two minutes for its end; without a volume all
-/// ticks were made first, and beside an awaited controller nothing happened for 45 s.
+/// The launcher asked a physics that did not listen yet, and then waited two minutes for its end; without a
+/// volume all ticks were made first, and beside an awaited controller nothing happened for 45 s.
 #[test]
 fn a_signal_at_any_moment_of_the_start_is_answered_and_obeyed() {
     let default_scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/femur_curved_drilling.toml");

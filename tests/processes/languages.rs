@@ -1,7 +1,8 @@
-//! The clients of every language: the numbered examples, run as their README says, against a run of their own.
+//! The clients of every language: the numbered examples, run as their README says, against a run of their
+//! own.
 //!
-//! `02_follow_curve` does the same arithmetic in the same order in every language, so a lockstep run ends with the same
-//! hash whoever commands it; all examples print the same lines.
+//! `02_follow_curve` does the same arithmetic in the same order in every language, so a lockstep run ends
+//! with the same hash whoever commands it; all examples print the same lines.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -39,7 +40,8 @@ pub fn library() -> PathBuf {
     path
 }
 
-/// Runs a program to its end and returns what it printed; anything on standard error or another exit code fails.
+/// Runs a program to its end and returns what it printed; anything on standard error or another exit code
+/// fails.
 pub fn output_of(command: &mut Command) -> String {
     let output = command.limited_output().unwrap_or_else(|cause| panic!("{command:?}: {cause}"));
     let error = String::from_utf8_lossy(&output.stderr);

@@ -94,7 +94,8 @@ fn a_stopped_controller_in_realtime_is_held_then_safe_and_drives_again() {
     assert!(has(EVENT_COMMAND_HELD, "controller `reference` is late"), "{events:?}");
     assert!(has(EVENT_SAFE_COMMAND, "burr off"), "{events:?}");
 
-    // In the log: fresh, then held for no more than `hold_ticks`, then safe at an age above it, in every tick.
+    // In the log: fresh, then held for no more than `hold_ticks`, then safe at an age above it, in every
+    // tick.
     let log = read(&ended.folder);
     assert!(log.ticks.iter().any(|tick| tick.latched.commands[0].source == SOURCE_HELD));
     for tick in &log.ticks {

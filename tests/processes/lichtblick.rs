@@ -1,4 +1,5 @@
-//! The viewer as Lichtblick sees it: a WebSocket client in Python, Foxglove's published schema, and the layout that is shipped.
+//! The viewer as Lichtblick sees it: a WebSocket client in Python, Foxglove's published schema, and the
+//! layout that is shipped.
 
 use std::path::Path;
 use std::process::Command;
@@ -39,7 +40,8 @@ fn the_layout_shows_what_is_advertised_and_the_scene_has_foxgloves_schema() {
     view.stop();
 }
 
-/// A run's own log opened as a file has no 3D scene: its topics are the exchange of the parts, nothing that a 3D panel knows.
+/// A run's own log opened as a file has no 3D scene: its topics are the exchange of the parts, nothing that a
+/// 3D panel knows.
 #[test]
 fn an_exported_file_fills_the_layouts_panels_and_its_poses_are_the_states() {
     let modules = "foxglove_schemas_protobuf, mcap_ros2, websockets";

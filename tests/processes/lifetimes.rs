@@ -1,4 +1,5 @@
-//! Calls of a client from signal handlers. What it hands out to Python: `clients/python/tests/test_lifetimes.py`.
+//! Calls of a client from signal handlers. What it hands out to Python:
+//! `clients/python/tests/test_lifetimes.py`.
 
 use std::process::Command;
 

@@ -26,7 +26,8 @@ fn pull_until_it_ends(client: &mut Client) -> ClientError {
     }
 }
 
-/// Both values are within their ranges. The tip came to 1e110 mm, and the run was "completed" with exit code 0.
+/// Both values are within their ranges. The tip came to 1e110 mm, and the run was "completed" with
+/// exit code 0.
 #[test]
 fn a_lost_tool_ends_the_run_with_its_own_outcome_and_replays_to_the_same_end() {
     let place = Place::new();
@@ -59,8 +60,8 @@ fn a_lost_tool_ends_the_run_with_its_own_outcome_and_replays_to_the_same_end() {
     assert_eq!(verify(&again).code, Some(0));
 }
 
-/// The recorder looks every two milliseconds, and a tool may be lost within one: of a physics process that was gone by then it could read no
-/// commands, in 10 of 120 runs beside three busy programs.
+/// The recorder looks every two milliseconds, and a tool may be lost within one: of a physics process that
+/// was gone by then it could read no commands, in 10 of 120 runs beside three busy programs.
 #[test]
 fn a_log_is_whole_however_soon_the_simulation_fails() {
     let busy = BusyLoops::start(3);

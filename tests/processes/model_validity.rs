@@ -1,4 +1,5 @@
-//! A model that is not valid during a run says so once: as an event, in the table at the end, in `summary.json`.
+//! A model that is not valid during a run says so once: as an event, in the table at the end, in
+//! `summary.json`.
 
 use std::fs;
 

@@ -42,7 +42,8 @@ fn all_take_it(geometry: &str) -> bool {
     is_taken
 }
 
-/// From 1e-5 to 1e-4 `volume info`, `scene check` and `drr` took it, and `run` died when its folder was made and its parts were there.
+/// From 1e-5 to 1e-4 `volume info`, `scene check` and `drr` took it, and `run` died when its folder was made
+/// and its parts were there.
 #[test]
 fn a_ct_is_taken_or_refused_by_every_command_alike_however_far_its_axes_are_off() {
     for (cosine, taken) in [(1e-6, true), (2e-5, true), (9.9e-5, true), (1.01e-4, false), (1e-2, false)] {
@@ -52,7 +53,8 @@ fn a_ct_is_taken_or_refused_by_every_command_alike_however_far_its_axes_are_off(
     }
 }
 
-/// So it was with voxels of 0.2 m or 0.5 µm, and with a CT 200 m away: the X-ray refused what the readers took.
+/// So it was with voxels of 0.2 m or 0.5 µm, and with a CT 200 m away: the X-ray refused what the readers
+/// took.
 #[test]
 fn a_ct_of_absurd_voxels_or_far_away_is_refused_by_every_command_alike() {
     let directions = |mm: f64| format!("({mm:?},0,0) (0,{mm:?},0) (0,0,{mm:?})");

@@ -87,7 +87,8 @@ fn a_slicer_program_plans_drills_looks_pauses_and_stops_and_the_log_replays() {
     let file = token.to_str().unwrap();
     let drive = ["--controller", "pilot", "--control-token-file", file, "--feed", "5", "--burr", "8000"];
     let bridge = Bridge::start(&run.session(), &drive);
-    // The tip starts at (0, 0, -30.75) mm, bone begins at z = -27.5 mm; RAS differs from LPS in the signs of x and y.
+    // The tip starts at (0, 0, -30.75) mm, bone begins at z = -27.5 mm; RAS differs from LPS in the signs of
+    // x and y.
     let target_mm = ["0", "0", "-25"];
     let mut peer = Command::new(python);
     peer.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/processes/openigtlink.py"));
@@ -144,7 +145,8 @@ fn assert_close(what: &str, got: &Value, wanted: &[f64]) {
     assert!(!got.iter().zip(wanted).any(off), "{what}: {got:?}, expected {wanted:?}");
 }
 
-/// The library takes an image's last column as its centre, in millimetres of the axes that the message names: RAS.
+/// The library takes an image's last column as its centre, in millimetres of the axes that the message names:
+/// RAS.
 fn assert_image(image: &Value, records: &[FrameRecord]) {
     let wanted = image["fnv1a"].as_str().unwrap();
     let record = records.iter().find(|record| fnv1a(&record.pixels).to_string() == wanted);

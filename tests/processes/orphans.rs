@@ -30,7 +30,8 @@ fn processes_with(words: &[String]) -> Vec<String> {
     std::fs::read_dir("/proc").unwrap().flatten().filter_map(line).collect()
 }
 
-/// A program that starts others in every way that leaves its group, its session, its parent or its environment.
+/// A program that starts others in every way that leaves its group, its session, its parent or its
+/// environment.
 fn with_descendants(mode: &str, times: &[String; 4]) -> String {
     let [child, daemon, bare, own] = times;
     let script = format!(
@@ -139,8 +140,8 @@ fn a_grandchild_ends_with_its_program_and_the_run_goes_on() {
     assert!(said.contains("ended (signal: 9 (SIGKILL))"), "{said}");
 }
 
-/// Programs that each start the next and end. A look through `/proc` misses one that was started after the numbers were
-/// listed by one that ended before its entry was read: 6 of 200 such relays ran on.
+/// Programs that each start the next and end. A look through `/proc` misses one that was started after the
+/// numbers were listed by one that ended before its entry was read: 6 of 200 such relays ran on.
 #[test]
 fn a_relay_of_programs_ends_with_the_program_that_began_it() {
     let folder = tempfile::tempdir().unwrap();
@@ -188,8 +189,8 @@ fn a_launcher_that_is_killed_while_it_starts_leaves_nothing() {
     }
 }
 
-/// Stops a process while it computes, and does not wait for anybody: a physics is then most likely in its step. Where the
-/// system does not show that (proc_pid_syscall(5)), at any moment.
+/// Stops a process while it computes, and does not wait for anybody: a physics is then most likely in its
+/// step. Where the system does not show that (proc_pid_syscall(5)), at any moment.
 fn stop_at_work(process: u32, random: &mut Rng) {
     for _ in 0..1000 {
         std::thread::sleep(Duration::from_micros(random.u64(..3_000)));

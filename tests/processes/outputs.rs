@@ -156,7 +156,8 @@ fn no_command_writes_over_its_own_input() {
     assert_eq!(fs::read(&slice).unwrap(), MINE);
 }
 
-/// The names of exported pictures are known only when they come: those of before stay, and those of this command go.
+/// The names of exported pictures are known only when they come: those of before stay, and those of this
+/// command go.
 #[test]
 fn exported_pictures_replace_none_and_leave_none_of_a_refused_export() {
     let place = Place::new();

@@ -66,8 +66,8 @@ fn a_path_that_was_off_by_more_than_the_tolerance_fails_its_check() {
     assert!(checked.err.contains("`tolerance.path_mm` allows 0.001"), "{}", checked.err);
 }
 
-/// The errors of another tool are measured on first use and kept; a damaged table is said and measured again, and without a cache it is said
-/// that nothing is kept.
+/// The errors of another tool are measured on first use and kept; a damaged table is said and measured again,
+/// and without a cache it is said that nothing is kept.
 #[test]
 fn a_tool_of_the_scenes_own_is_measured_once() {
     let place = Place::new();

@@ -1,4 +1,5 @@
-//! The page of a scene before its run: places are moved, and a scene is saved, only beside the one that was opened.
+//! The page of a scene before its run: places are moved, and a scene is saved, only beside the one that was
+//! opened.
 
 use std::fs;
 
@@ -103,7 +104,8 @@ fn a_scene_is_saved_beside_the_one_that_was_opened_and_over_nothing_unasked() {
     let checked = trabecula(&[&"scene", &"check", &edited]);
     assert_eq!(checked.code, Some(0), "{}", checked.err);
 
-    // What is there stays until its replacement is confirmed; the original stays anyway, under any of its names.
+    // What is there stays until its replacement is confirmed; the original stays anyway, under any of its
+    // names.
     let other = place.path("other.toml");
     fs::write(&other, "other").unwrap();
     std::os::unix::fs::symlink(&other, folder.join("link.toml")).unwrap();

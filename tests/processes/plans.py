@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 import slicerio
 
-# The pilot hole of configs/pelvis_ct.toml, LPS: from the lateral cortex through the neck into the right femoral head.
+# The pilot hole of configs/pelvis_ct.toml, LPS: from the lateral cortex through the neck into the right
+# femoral head.
 ENTRY, BEND = np.array([-150.2, -135.1, 101.5]), np.array([-99.1, -143.6, 116.6])
 
 

@@ -64,7 +64,8 @@ fn a_closed_standard_error_ends_no_run() {
     assert_eq!(read(&folder).marker.unwrap().reason, EndReason::Completed);
 }
 
-/// The last frames are missing then, so the run has not succeeded. `until` says when behind the last tick it dies.
+/// The last frames are missing then, so the run has not succeeded. `until` says when behind the last tick it
+/// dies.
 fn drr_process_dies_behind_the_last_tick(until: impl Fn(u32)) {
     let place = Place::new();
     let run = place.start(&scenes::drill("realtime", 2.0));
@@ -92,8 +93,8 @@ fn a_drr_process_that_dies_behind_the_last_tick_is_named() {
     drr_process_dies_behind_the_last_tick(|_| {});
 }
 
-/// The launcher took the run for completed as soon as a controller had left, and no longer looked after anybody but the physics, which
-/// waited for the dead process for two minutes.
+/// The launcher took the run for completed as soon as a controller had left, and no longer looked after
+/// anybody but the physics, which waited for the dead process for two minutes.
 #[test]
 fn a_drr_process_that_dies_when_the_controllers_have_left_is_named() {
     drr_process_dies_behind_the_last_tick(|controller| {

@@ -1,5 +1,5 @@
-//! The promise of `docs/replay.md`, point by point, with whole processes. Its other points: 1 in `schedules`, 4 and 7 in
-//! `replay`, 5 and 10 besides in `crates/simulation/tests/physics/promise.rs`.
+//! The promise of `docs/replay.md`, point by point, with whole processes. Its other points: 1 in `schedules`,
+//! 4 and 7 in `replay`, 5 and 10 besides in `crates/simulation/tests/physics/promise.rs`.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,5 @@
-//! The Python package: an environment with it, which tests of several languages share, and its own tests, which pytest runs.
+//! The Python package: an environment with it, which tests of several languages share, and its own tests,
+//! which pytest runs.
 
 use std::fs;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -18,7 +19,8 @@ const REQUIREMENTS: &str = include_str!("../../clients/python/tests/requirements
 /// All tests of the package, one after the other; only a hang reaches it.
 const LIMIT: Duration = Duration::from_secs(1800);
 
-/// The Python of an environment with the wheel, made once a test run: libraries and program as they are built for these tests.
+/// The Python of an environment with the wheel, made once a test run: libraries and program as they are built
+/// for these tests.
 pub fn python() -> Option<PathBuf> {
     static PYTHON: OnceLock<Option<PathBuf>> = OnceLock::new();
     PYTHON.get_or_init(make_python).clone()
@@ -47,8 +49,9 @@ fn native() -> PathBuf {
     native
 }
 
-/// Installs the package into an environment as the README says, but with libraries and program that are built already.
-/// What is there already and the same stays: another test, which may be another process, may be about to import it.
+/// Installs the package into an environment as the README says, but with libraries and program that are built
+/// already. What is there already and the same stays: another test, which may be another process, may be
+/// about to import it.
 fn install_package(python: &Path, binaries: &[(&str, &Path)]) {
     let folder = python.ancestors().nth(2).unwrap();
     let lock = fs::File::create(folder.join("package.lock")).unwrap();

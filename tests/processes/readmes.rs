@@ -1,7 +1,7 @@
 //! The shell lines in the READMEs of the clients do what they say, as far as the machine has their tools.
 //!
-//! What takes minutes and is done already is replaced: `cargo build` by what cargo has built for these tests, `pip install`
-//! of the package by the environment that the tests of languages share.
+//! What takes minutes and is done already is replaced: `cargo build` by what cargo has built for these tests,
+//! `pip install` of the package by the environment that the tests of languages share.
 
 use std::fs;
 use std::path::Path;
@@ -23,7 +23,8 @@ fn shell_lines(language: &str) -> Vec<String> {
     block.lines().map(str::to_owned).collect()
 }
 
-/// A checkout in which `target/release` holds what is built: links, so that nothing is copied and nothing is written.
+/// A checkout in which `target/release` holds what is built: links, so that nothing is copied and nothing is
+/// written.
 fn checkout() -> Place {
     let place = Place::new();
     let link = |from: &std::path::Path, to: &str| std::os::unix::fs::symlink(from, place.path(to)).unwrap();
@@ -86,7 +87,8 @@ fn the_shell_lines_of_every_readme_lead_to_a_running_controller() {
     assert!(first.is_some());
 }
 
-/// The page as one script: shell lines as they are, Python blocks as programs; and the lines that it shows as answers.
+/// The page as one script: shell lines as they are, Python blocks as programs; and the lines that it shows as
+/// answers.
 fn script_of(page: &str) -> (String, Vec<String>) {
     let (mut script, mut shown) = (String::from("set -e\n"), Vec::new());
     for block in page.split("```").skip(1).step_by(2) {
@@ -105,7 +107,8 @@ fn script_of(page: &str) -> (String, Vec<String>) {
     (script, shown)
 }
 
-/// A guide whose lines nobody runs is wrong by the next change of a name. Wall-clock times are none of the answers.
+/// A guide whose lines nobody runs is wrong by the next change of a name. Wall-clock times are none of the
+/// answers.
 #[test]
 fn the_first_hour_goes_as_its_page_says() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));

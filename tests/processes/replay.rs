@@ -107,7 +107,8 @@ fn a_bit_flipped_in_the_file_itself_is_found_by_its_checksum() {
     assert!(done.err.contains("cannot be read beyond tick"), "{}", done.err);
 }
 
-/// On several threads a replay that compares nothing says what it says on one, whatever is wrong with the log.
+/// On several threads a replay that compares nothing says what it says on one, whatever is wrong with the
+/// log.
 #[test]
 fn a_replay_without_comparison_says_the_same_on_any_number_of_threads() {
     let place = Place::new();

@@ -1,6 +1,7 @@
 //! `trabecula bridge ros2`, with peers that are not ours: `rclpy` over Fast DDS, and Cyclone DDS.
 //!
-//! Every test has a DDS domain of its own, locked on this machine, so that tests that run at once do not hear each other.
+//! Every test has a DDS domain of its own, locked on this machine, so that tests that run at once do not hear
+//! each other.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -31,7 +32,8 @@ const ROS: [&str; 6] = [
 const PROBE: &str = "rclpy, sensor_msgs.msg, geometry_msgs.msg, std_msgs.msg, cyclonedds.domain, numpy";
 /// Keeps Cyclone DDS on loopback.
 const CYCLONE: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\" multicast=\"true\"/></Interfaces></General></Domain></CycloneDDS>";
-/// Simulated time for any peer, however slowly it starts beside other work; the test ends the run when the peer is done.
+/// Simulated time for any peer, however slowly it starts beside other work; the test ends the run when the
+/// peer is done.
 const LONG_S: f64 = 600.0;
 
 fn python() -> Option<PathBuf> {
@@ -162,7 +164,8 @@ fn a_cyclone_dds_program_pulls_the_tendon_pauses_and_resumes_and_what_is_wrong_i
         assert!(frames.contains(&frame.into()), "{frames:?}");
     }
     let log = read(&ended.folder);
-    // Up the whole chain of frames stands the tip where the log has it at that moment, to a tick: it moves while the tendon slackens.
+    // Up the whole chain of frames stands the tip where the log has it at that moment, to a tick: it moves
+    // while the tendon slackens.
     let time_s = seen["tip_time_s"].as_f64().unwrap();
     let states = log.ticks.iter().map(|tick| &tick.state);
     let off_s = |state: &State| (state.sim_time_s - time_s).abs();
@@ -177,7 +180,8 @@ fn a_cyclone_dds_program_pulls_the_tendon_pauses_and_resumes_and_what_is_wrong_i
     assert_replays(&ended.folder);
 }
 
-/// What the bridge promises when the other side dies without a word: velocities run out, the participant's lease too, the tension stays.
+/// What the bridge promises when the other side dies without a word: velocities run out, the participant's
+/// lease too, the tension stays.
 #[test]
 fn a_killed_commanding_program_leaves_arm_and_burr_standing_and_the_tension_as_it_was() {
     let Some(python) = python() else { return };

@@ -99,8 +99,8 @@ fn ticks_advance_exactly_as_run_control_asks() {
     assert_replays(&ended.folder);
 }
 
-/// Steps were added up without a bound: with the largest number of them, further ones wrapped round to none. And a
-/// request during the connection was answered with the phase "running".
+/// Steps were added up without a bound: with the largest number of them, further ones wrapped round to none.
+/// And a request during the connection was answered with the phase "running".
 #[test]
 fn steps_without_end_stay_so_and_a_pause_before_the_start_is_no_start() {
     let place = Place::new();

@@ -89,8 +89,8 @@ fn a_realtime_run_beside_two_busy_loops_replays_identically() {
     assert!(said.contains("replayed 2500 ticks"), "{said}");
 }
 
-/// The recorder took states as long as there were any; in lockstep there always were, and its other queues overflowed:
-/// commands and timings were lost, and once a frame.
+/// The recorder took states as long as there were any; in lockstep there always were, and its other queues
+/// overflowed: commands and timings were lost, and once a frame.
 #[test]
 fn a_lockstep_log_misses_no_message_of_any_queue() {
     let place = Place::new();
@@ -121,7 +121,8 @@ fn two_hubs_at_once_do_not_meet() {
     assert_eq!(hashes, [undisturbed.clone(), undisturbed]);
 }
 
-/// The scene in the log named the volume from where the scene file lay, and replay looked for it beside the log.
+/// The scene in the log named the volume from where the scene file lay, and replay looked for it beside the
+/// log.
 #[test]
 fn a_scene_with_its_volume_beside_it_replays_from_anywhere() {
     let place = Place::new();

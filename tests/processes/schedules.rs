@@ -1,7 +1,8 @@
-//! Real-time runs on a machine that is made to misbehave, each replayed: SIGSTOP and SIGCONT, one core, niceness, busy
-//! neighbours, controllers that are killed and started again.
+//! Real-time runs on a machine that is made to misbehave, each replayed: SIGSTOP and SIGCONT, one core,
+//! niceness, busy neighbours, controllers that are killed and started again.
 //!
-//! Every schedule follows from its seed. The tests run a few; a command runs as many as wanted, and prints a table:
+//! Every schedule follows from its seed. The tests run a few; a command runs as many as wanted, and prints a
+//! table:
 //!
 //! ```sh
 //! TRABECULA_SCHEDULES=200 cargo test --release --test processes schedules -- --nocapture
@@ -65,7 +66,8 @@ impl Controller for Erratic {
     }
 }
 
-/// Not a test by itself: the program of the external controller, which [`Pilot`] starts from this test's own file.
+/// Not a test by itself: the program of the external controller, which [`Pilot`] starts from this test's own
+/// file.
 #[test]
 fn pilot_program() {
     let Ok(seed) = std::env::var(PILOT_VARIABLE) else { return };
@@ -187,7 +189,8 @@ fn disturb(
     }
 }
 
-/// The log must replay to the identical hash at every tick that it holds without a gap: all, unless the recorder lost some.
+/// The log must replay to the identical hash at every tick that it holds without a gap: all, unless the
+/// recorder lost some.
 fn check(seed: u64, folder: &Path, row: &mut Row) {
     let mut reader = LogReader::open(&LogFile::at(folder.join("run.mcap"))).unwrap();
     let mut gap = false;
@@ -220,7 +223,8 @@ fn check(seed: u64, folder: &Path, row: &mut Row) {
     );
 }
 
-/// A real-time log of several preempted processes, with late, jittery, killed and restarted controllers, replays.
+/// A real-time log of several preempted processes, with late, jittery, killed and restarted controllers,
+/// replays.
 #[test]
 fn promise_1_replay_of_random_schedules_is_identical_at_every_tick() {
     let count = std::env::var(COUNT_VARIABLE).map_or(FEW, |text| text.parse().unwrap());

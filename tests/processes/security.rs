@@ -108,8 +108,8 @@ fn tree(folder: &Path) -> Vec<(PathBuf, u64)> {
     found
 }
 
-/// Gives a log to every command that reads one; returns the commands' exit codes. What is outside of the folder that they
-/// are told to write to stays as it is.
+/// Gives a log to every command that reads one; returns the commands' exit codes. What is outside of the
+/// folder that they are told to write to stays as it is.
 fn read_by_every_command(place: &Place, log: &Path, inside: &Path) -> Vec<i32> {
     fs::create_dir(inside).unwrap();
     let outside = || -> Vec<_> {

@@ -38,8 +38,9 @@ fn launcher(place: &Place, scene: &str, runtime: &Path) -> Command {
     command
 }
 
-/// What a user has: sources in a clone named `trabecula`, in one named like the folder of sessions, and in folders whose names
-/// are those of sessions; a link to a home; and a session of a dead host, the only thing that may be removed.
+/// What a user has: sources in a clone named `trabecula`, in one named like the folder of sessions, and in
+/// folders whose names are those of sessions; a link to a home; and a session of a dead host, the only thing
+/// that may be removed.
 struct Content {
     files: Vec<PathBuf>,
     dead: PathBuf,
@@ -75,8 +76,8 @@ impl Content {
     }
 }
 
-/// Every folder below that of the sessions was emptied before it was found to be somebody else's: a clone of the sources, and
-/// through a link a home.
+/// Every folder below that of the sessions was emptied before it was found to be somebody else's: a clone of
+/// the sources, and through a link a home.
 #[test]
 fn nothing_is_wiped_before_everything_is_checked() {
     let place = Place::new();
@@ -124,8 +125,8 @@ fn nothing_is_wiped_before_everything_is_checked() {
     }
 }
 
-/// A run-time folder that cannot hold sessions is passed over and left as it is; in one that can, a dead host's session is all
-/// that is removed.
+/// A run-time folder that cannot hold sessions is passed over and left as it is; in one that can, a dead
+/// host's session is all that is removed.
 #[test]
 fn a_folder_of_the_users_is_never_wiped_by_a_run() {
     let place = Place::new();
@@ -175,8 +176,8 @@ fn a_folder_of_the_users_is_never_wiped_by_a_run() {
     }
 }
 
-/// The names of a session's sockets fit into the 108 bytes that the system has for them, in the longest run-time folder that
-/// is taken; a longer one is passed over.
+/// The names of a session's sockets fit into the 108 bytes that the system has for them, in the longest
+/// run-time folder that is taken; a longer one is passed over.
 #[test]
 fn a_run_works_in_the_longest_run_time_folder() {
     let place = Place::new();
@@ -196,8 +197,8 @@ fn a_run_works_in_the_longest_run_time_folder() {
     }
 }
 
-/// Two hubs in two containers have the same process number. With one `/dev/shm` they had the same names there, and the one
-/// that ended first took the other's memory away.
+/// Two hubs in two containers have the same process number. With one `/dev/shm` they had the same names
+/// there, and the one that ended first took the other's memory away.
 #[test]
 fn two_hubs_in_two_pid_namespaces_do_not_meet() {
     let unshare = ["--user", "--map-root-user", "--pid", "--fork", "--kill-child"];
@@ -242,8 +243,8 @@ fn two_hubs_in_two_pid_namespaces_do_not_meet() {
     assert_replays(&ended.folder);
 }
 
-/// The end of a login, or a cleaner of `/tmp`, removes the session's folder: clients said that the hub was gone, and left a run
-/// that went on.
+/// The end of a login, or a cleaner of `/tmp`, removes the session's folder: clients said that the hub was
+/// gone, and left a run that went on.
 #[test]
 fn a_run_whose_session_folder_is_removed_goes_on_with_its_clients() {
     let place = Place::new();

@@ -1,4 +1,5 @@
-//! A recorder that is held up for longer than its queues hold: the log has a gap and everybody says so, or the physics waits.
+//! A recorder that is held up for longer than its queues hold: the log has a gap and everybody says so, or
+//! the physics waits.
 
 use std::time::Duration;
 
@@ -13,8 +14,8 @@ use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Ended, Place, assert_nothing_left, signal, wait_for};
 use crate::common::scenes;
 
-/// Stops the recorder of a run that is under way, does something, lets it go on until it has told of so many losses and for 300 more
-/// ticks, and ends the run. Returns what it has told.
+/// Stops the recorder of a run that is under way, does something, lets it go on until it has told of so many
+/// losses and for 300 more ticks, and ends the run. Returns what it has told.
 fn with_a_stopped_recorder(
     place: &Place,
     scene: &str,

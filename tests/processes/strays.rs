@@ -182,8 +182,8 @@ fn a_client_that_does_not_drive_the_c_arm_may_not_move_it() {
     assert_replays(&ended.folder);
 }
 
-/// Who asks is what the transport says, not what the request says: an observer that calls itself the C-arm's driver, and
-/// another controller that does, are refused.
+/// Who asks is what the transport says, not what the request says: an observer that calls itself the C-arm's
+/// driver, and another controller that does, are refused.
 #[test]
 fn a_request_that_names_another_controller_is_refused() {
     let place = Place::new();

@@ -11,8 +11,8 @@ use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Ended, Place, Run, assert_nothing_left, signal, trabecula, wait_for};
 use crate::common::scenes;
 
-/// Pauses a run behind tick 700, so that the last published tick is known, waits until the recorder has taken it, and
-/// does something. Returns that tick.
+/// Pauses a run behind tick 700, so that the last published tick is known, waits until the recorder has taken
+/// it, and does something. Returns that tick.
 fn paused(place: &Place, scene: &str, disturb: impl FnOnce(&Run)) -> (u64, Ended) {
     let run = place.start(scene);
     let client = Client::join(&run.session());

@@ -22,7 +22,8 @@ fn suspended(place: &Place, scene: &str, how: Signal) -> Ended {
     client.wait_for_state(|state| state.tick >= 100);
     let mut all: Vec<u32> = parts_of(&run.session()).into_iter().map(|(_, pid)| pid).collect();
     all.insert(0, run.pid());
-    // The controller, which was started last, is stopped first and woken last: so the physics waits for its answer.
+    // The controller, which was started last, is stopped first and woken last: so the physics waits for its
+    // answer.
     for pid in all.iter().rev() {
         signal(*pid, how);
         std::thread::sleep(BETWEEN);

@@ -1,4 +1,5 @@
-//! `trabecula sweep`: rows against the runs that their commands make, ends in the middle, other machines' engines.
+//! `trabecula sweep`: rows against the runs that their commands make, ends in the middle, other machines'
+//! engines.
 
 use std::fs;
 use std::path::{Path, PathBuf};

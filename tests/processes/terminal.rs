@@ -1,4 +1,5 @@
-//! What a run shows while it goes on: a table that is rewritten on a terminal, lines elsewhere, JSON for scripts.
+//! What a run shows while it goes on: a table that is rewritten on a terminal, lines elsewhere, JSON for
+//! scripts.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -7,7 +8,8 @@ use test_support::limited::limited_output_of;
 use crate::common::program::{LIMIT, Place};
 use crate::common::scenes;
 
-/// Runs the command with a terminal of its own (Python's standard library has one), and prints what it wrote there.
+/// Runs the command with a terminal of its own (Python's standard library has one), and prints what it wrote
+/// there.
 const IN_TERMINAL: &str = "import pty, sys; sys.exit(pty.spawn(sys.argv[1:]) >> 8)";
 
 #[test]

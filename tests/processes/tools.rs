@@ -1,4 +1,5 @@
-//! What the commands have in common for a user: JSON, completions and man pages, errors that lead on, a scene that runs without a CT.
+//! What the commands have in common for a user: JSON, completions and man pages, errors that lead on, a scene
+//! that runs without a CT.
 
 use std::ffi::OsStr;
 use std::fs;

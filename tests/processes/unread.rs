@@ -116,7 +116,8 @@ fn a_second_signal_ends_everything_at_once_where_nothing_can_be_written() {
     assert_replays(&only_entry(&output));
 }
 
-/// A program that wrote more than a pipe holds stood still, and with it every run that waited for its commands.
+/// A program that wrote more than a pipe holds stood still, and with it every run that waited for its
+/// commands.
 #[test]
 fn a_controllers_words_that_nobody_reads_hold_up_nobody_and_are_counted() {
     let place = Place::new();

@@ -43,7 +43,8 @@ impl Drop for Killed {
     }
 }
 
-/// Nothing of what a command has said moves, hides or turns anything; what it says of the stranger's text is visible.
+/// Nothing of what a command has said moves, hides or turns anything; what it says of the stranger's text is
+/// visible.
 fn assert_plain(done: &Done, what: &str) -> String {
     let said = format!("{}{}", done.out, done.err);
     let bad = |c: char| (c.is_control() && c != '\n' && c != '\t') || c == '\u{202e}';

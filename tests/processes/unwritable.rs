@@ -1,5 +1,5 @@
-//! Files that commands leave behind: whole under their names, or not there, when the command is killed, when the disk is full, and
-//! when another program takes the name meanwhile.
+//! Files that commands leave behind: whole under their names, or not there, when the command is killed, when
+//! the disk is full, and when another program takes the name meanwhile.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -92,14 +92,16 @@ fn start(words: &[String]) -> Child {
     command.stderr(Stdio::piped()).spawn().unwrap()
 }
 
-/// `log export`, `log compress`, `replay --output`, `drr --animate` and `plot` left a part of a file under its name, or an empty one.
+/// `log export`, `log compress`, `replay --output`, `drr --animate` and `plot` left a part of a file under
+/// its name, or an empty one.
 #[test]
 fn a_killed_command_leaves_no_half_file_under_its_name() {
     const KILLS: u64 = 4;
     let inputs = Inputs::new(2.0);
     let mut random = fastrand::Rng::with_seed(17);
     let (mut killed, mut drafts) = (0, 0);
-    // Those of a tenth of a second or more: the others are over before anybody could kill them, and take the same way.
+    // Those of a tenth of a second or more: the others are over before anybody could kill them, and take the
+    // same way.
     for number in [0, 1, 2, 3, 4, 6, 7, 8, 12, 15] {
         let (words, _) = COMMANDS[number];
         let whole = Place::new();
@@ -135,7 +137,8 @@ fn a_killed_command_leaves_no_half_file_under_its_name() {
     assert!(killed > 0);
 }
 
-/// Outputs on a disk that has nothing left, or in a process that may write no more than half a kilobyte into a file.
+/// Outputs on a disk that has nothing left, or in a process that may write no more than half a kilobyte into
+/// a file.
 fn assert_told(inputs: &Inputs, outputs: &Path, mut command: impl FnMut() -> Command, cause: &str) {
     let before = files(outputs);
     for (words, name) in COMMANDS {
@@ -148,8 +151,8 @@ fn assert_told(inputs: &Inputs, outputs: &Path, mut command: impl FnMut() -> Com
     }
 }
 
-/// `log export` and `phantom` ended with 2 and named no file; whatever reached the limit of a file's size was ended by the system without
-/// a word.
+/// `log export` and `phantom` ended with 2 and named no file; whatever reached the limit of a file's size was
+/// ended by the system without a word.
 #[test]
 fn a_file_that_cannot_grow_is_told_by_name_with_1_and_is_not_left() {
     let (inputs, place) = (Inputs::new(0.3), Place::new());

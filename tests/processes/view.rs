@@ -192,7 +192,8 @@ fn a_run_is_held_to_a_speed() {
     let first = client.wait_for_state(|_| true).tick;
     let last = client.wait_for_state(|state| state.tick > first + 150).tick;
     let wall_ms = began.elapsed().as_millis() as u64;
-    // A slow machine makes fewer ticks, never more; a step of 20 ms may be under way at either end, and one of them may be late.
+    // A slow machine makes fewer ticks, never more; a step of 20 ms may be under way at either end, and one
+    // of them may be late.
     let most = wall_ms / 4 + 60;
     assert!(last - first <= most, "{} ticks in {wall_ms} ms at a quarter of real time", last - first);
     let refused = view.call(1, json!({"action": "speed", "speed": -1.0}));
@@ -294,7 +295,8 @@ pub fn notices(view: &mut View, count: usize) -> Vec<String> {
     (0..count).map(|_| text(view.next(channel))).collect()
 }
 
-/// Texts of the time line's marks of a kind. A log is read while it is shown, so they come some time after it.
+/// Texts of the time line's marks of a kind. A log is read while it is shown, so they come some time after
+/// it.
 fn marks(view: &mut View, kind: &str) -> Vec<String> {
     let playback = view.subscribe("/view/playback");
     loop {
@@ -410,7 +412,8 @@ fn fields_are_plotted_and_completions_and_the_man_page_are_made() {
     assert!(man.contains(".TH") && man.contains("bind"), "{man}");
 }
 
-/// The address with the token stood in every user's process list, and the program that opens browsers was never waited for.
+/// The address with the token stood in every user's process list, and the program that opens browsers was
+/// never waited for.
 #[test]
 fn the_token_is_in_no_process_list_and_the_opener_is_reaped() {
     use std::os::unix::fs::{MetadataExt, PermissionsExt};

@@ -113,7 +113,8 @@ pub enum ClientError {
 }
 
 impl ClientError {
-    /// Names the session in an error that does not name it. A session that is cleared away while it is joined counts as not found.
+    /// Names the session in an error that does not name it. A session that is cleared away while it is joined
+    /// counts as not found.
     pub(crate) fn of(self, folder: &Path) -> ClientError {
         match self {
             ClientError::Session(SessionError::Transported { .. }) if !host_is_alive(folder) => {

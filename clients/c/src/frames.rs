@@ -41,9 +41,10 @@ pub struct VolumeView<'a> {
 }
 
 impl Client {
-    /// Requests a frame and returns the request's number. `t_world_c_arm` is the pose of the C-arm: its origin is the isocentre, +x runs
-    /// along the image rows to the right, +y along the columns down, +z to the source; distances, pixels and pitch are the scene's. `None`
-    /// uses the scene's C-arm unchanged. The frame shows the state of `tick`, or the newest one if that has passed.
+    /// Requests a frame and returns the request's number. `t_world_c_arm` is the pose of the C-arm: its
+    /// origin is the isocentre, +x runs along the image rows to the right, +y along the columns down, +z to
+    /// the source; distances, pixels and pitch are the scene's. `None` uses the scene's C-arm unchanged. The
+    /// frame shows the state of `tick`, or the newest one if that has passed.
     ///
     /// # Errors
     /// [`ClientError::NoDrr`], [`ClientError::BadArgument`] for an invalid pose; the transport's.
@@ -75,12 +76,13 @@ impl Client {
         Ok(request_id)
     }
 
-    /// Waits for a frame: that of a request, or with 0 the next one of any kind. Frames are queued from this client's first call of this or
-    /// [`Client::request_frame`] on, at most 64. The frame stays in shared memory, unchanged, until the next one is returned.
+    /// Waits for a frame: that of a request, or with 0 the next one of any kind. Frames are queued from this
+    /// client's first call of this or [`Client::request_frame`] on, at most 64. The frame stays in shared
+    /// memory, unchanged, until the next one is returned.
     ///
     /// # Errors
-    /// [`ClientError::NoDrr`], [`ClientError::FrameRefused`], [`ClientError::TimedOut`], [`ClientError::Ended`] when the run is over and no
-    /// frame is being rendered; the transport's.
+    /// [`ClientError::NoDrr`], [`ClientError::FrameRefused`], [`ClientError::TimedOut`],
+    /// [`ClientError::Ended`] when the run is over and no frame is being rendered; the transport's.
     pub fn wait_frame(&mut self, request_id: u64, limit: Duration) -> Result<FrameView<'_>, ClientError> {
         self.check_process()?;
         self.open_frames()?;
@@ -225,7 +227,8 @@ fn geometry_at(pose: &Pose, drr: &Drr) -> Result<CArmGeometry, ClientError> {
 mod tests {
     use super::*;
 
-    /// At AP the image shows the patient's right (LPS −x) on its left and the head (+z) up, with the source behind the patient (+y).
+    /// At AP the image shows the patient's right (LPS −x) on its left and the head (+z) up, with the source
+    /// behind the patient (+y).
     #[test]
     fn the_c_arm_stands_where_its_pose_says() {
         let text =
@@ -235,7 +238,8 @@ mod tests {
         );
         let scene = ipc_types::scene::Scene::parse(&scene, std::path::Path::new("x.toml")).unwrap();
         let drr = scene.drr.unwrap();
-        // Rows along +x, columns along −z: a rotation by −90° about x, so that the C-arm's +z is the patient's +y.
+        // Rows along +x, columns along −z: a rotation by −90° about x, so that the C-arm's +z is the
+        // patient's +y.
         let half = core::f64::consts::FRAC_1_SQRT_2;
         let pose = Pose { position_m: [0.01, 0.02, 0.03], orientation_xyzw: [-half, 0.0, 0.0, half] };
         let geometry = geometry_at(&pose, &drr).unwrap();

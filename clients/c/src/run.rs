@@ -12,7 +12,8 @@ const LONGEST_WAIT: Duration = Duration::from_secs(1);
 
 /// A controller. Closures with these two arguments implement it.
 pub trait Controller {
-    /// Answers a state. `command` arrives with `sequence` and `state_tick` filled in and every mode at "none".
+    /// Answers a state. `command` arrives with `sequence` and `state_tick` filled in and every mode at
+    /// "none".
     fn step(&mut self, state: &State, command: &mut Command);
 }
 
@@ -22,7 +23,8 @@ impl<F: FnMut(&State, &mut Command)> Controller for F {
     }
 }
 
-/// Runs a controller until the run ends, with the session and name from the environment or the only running session ([`Connection::default`]).
+/// Runs a controller until the run ends, with the session and name from the environment or the only running
+/// session ([`Connection::default`]).
 ///
 /// # Errors
 /// Any [`ClientError`] except [`ClientError::Ended`].

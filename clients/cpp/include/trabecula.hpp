@@ -1,7 +1,7 @@
 // C++ wrapper of trabecula.h: connections, loans and errors with C++'s lifetimes. Header only; needs C++17.
 //
-// Messages are the structs of trabecula.h. A Client belongs to the thread that made it. References and pointers that it
-// hands out lie in shared memory; each function says until when.
+// Messages are the structs of trabecula.h. A Client belongs to the thread that made it. References and
+// pointers that it hands out lie in shared memory; each function says until when.
 #ifndef TRABECULA_HPP
 #define TRABECULA_HPP
 
@@ -40,8 +40,8 @@ inline bool came(int status) {
     return true;
 }
 
-// A command to be filled in. Sent by send(), as it is then; forgotten unsent if that was not called. To use it behind send() is a
-// std::logic_error.
+// A command to be filled in. Sent by send(), as it is then; forgotten unsent if that was not called. To use
+// it behind send() is a std::logic_error.
 class Loan {
 public:
     explicit Loan(trb_client client) : client_(client) { check(trb_loan_command(client, &command_)); }
@@ -72,8 +72,8 @@ private:
 // A connection to a session.
 class Client {
 public:
-    // session: folder or name; null takes TRABECULA_SESSION or the newest. controller: name in the scene, "" for an
-    // observer; null takes TRABECULA_CONTROLLER or the scene's only external controller.
+    // session: folder or name; null takes TRABECULA_SESSION or the newest. controller: name in the scene, ""
+    // for an observer; null takes TRABECULA_CONTROLLER or the scene's only external controller.
     explicit Client(const char *session = nullptr, const char *controller = nullptr, double timeout_s = 10.0) {
         check(trb_connect(TRB_LAYOUTS, session, controller, timeout_s, &client_));
     }
@@ -98,8 +98,8 @@ public:
         return info;
     }
 
-    // The newest state; null when the run is over. Stays until the next state is taken. A paused run publishes none: without
-    // a limit this waits on.
+    // The newest state; null when the run is over. Stays until the next state is taken. A paused run
+    // publishes none: without a limit this waits on.
     const trb_state *wait_state(double timeout_s = INFINITY) { return state(trb_wait_state(client_, timeout_s, &state_)); }
     // The oldest state that has not been taken; null when the run is over.
     const trb_state *next_state(double timeout_s = INFINITY) { return state(trb_next_state(client_, timeout_s, &state_)); }
@@ -114,7 +114,8 @@ public:
     // The command that answers the state taken last.
     Loan command() { return Loan(client_); }
 
-    // Asks for a frame of the state of `tick`, from a pose of the C-arm or as it stands; returns the request's number.
+    // Asks for a frame of the state of `tick`, from a pose of the C-arm or as it stands; returns the
+    // request's number.
     std::uint64_t request_frame(std::uint64_t tick = 0, const trb_pose *t_world_c_arm = nullptr) {
         std::uint64_t request;
         check(trb_request_frame(client_, t_world_c_arm, tick, &request));

@@ -54,7 +54,8 @@ class Client:
         self._number = connected(session, controller, timeout_s)
         self._thread = threading.current_thread()
         self._memory: Optional[Memory] = Memory(self._number)
-        # One per kind of message: a signal handler may call the library between a call and the use of its result.
+        # One per kind of message: a signal handler may call the library between a call and the use of its
+        # result.
         self._state, self._begun = ctypes.c_void_p(), ctypes.c_void_p()
         self._state_reference, self._begun_reference = _byref(self._state), _byref(self._begun)
         self._views: dict[tuple[Type[View], Optional[int]], Any] = {}

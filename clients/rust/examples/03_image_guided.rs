@@ -1,8 +1,8 @@
 //! Asks for an X-ray frame every 0.1 s, finds the tip in it, and steers it sideways to a target.
 //!
-//! The tip is where the tool's metal ends: of the dark pixels, the one that lies farthest along the tool; then the middle
-//! of the dark pixels of the last 3 mm. Its place in the picture, brought back to the plane of the tool, gives the
-//! sideways error, and the error the tension.
+//! The tip is where the tool's metal ends: of the dark pixels, the one that lies farthest along the tool;
+//! then the middle of the dark pixels of the last 3 mm. Its place in the picture, brought back to the plane
+//! of the tool, gives the sideways error, and the error the tension.
 
 use std::time::Duration;
 
@@ -45,8 +45,8 @@ fn find_tip(view: &FrameView) -> Option<(f64, f64)> {
     if count > 0.0 { Some((column / count, row / count)) } else { None }
 }
 
-/// World x of a column, in the plane of the isocentre: the picture is magnified by source-detector over source-isocentre
-/// distance, 1000 to 700 mm.
+/// World x of a column, in the plane of the isocentre: the picture is magnified by source-detector over
+/// source-isocentre distance, 1000 to 700 mm.
 fn sideways_m(view: &FrameView, column: f64) -> f64 {
     let geometry = &view.frame.geometry;
     (column - 0.5 * (f64::from(geometry.columns) - 1.0)) * geometry.pixel_pitch_m[0] * 0.7

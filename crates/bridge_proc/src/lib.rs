@@ -1,13 +1,13 @@
 //! Bridges from a running session to other software: of the operating room, and of robotics.
 //!
-//! A bridge joins a session as any client does, as an observer or, where it is given a controller's name, as that controller: then what it
-//! commands is latched, recorded and replayed like every other command. It never holds up the session: what a peer does not read in time is
-//! replaced by what is newer, and counted.
+//! A bridge joins a session as any client does, as an observer or, where it is given a controller's name, as
+//! that controller: then what it commands is latched, recorded and replayed like every other command. It
+//! never holds up the session: what a peer does not read in time is replaced by what is newer, and counted.
 //!
-//! **Boundary:** sockets, threads and the client library; the bytes of OpenIGTLink are [`openigtlink`]'s, topics and messages of
-//! ROS 2 [`ros_interface`]'s. **Invariants:** a peer's queue
-//! holds one message a name; a peer without permission changes nothing; what it sends that is too large, damaged or unknown is refused with
-//! a reason and the run goes on.
+//! **Boundary:** sockets, threads and the client library; the bytes of OpenIGTLink are [`openigtlink`]'s,
+//! topics and messages of ROS 2 [`ros_interface`]'s. **Invariants:** a peer's queue holds one message a name;
+//! a peer without permission changes nothing; what it sends that is too large, damaged or unknown is refused
+//! with a reason and the run goes on.
 //!
 //! ```
 //! use bridge_proc::ras;

@@ -7,7 +7,8 @@ use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use openigtlink::Transform;
 
 const MM_PER_M: f64 = 1000.0;
-/// How far a rotation that came by wire may be from one, in any entry of RᵀR: single precision and rounding of senders.
+/// How far a rotation that came by wire may be from one, in any entry of RᵀR: single precision and rounding
+/// of senders.
 const ROTATION_TOLERANCE: f64 = 1e-3;
 
 /// A position of ours, in Slicer's frame.

@@ -1,5 +1,5 @@
-//! Calibration tables: how far a tendon tension or displacement bends the tip. `trabecula calibrate` writes them;
-//! open-loop curved drilling reads them.
+//! Calibration tables: how far a tendon tension or displacement bends the tip. `trabecula calibrate` writes
+//! them; open-loop curved drilling reads them.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -153,7 +153,8 @@ impl Calibration {
         text
     }
 
-    /// Tension that bends the tip to `bend_deg` while the tension rises, by linear interpolation between rows.
+    /// Tension that bends the tip to `bend_deg` while the tension rises, by linear interpolation between
+    /// rows.
     ///
     /// # Errors
     /// [`CalibrationError::OutOfReach`]: more than the last row's bend.

@@ -1,12 +1,12 @@
 //! The reference controller: curved drilling.
 //!
-//! It feeds the tool at constant speed with the burr on and ramps tendon 0 over the inserted length. The ramp is one
-//! of tension, or, with a calibration, one of bend up to the bend of the planned path: the circular arc that leaves
-//! the insertion axis where the ramp begins and ends at the target. The lateral error against that path corrects the
-//! tension. The error comes from X-ray frames, from the measured shape, or is not used at all. In each frame the
-//! controller finds the burr and locates it in the manipulator's bending plane (the feed waits for the first frame).
-//! At the end it can retract the tool with the burr still turning and the tension following the same ramp down, so
-//! that the last frames show the tunnel.
+//! It feeds the tool at constant speed with the burr on and ramps tendon 0 over the inserted length. The ramp
+//! is one of tension, or, with a calibration, one of bend up to the bend of the planned path: the circular
+//! arc that leaves the insertion axis where the ramp begins and ends at the target. The lateral error against
+//! that path corrects the tension. The error comes from X-ray frames, from the measured shape, or is not used
+//! at all. In each frame the controller finds the burr and locates it in the manipulator's bending plane (the
+//! feed waits for the first frame). At the end it can retract the tool with the burr still turning and the
+//! tension following the same ramp down, so that the last frames show the tunnel.
 
 use messages::{ArmMode, BurrMode, Command, Frame, Pose, State, TendonMode};
 use nalgebra::Vector3;
@@ -66,11 +66,12 @@ struct Start {
 }
 
 impl CurvedDrillingController {
-    /// A controller for this plan in this scene; `read` returns the text of the calibration that the plan names.
+    /// A controller for this plan in this scene; `read` returns the text of the calibration that the plan
+    /// names.
     ///
     /// # Errors
-    /// The plan's calibration cannot be read, or does not cover the bend of the arc to the target; the target lies on
-    /// the side that the tool cannot bend toward.
+    /// The plan's calibration cannot be read, or does not cover the bend of the arc to the target; the target
+    /// lies on the side that the tool cannot bend toward.
     pub fn new(
         plan: &CurvedDrilling,
         scene: &Scene,

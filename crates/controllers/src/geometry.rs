@@ -19,8 +19,8 @@ pub fn isometry(pose: &Pose) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::from(position_m(pose)), rotation(pose))
 }
 
-/// Column and row (pixel centres at integers) at which a world point appears, and the pixels per metre there. `None`
-/// behind the source.
+/// Column and row (pixel centres at integers) at which a world point appears, and the pixels per metre there.
+/// `None` behind the source.
 pub fn project(c_arm: &CArmGeometry, point_m: &Vector3<f64>) -> Option<([f64; 2], f64)> {
     let source = Vector3::from(c_arm.source_m);
     let row_axis = Vector3::from(c_arm.row_axis);
@@ -38,8 +38,8 @@ pub fn project(c_arm: &CArmGeometry, point_m: &Vector3<f64>) -> Option<([f64; 2]
     Some(([column, row], magnification / c_arm.pixel_pitch_m[0]))
 }
 
-/// Where the ray through a pixel meets the plane through `origin_m` with this normal; `None` if the ray is parallel to
-/// the plane.
+/// Where the ray through a pixel meets the plane through `origin_m` with this normal; `None` if the ray is
+/// parallel to the plane.
 pub fn back_project(
     c_arm: &CArmGeometry,
     pixel: [f64; 2],

@@ -2,9 +2,9 @@
 //!
 //! A controller is anything that turns a [`State`] into a [`Command`] once per tick.
 //!
-//! **Boundary:** a controller sees what a client sees, and nothing of the simulation. This crate opens no files: its
-//! caller passes in a function that reads a text. **Invariant:** the controllers here are deterministic, with no
-//! clock and no randomness, so that a lockstep run repeats bit for bit.
+//! **Boundary:** a controller sees what a client sees, and nothing of the simulation. This crate opens no
+//! files: its caller passes in a function that reads a text. **Invariant:** the controllers here are
+//! deterministic, with no clock and no randomness, so that a lockstep run repeats bit for bit.
 //! ```
 //! use controllers::Controller;
 //! use messages::layout::Message;
@@ -50,10 +50,12 @@ use scene::Scene;
 
 /// A controller: answers states with commands.
 pub trait Controller {
-    /// Answers a state. `command` arrives with `sequence` and `state_tick` filled in and every mode set to "none".
+    /// Answers a state. `command` arrives with `sequence` and `state_tick` filled in and every mode set to
+    /// "none".
     fn step(&mut self, state: &State, command: &mut Command);
 
-    /// Receives a frame (mono16, rows top to bottom). Called before the step of the tick at which the frame is available.
+    /// Receives a frame (mono16, rows top to bottom). Called before the step of the tick at which the frame
+    /// is available.
     fn frame(&mut self, _frame: &Frame, _pixels: &[u16]) {}
 
     /// Receives a reading of a sensor. Called before the step of the state with which the reading arrives.
@@ -83,8 +85,8 @@ pub enum BuiltIn {
 }
 
 impl BuiltIn {
-    /// The scene's built-in controller of this name; `None` if it is not built in. `read` returns the text of the
-    /// calibration file that it may need.
+    /// The scene's built-in controller of this name; `None` if it is not built in. `read` returns the text of
+    /// the calibration file that it may need.
     ///
     /// # Errors
     /// Its calibration cannot be used.

@@ -1,4 +1,5 @@
-//! Drilling with a tool that slides out of its outer tube: turn it, slide it out with the burr on, draw it back.
+//! Drilling with a tool that slides out of its outer tube: turn it, slide it out with the burr on, draw it
+//! back.
 
 use messages::{ArmMode, BurrMode, Command, State, TubeMode};
 use scene::{Drives, TubeDeployment};

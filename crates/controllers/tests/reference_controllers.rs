@@ -40,8 +40,8 @@ fn play(scene: &Scene, ct: Option<CtView>, controller: &mut dyn Controller) -> S
     *run.plant().state()
 }
 
-/// The block of the scenes, 40 × 40 × 60 mm of 0.5 mm voxels around the origin, its half at +x denser by `ratio`. (The
-/// drilling law's density is 131 + 1.067 HU kg/m³.)
+/// The block of the scenes, 40 × 40 × 60 mm of 0.5 mm voxels around the origin, its half at +x denser by
+/// `ratio`. (The drilling law's density is 131 + 1.067 HU kg/m³.)
 fn block(ratio: f64) -> (GridGeometry, Vec<i16>) {
     let dims = [80, 80, 120];
     let origin = dims.map(|n| -0.25e-3 * (n as f64 - 1.0));
@@ -77,8 +77,9 @@ fn a_sweep_without_friction_measures_the_closed_form() {
         let expected = (row.commanded * parameters.tendon.offset_m * compliance).to_degrees();
         println!("{} N: {:.4} deg, closed form {expected:.4} deg", row.commanded, row.bend_deg);
         assert_eq!(row.tension_n, row.commanded);
-        // The tendon runs along chords between its holes, so its lever arm shrinks with the bend: cos(q/2) and the
-        // gap's part, below one hundredth at 2 degrees per flexure; the rest is the level's incomplete settling.
+        // The tendon runs along chords between its holes, so its lever arm shrinks with the bend: cos(q/2)
+        // and the gap's part, below one hundredth at 2 degrees per flexure; the rest is the level's
+        // incomplete settling.
         assert!((row.bend_deg - expected).abs() <= 0.02 * expected + 0.02);
     }
 }
@@ -184,8 +185,8 @@ fn a_target_beyond_the_calibration_is_refused() {
     assert!(error.contains("no_such.csv") && error.contains("trabecula calibrate"), "{error}");
 }
 
-/// Regression: such a target gave an arc with a negative angle, for which the calibration's tension is 0 N, so the
-/// tool went straight on.
+/// Regression: such a target gave an arc with a negative angle, for which the calibration's tension is 0 N,
+/// so the tool went straight on.
 #[test]
 fn a_target_on_the_side_away_from_the_bend_is_refused() {
     let text = std::fs::read_to_string(config("curved_open_loop.toml")).unwrap();
@@ -201,8 +202,8 @@ fn a_target_on_the_side_away_from_the_bend_is_refused() {
     assert!(CurvedDrillingController::new(plan, &scene, &read).is_ok(), "straight ahead is no side");
 }
 
-/// Regression: after a reset, a controller that had been drilling carried on where it was and pulled the tension of
-/// the ramp's end in front of the bone.
+/// Regression: after a reset, a controller that had been drilling carried on where it was and pulled the
+/// tension of the ramp's end in front of the bone.
 #[test]
 fn a_reset_sets_the_reference_controllers_back() {
     let scene = load(&config("curved_shape_feedback.toml")).unwrap();

@@ -1,6 +1,8 @@
-//! Random numbers that are a function of a key, of which no state is kept: any order of use and any number of threads gives the same.
+//! Random numbers that are a function of a key, of which no state is kept: any order of use and any number of
+//! threads gives the same.
 //!
-//! The noise of X-ray frames (key: seed and frame, counter: pixel) and of sensors (key: seed, sensor and tick, counter: channel) is this.
+//! The noise of X-ray frames (key: seed and frame, counter: pixel) and of sensors (key: seed, sensor and
+//! tick, counter: channel) is this.
 //!
 //! **Boundary:** it only computes.
 //!
@@ -43,9 +45,9 @@ impl Key {
         uniform(self.word(counter))
     }
 
-    /// A standard normal number (Box and Muller 1958, "A note on the generation of random normal deviates", Ann. Math. Stat. 29), at most
-    /// 8.7 in magnitude. It uses two words, those of twice the counter and of the next; a counter of it must not be one of
-    /// [`Key::uniform`] of the same key.
+    /// A standard normal number (Box and Muller 1958, "A note on the generation of random normal deviates",
+    /// Ann. Math. Stat. 29), at most 8.7 in magnitude. It uses two words, those of twice the counter and of
+    /// the next; a counter of it must not be one of [`Key::uniform`] of the same key.
     pub fn normal(self, counter: u64) -> f64 {
         let a = self.uniform(2 * counter);
         let b = self.uniform(2 * counter + 1);
@@ -53,8 +55,8 @@ impl Key {
     }
 }
 
-/// The finaliser of SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014; constants of D.
-/// Stafford's variant 13), including its increment.
+/// The finaliser of SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators",
+/// OOPSLA 2014; constants of D. Stafford's variant 13), including its increment.
 #[inline(always)]
 pub const fn mix(x: u64) -> u64 {
     let x = x.wrapping_add(0x9E37_79B9_7F4A_7C15);
@@ -73,7 +75,8 @@ pub fn uniform(word: u64) -> f64 {
 mod tests {
     use super::*;
 
-    /// The first outputs of SplitMix64 seeded with 0, as its authors' C program prints them (prng.di.unimi.it/splitmix64.c).
+    /// The first outputs of SplitMix64 seeded with 0, as its authors' C program prints them
+    /// (prng.di.unimi.it/splitmix64.c).
     #[test]
     fn words_are_those_of_splitmix64() {
         let step = 0x9E37_79B9_7F4A_7C15_u64;
@@ -81,7 +84,8 @@ mod tests {
         assert_eq!([0, 1, 2_u64].map(|n| mix(n.wrapping_mul(step))), want);
     }
 
-    /// Mean, variance and fourth moment of a million numbers, within four standard errors of those of the normal law.
+    /// Mean, variance and fourth moment of a million numbers, within four standard errors of those of the
+    /// normal law.
     #[test]
     fn normal_numbers_have_the_moments_of_the_normal_law() {
         let count = 1_000_000_u64;

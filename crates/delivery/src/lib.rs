@@ -1,7 +1,9 @@
-//! Which messages a receiver gets, when, and what it misses: X-ray frames, and what the clients of a viewer see.
+//! Which messages a receiver gets, when, and what it misses: X-ray frames, and what the clients of a viewer
+//! see.
 //!
-//! **Boundary:** it only decides. The processes of the X-ray, the controllers and the viewer take the messages, render and send; the
-//! schedules of `hub_simulator` hold the same decisions against an oracle. None of them decides a tick.
+//! **Boundary:** it only decides. The processes of the X-ray, the controllers and the viewer take the
+//! messages, render and send; the schedules of `hub_simulator` hold the same decisions against an oracle.
+//! None of them decides a tick.
 //!
 //! | module | what it holds |
 //! |---|---|

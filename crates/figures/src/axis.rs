@@ -22,8 +22,8 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// A linear axis from `low` to `high` with at most about `count` labelled ticks. An empty or non-finite range
-    /// becomes one of width 1.
+    /// A linear axis from `low` to `high` with at most about `count` labelled ticks. An empty or non-finite
+    /// range becomes one of width 1.
     pub fn linear(title: &str, low: f64, high: f64, count: usize) -> Axis {
         let (low, high) = widened(low, high);
         let step = round_step((high - low) / count.max(1) as f64);
@@ -60,8 +60,8 @@ impl Axis {
         Axis::linear(title, low - margin, high + margin, count)
     }
 
-    /// A logarithmic axis, from slightly below the smallest to slightly above the largest positive value; `label`
-    /// formats a tick. Ticks are powers of ten; where there is room also twice and five times these.
+    /// A logarithmic axis, from slightly below the smallest to slightly above the largest positive value;
+    /// `label` formats a tick. Ticks are powers of ten; where there is room also twice and five times these.
     pub fn logarithmic(title: &str, values: impl Iterator<Item = f64>, label: fn(f64) -> String) -> Axis {
         let (low, high) = bounds(values.filter(|&value| value > 0.0)).unwrap_or((1.0, 100.0));
         let (low, high) = (low.log10() - 0.15, high.log10() + 0.15);
@@ -88,8 +88,8 @@ impl Axis {
         self.minor.retain(|value| keep(*value));
     }
 
-    /// The axis on `length` figure units with as many labels as fit: the fine ticks' too, the ticks' alone, each second of them and so on.
-    /// `extent` is what a label takes of the length.
+    /// The axis on `length` figure units with as many labels as fit: the fine ticks' too, the ticks' alone,
+    /// each second of them and so on. `extent` is what a label takes of the length.
     pub fn labelled(mut self, length: f64, extent: fn(&str) -> f64) -> Axis {
         let mut all = [self.ticks.clone(), std::mem::take(&mut self.fine)].concat();
         all.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -119,8 +119,8 @@ impl Axis {
         TextSize::Label.units() + 2.0
     }
 
-    /// Position of a value as a fraction of the length: 0 at the low end, 1 at the high end, outside that range
-    /// beyond. A value that a logarithmic axis cannot show maps to its low end.
+    /// Position of a value as a fraction of the length: 0 at the low end, 1 at the high end, outside that
+    /// range beyond. A value that a logarithmic axis cannot show maps to its low end.
     pub fn share(&self, value: f64) -> f64 {
         let value = if !self.logarithmic {
             value

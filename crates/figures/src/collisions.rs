@@ -4,7 +4,8 @@ use super::panel::Rect;
 use super::shapes::{Anchor, Figure, Shape, WIDTH, text_width};
 
 impl Figure {
-    /// Texts that lie over another or reach out of the figure, each with the other's words: none, in a figure that can be read.
+    /// Texts that lie over another or reach out of the figure, each with the other's words: none, in a figure
+    /// that can be read.
     pub fn collisions(&self) -> Vec<(String, String)> {
         let texts: Vec<(&str, Rect)> = self.shapes().iter().filter_map(text_box).collect();
         let page = Rect { x: 0.0, y: 0.0, width: WIDTH, height: self.height() };

@@ -1,6 +1,8 @@
-//! Figures: axes, panels with curves and legends, texts, drawn to PNG and SVG without a font on the machine; pictures as PNG.
+//! Figures: axes, panels with curves and legends, texts, drawn to PNG and SVG without a font on the machine;
+//! pictures as PNG.
 //!
-//! **Invariant:** the same shapes give the same bytes; texts of a figure that passes [`Figure::collisions`] lie over nothing.
+//! **Invariant:** the same shapes give the same bytes; texts of a figure that passes [`Figure::collisions`]
+//! lie over nothing.
 
 mod axis;
 mod collisions;

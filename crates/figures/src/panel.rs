@@ -299,7 +299,8 @@ impl<'a> Panel<'a> {
         }
     }
 
-    /// Draws the frame, and the legend in a row above it, on the right; inside, where the title leaves no room for it.
+    /// Draws the frame, and the legend in a row above it, on the right; inside, where the title leaves no
+    /// room for it.
     pub fn finish_with_row(mut self) {
         let entry = |(_, label): &(Key, String)| KEY_WIDTH + 16.0 + text_width(label, TextSize::Label);
         let row: f64 = self.legend.iter().map(entry).sum();
@@ -357,8 +358,8 @@ pub fn clip(points: &[Point], area: Rect) -> Vec<Vec<Point>> {
     runs
 }
 
-/// Clips a line segment to a rectangle (Liang and Barsky 1984); also returns whether the result reaches the segment's
-/// end.
+/// Clips a line segment to a rectangle (Liang and Barsky 1984); also returns whether the result reaches the
+/// segment's end.
 fn clip_piece(a: Point, b: Point, area: Rect) -> Option<(Point, Point, bool)> {
     let d = (b.0 - a.0, b.1 - a.1);
     let (mut enter, mut leave) = (0.0f64, 1.0f64);

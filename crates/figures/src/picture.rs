@@ -47,8 +47,8 @@ pub struct GreyImage {
 }
 
 impl GreyImage {
-    /// From little-endian `mono16` rows without padding; none if there are no pixels, or fewer than the size requires
-    /// (a log that keeps only hashes).
+    /// From little-endian `mono16` rows without padding; none if there are no pixels, or fewer than the size
+    /// requires (a log that keeps only hashes).
     pub fn from_mono16(columns: u32, rows: u32, mono16: &[u8]) -> Option<GreyImage> {
         let count = (columns as usize).checked_mul(rows as usize)?;
         let bytes = mono16.get(..count.checked_mul(2)?)?;

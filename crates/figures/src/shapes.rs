@@ -22,8 +22,8 @@ pub const WIDTH: f64 = 880.0;
 const FONT: &str = "sans-serif";
 /// Pixels per figure unit while drawing; plotters snaps shapes to whole pixels.
 const SCALE: usize = 4;
-/// Squares of this many pixels are averaged into one pixel of the PNG file, because plotters does not antialias wide
-/// lines.
+/// Squares of this many pixels are averaged into one pixel of the PNG file, because plotters does not
+/// antialias wide lines.
 const SHRINK: usize = 2;
 
 /// Height of a figure's title.
@@ -375,8 +375,8 @@ fn stretched(rgb: &[u8], [columns, rows]: [usize; 2], [wide, tall]: [usize; 2]) 
     out
 }
 
-/// Draws dashes one by one. In a bitmap, draws each segment separately with round joints, because plotters' outline of
-/// a dense polyline has spikes.
+/// Draws dashes one by one. In a bitmap, draws each segment separately with round joints, because plotters'
+/// outline of a dense polyline has spikes.
 fn draw_line<DB: DrawingBackend>(
     area: &DrawingArea<DB, Shift>,
     points: &[Point],
@@ -449,7 +449,8 @@ mod tests {
 
     #[test]
     fn dashes_keep_the_shares_of_the_pattern() {
-        // A corner inside a dash: 7 right, 5 down; total 12 with pattern 2 on, 1 off: 8 of 12 drawn in 4 dashes.
+        // A corner inside a dash: 7 right, 5 down; total 12 with pattern 2 on, 1 off: 8 of 12 drawn in 4
+        // dashes.
         let line = [(0.0, 0.0), (7.0, 0.0), (7.0, 5.0)];
         let cut = dashes(&line, &[2.0, 1.0]);
         assert_eq!(cut.len(), 4);

@@ -1,14 +1,16 @@
 //! Makes untrusted text safe to show on a terminal.
 //!
-//! A name in a log, a field of a volume's header or the last words of a program may hold escape sequences that move the cursor, change
-//! the window's title or inject input as if the user had typed it, line ends that forge a line of ours, or characters that reverse or
-//! hide their neighbours. All of these are shown as escapes like `\u001b`: harmless, visible, and in JSON still the same character.
+//! A name in a log, a field of a volume's header or the last words of a program may hold escape sequences
+//! that move the cursor, change the window's title or inject input as if the user had typed it, line ends
+//! that forge a line of ours, or characters that reverse or hide their neighbours. All of these are shown as
+//! escapes like `\u001b`: harmless, visible, and in JSON still the same character.
 //!
-//! [`foreign`] shows one value within a line of ours. [`Plain`] is the last gate before the terminal: everything that a command prints
-//! goes through it.
+//! [`foreign`] shows one value within a line of ours. [`Plain`] is the last gate before the terminal:
+//! everything that a command prints goes through it.
 //!
-//! **Boundary:** texts only; it opens nothing and prints nothing. **Invariant:** the output holds no control characters except our own
-//! line ends and tabs, no zero-width characters and no direction marks; a value has a bounded length.
+//! **Boundary:** texts only; it opens nothing and prints nothing. **Invariant:** the output holds no control
+//! characters except our own line ends and tabs, no zero-width characters and no direction marks; a value has
+//! a bounded length.
 //!
 //! ```
 //! use foreign_text::foreign;
@@ -68,8 +70,8 @@ impl Display for Foreign<'_> {
     }
 }
 
-/// Our own text, of any length, which may contain untrusted values. Keeps line ends and tabs, and escapes every other character that a
-/// terminal would obey, hide or reverse.
+/// Our own text, of any length, which may contain untrusted values. Keeps line ends and tabs, and escapes
+/// every other character that a terminal would obey, hide or reverse.
 pub fn plain(text: &str) -> String {
     let mut shown = String::with_capacity(text.len());
     for c in text.chars() {
@@ -88,8 +90,8 @@ fn push(shown: &mut String, c: char) {
     }
 }
 
-/// Whether a character is visible as itself. The standard library knows which are not: controls, bidirectional marks, zero-width
-/// characters, and separators other than the space.
+/// Whether a character is visible as itself. The standard library knows which are not: controls,
+/// bidirectional marks, zero-width characters, and separators other than the space.
 fn is_plain(c: char) -> bool {
     if c.is_ascii() {
         return !c.is_ascii_control();
@@ -161,7 +163,8 @@ mod tests {
             "a\\u001b[2J\\u001b]0;owned\\u0007\\u000d\\u000aend marker: completed"
         );
         assert_eq!(plain(HOSTILE), "a\\u001b[2J\\u001b]0;owned\\u0007\\u000d\nend marker: completed");
-        // C1 controls, bidirectional marks and isolates, zero widths, a tag, line separators, a private character.
+        // C1 controls, bidirectional marks and isolates, zero widths, a tag, line separators, a private
+        // character.
         for c in
             "\u{7f}\u{9b}\u{85}\u{202e}\u{2066}\u{200b}\u{200f}\u{feff}\u{ad}\u{e0041}\u{2028}\u{a0}\u{e000}"
                 .chars()

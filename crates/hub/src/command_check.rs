@@ -104,8 +104,8 @@ fn ranges(name: &str, values: &[f64], lowest: f64, highest: f64) -> Result<(), C
         .try_for_each(|(i, value)| range(|| format!("{name}[{i}]"), *value, lowest, highest))
 }
 
-/// Checks ranges, modes, order and authority. `last_sequence` is the number of the newest accepted command (0 before the first),
-/// `newest_tick` the tick of the newest state.
+/// Checks ranges, modes, order and authority. `last_sequence` is the number of the newest accepted command (0
+/// before the first), `newest_tick` the tick of the newest state.
 ///
 /// # Errors
 /// The first [`CommandRefusal`] found.

@@ -47,7 +47,8 @@ pub trait Outputs {
 /// A received message.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Incoming<M> {
-    /// A copy of the message and its sender. A copy, because the sender could change shared memory between the check and the use.
+    /// A copy of the message and its sender. A copy, because the sender could change shared memory between
+    /// the check and the use.
     Message(M, Connection),
     /// Not a valid message, and why.
     Malformed(String),
@@ -75,7 +76,8 @@ pub struct Note<'t> {
     pub text: &'t str,
 }
 
-/// The hub's surroundings. No call blocks; what to wait for is returned by [`Hub::advance`](crate::Hub::advance).
+/// The hub's surroundings. No call blocks; what to wait for is returned by
+/// [`Hub::advance`](crate::Hub::advance).
 pub trait Environment: Outputs {
     /// Monotonic clock, ns.
     fn now_ns(&self) -> u64;
@@ -131,7 +133,8 @@ pub trait Environment: Outputs {
     /// As [`Outputs::send_latched`].
     fn send_event(&mut self, note: &Note<'_>) -> Result<(), Self::Error>;
 
-    /// Leaves word of why the run ends early, before the end is told: whoever hears of the end finds the reason.
+    /// Leaves word of why the run ends early, before the end is told: whoever hears of the end finds the
+    /// reason.
     fn leave_blame(&mut self, blame: &Blame);
 
     /// Wakes sleeping controllers.
@@ -155,12 +158,14 @@ pub trait Environment: Outputs {
     /// Called in real time when a tick's work is done and the thread is about to wait for the next deadline.
     fn work_ends(&mut self) {}
 
-    /// Called in real time when a tick begins. Fills in what the kernel reports about the thread since the last tick began.
+    /// Called in real time when a tick begins. Fills in what the kernel reports about the thread since the
+    /// last tick began.
     fn tick_begins(&mut self, start_ns: u64, start: Start, timing: &mut TickTiming) {
         let _ = (start_ns, start, timing);
     }
 
-    /// Called in lockstep when a tick's state has been published. Fills in what the kernel reports about the thread since the last one was.
+    /// Called in lockstep when a tick's state has been published. Fills in what the kernel reports about the
+    /// thread since the last one was.
     fn tick_made(&mut self, timing: &mut TickTiming) {
         let _ = timing;
     }

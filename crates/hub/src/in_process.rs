@@ -1,4 +1,5 @@
-//! Lockstep in one thread, without processes: controllers answer each state as function calls, and the plant steps.
+//! Lockstep in one thread, without processes: controllers answer each state as function calls, and the plant
+//! steps.
 
 use messages::{Command, CommandSource, ControllerIndex, Latched, LatchedCommand, Plant, Reset, State, Tick};
 use scene::{Mode, Scene};
@@ -126,8 +127,8 @@ impl<P: Plant> InProcess<P> {
         self.commands.latch.check(controller, &command, Tick(tick))
     }
 
-    /// Latches u_k. Calls `answer` once per controller of the scene, with the controller's index, x_k, and a command that has `sequence`
-    /// and `state_tick` filled in and every mode at "none".
+    /// Latches u_k. Calls `answer` once per controller of the scene, with the controller's index, x_k, and a
+    /// command that has `sequence` and `state_tick` filled in and every mode at "none".
     ///
     /// # Errors
     /// [`InProcessError::Refused`].
@@ -148,7 +149,8 @@ impl<P: Plant> InProcess<P> {
         Ok(self.commands.latch.latch(tick, Reset::No))
     }
 
-    /// Takes the commands that a log's tick latched, so that the run can go on after it; the caller steps the plant with them.
+    /// Takes the commands that a log's tick latched, so that the run can go on after it; the caller steps the
+    /// plant with them.
     pub fn follow(&mut self, latched: &Latched) {
         for (controller, entry) in
             ControllerIndex::first(self.commands.sequences.len()).zip(&latched.commands)

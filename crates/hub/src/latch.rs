@@ -1,7 +1,8 @@
 //! Latching: decides u_k, the commands in force at tick k.
 //!
-//! Pure: the result depends only on which commands were offered and in which order. A controller's newest valid command is held; once it
-//! answers a state more than `hold_ticks` old, or the controller is released, the safe command replaces it.
+//! Pure: the result depends only on which commands were offered and in which order. A controller's newest
+//! valid command is held; once it answers a state more than `hold_ticks` old, or the controller is released,
+//! the safe command replaces it.
 
 use messages::{
     ArmMode, BurrMode, Command, CommandSource, ControllerIndex, Latched, LatchedCommand, MAX_CONTROLLERS,
@@ -33,7 +34,8 @@ struct Slot {
 }
 
 impl Latch {
-    /// A latch for the scene's controllers. In lockstep no command is late, so the safe command never replaces one for its age.
+    /// A latch for the scene's controllers. In lockstep no command is late, so the safe command never
+    /// replaces one for its age.
     pub fn new(scene: &Scene) -> Latch {
         let slot = |drives: &Vec<Drives>| Slot {
             drives: drives.clone(),
@@ -88,7 +90,8 @@ impl Latch {
         check(command, &slot.drives, slot.last_sequence, tick)
     }
 
-    /// A controller has reconnected and restarts its sequence numbers. Its last command stays in force until its next one.
+    /// A controller has reconnected and restarts its sequence numbers. Its last command stays in force until
+    /// its next one.
     pub fn connect(&mut self, controller: ControllerIndex) {
         let slot = &mut self.slots[controller.slot()];
         (slot.last_sequence, slot.last_state_tick) = (0, Tick::START);
@@ -153,7 +156,8 @@ impl Slot {
         LatchedCommand { source: source.code(), controller_index: 0, age_ticks, command }
     }
 
-    /// Burr off, arm and tube stopped, tension held at its current value; only for what the controller drives.
+    /// Burr off, arm and tube stopped, tension held at its current value; only for what the controller
+    /// drives.
     fn safe_command(&self, last: &Command) -> Command {
         let mut safe = Command { sequence: last.sequence, state_tick: last.state_tick, ..Command::zeroed() };
         if self.drives.contains(&Drives::Burr) {

@@ -3,8 +3,8 @@
 use messages::services::{FRAME, KEYFRAME, KEYFRAME_PART_BYTES, MAX_KEYFRAME_BYTES, RECORDER_QUEUE_TICKS};
 use scene::{OnFull, Scene};
 
-/// Lead in ticks, in real time, at which none of the recorder's queues overflows; `None` if there is no limit. At most a quarter of each
-/// per-tick queue, and half of the frame and keyframe queues.
+/// Lead in ticks, in real time, at which none of the recorder's queues overflows; `None` if there is no
+/// limit. At most a quarter of each per-tick queue, and half of the frame and keyframe queues.
 pub fn recorder_lead_ticks(scene: &Scene) -> Option<u64> {
     if scene.recording.on_full == OnFull::Gap {
         return None;

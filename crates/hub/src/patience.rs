@@ -1,8 +1,9 @@
 //! Timeouts that count only time in which the process ran.
 
 const MS: u64 = 1_000_000;
-/// Most time between two polls that counts toward a limit, capped at half of the limit. A longer gap means the process was stopped (Ctrl-Z,
-/// SIGSTOP, a frozen container); then the other side was stopped too, or could not be heard.
+/// Most time between two polls that counts toward a limit, capped at half of the limit. A longer gap means
+/// the process was stopped (Ctrl-Z, SIGSTOP, a frozen container); then the other side was stopped too, or
+/// could not be heard.
 const LONGEST_LOOK_NS: u64 = 1000 * MS;
 /// Poll interval.
 const LOOK_NS: u64 = 200 * MS;

@@ -1,12 +1,14 @@
-//! Rate limits per sender and for warnings, so that a flooding client can neither stall the tick nor fill the log.
+//! Rate limits per sender and for warnings, so that a flooding client can neither stall the tick nor fill the
+//! log.
 
 const MS: u64 = 1_000_000;
 
-/// Most messages read per poll from a queue that every client may write to. Taking and skipping a message is faster than sending one, so
-/// even a queue under constant flood runs empty now and then.
+/// Most messages read per poll from a queue that every client may write to. Taking and skipping a message is
+/// faster than sending one, so even a queue under constant flood runs empty now and then.
 pub const LOOKED_AT: usize = 256;
 
-/// Messages accepted from one connection within [`PERIOD_NS`]: more than a program can send that waits for its replies.
+/// Messages accepted from one connection within [`PERIOD_NS`]: more than a program can send that waits for
+/// its replies.
 const EACH: usize = 64;
 const PERIOD_NS: u64 = 10 * MS;
 /// Warnings sent individually within [`WARNING_PERIOD_NS`].
@@ -66,8 +68,8 @@ impl WarningLimit {
         allowed
     }
 
-    /// The number of suppressed warnings, when it is time to report it. Reads the clock only if there are any: this is asked several times
-    /// in every tick.
+    /// The number of suppressed warnings, when it is time to report it. Reads the clock only if there are
+    /// any: this is asked several times in every tick.
     pub fn take_suppressed(&mut self, now_ns: impl FnOnce() -> u64) -> Option<u64> {
         let suppressed = self.suppressed;
         if suppressed == 0 {
@@ -86,7 +88,8 @@ impl WarningLimit {
 mod tests {
     use super::*;
 
-    /// In lockstep the queue is polled many thousand times a second, so a limit per poll alone bounds nothing.
+    /// In lockstep the queue is polled many thousand times a second, so a limit per poll alone bounds
+    /// nothing.
     #[test]
     fn warnings_beyond_the_first_are_counted_and_said_once() {
         let mut limit = WarningLimit::default();

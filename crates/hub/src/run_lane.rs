@@ -7,7 +7,8 @@
 //! if due, publish the keyframe of x_{k+1}
 //! ```
 //!
-//! Real processes, replays and the hub's simulator all publish through [`RunLane`], so a log and its replay agree to the byte.
+//! Real processes, replays and the hub's simulator all publish through [`RunLane`], so a log and its replay
+//! agree to the byte.
 
 use messages::services::{KEYFRAME_PART_BYTES, MAX_KEYFRAME_BYTES, MAX_REMOVED_PER_MESSAGE};
 use messages::{Keyframe, Latched, Plant, Removed, Reset, Restores, State, Tick};
@@ -89,7 +90,8 @@ impl RunLane {
         self.send_with_readings(plant, out).map_err(LaneError::Output)
     }
 
-    /// Makes a tick and publishes everything but its keyframe. `now_ns` reads the caller's clock, for the tick's timing.
+    /// Makes a tick and publishes everything but its keyframe. `now_ns` reads the caller's clock, for the
+    /// tick's timing.
     ///
     /// # Errors
     /// Any [`LaneError`]; the tick is then lost and the plant unusable.

@@ -21,8 +21,8 @@ pub struct Failure {
 /// Exit code after Ctrl-C, as shells have it: 128 + SIGINT.
 pub const EXIT_INTERRUPTED: u8 = 130;
 
-/// A full or broken disk, or a system limit: no other argument fixes these. Any other system error, such as a missing
-/// file or a denied permission, is bad input.
+/// A full or broken disk, or a system limit: no other argument fixes these. Any other system error, such as a
+/// missing file or a denied permission, is bad input.
 fn is_of_the_machine(cause: &std::io::Error) -> bool {
     let faults = [
         Errno::NOSPC,

@@ -1,4 +1,5 @@
-//! Whether a scene makes sense (`simulation::findings`): what cannot work is refused, what is most likely a mistake is said.
+//! Whether a scene makes sense (`simulation::findings`): what cannot work is refused, what is most likely a
+//! mistake is said.
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
@@ -14,8 +15,8 @@ use xray::from_scene::scene_c_arm;
 
 use crate::failure::Failure;
 
-/// Checks a scene with its volume; without one, what does not depend on bone. Returns a warning for everything unlikely. `source` names the
-/// scene in messages.
+/// Checks a scene with its volume; without one, what does not depend on bone. Returns a warning for
+/// everything unlikely. `source` names the scene in messages.
 ///
 /// # Errors
 /// Bad input: something in it is impossible; the message names all of it, each on a line.
@@ -57,7 +58,8 @@ pub fn check(
     Ok(unlikely.map(|finding| format!("warning: {source}: {finding}")).collect())
 }
 
-/// Refuses a target beside the volume: nothing is there to drill, and a plan was made in another CT or says the wrong frame.
+/// Refuses a target beside the volume: nothing is there to drill, and a plan was made in another CT or says
+/// the wrong frame.
 fn refuse_outside(scene: &Scene, source: &dyn std::fmt::Display, volume: &Volume) -> Result<(), Failure> {
     let mut targets = drillings(scene).filter_map(|drilling| drilling.target_mm);
     match targets.find(|target_mm| !volume.holds(target_mm.map(|x| x * 1e-3))) {

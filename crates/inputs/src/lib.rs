@@ -1,8 +1,10 @@
-//! Scenes, volumes and logs as every command takes them: found, read, checked, with one wording for what is wrong.
+//! Scenes, volumes and logs as every command takes them: found, read, checked, with one wording for what is
+//! wrong.
 //!
-//! **Boundary:** it opens the files that a scene or a log names, and the user's cache of volumes; it starts no part, prints nothing, and
-//! knows no session. The program (`trabecula`) and the simulator in one process (`sim`) stand on it. **Invariant:** what is refused here is
-//! refused before anything is written, with the exit code that its [`failure::Failure`] carries.
+//! **Boundary:** it opens the files that a scene or a log names, and the user's cache of volumes; it starts
+//! no part, prints nothing, and knows no session. The program (`trabecula`) and the simulator in one process
+//! (`sim`) stand on it. **Invariant:** what is refused here is refused before anything is written, with the
+//! exit code that its [`failure::Failure`] carries.
 //!
 //! | module | what it holds |
 //! |---|---|

@@ -44,8 +44,8 @@ impl OpenedLog {
     /// Opens a log, its scene and its volume.
     ///
     /// # Errors
-    /// Bad input: not a log; or a different build, layout, scene or volume, by name, unless mismatches are allowed.
-    /// Damage: nothing of the log can be replayed.
+    /// Bad input: not a log; or a different build, layout, scene or volume, by name, unless mismatches are
+    /// allowed. Damage: nothing of the log can be replayed.
     pub fn open(given: &Path, overrides: &Overrides) -> Result<OpenedLog, Failure> {
         let path = log_path(given);
         let options = ReadOptions { allow_other_layouts: overrides.allow_mismatch };
@@ -125,8 +125,9 @@ fn build_mismatch(reader: &LogReader) -> Vec<String> {
     vec![format!("build: the log was written by {}, this is {}", name(theirs), name(&ours))]
 }
 
-/// What to install to have the build that wrote a log, in brackets; empty if this is it. The log's text becomes part of a command that
-/// users paste, so only what a version is made of does; and the command takes a file, since no index need hold the version.
+/// What to install to have the build that wrote a log, in brackets; empty if this is it. The log's text
+/// becomes part of a command that users paste, so only what a version is made of does; and the command takes
+/// a file, since no index need hold the version.
 fn original_build(theirs: &BuildInfo, ours: &BuildInfo) -> String {
     if theirs == ours {
         return String::new();

@@ -1,8 +1,8 @@
 //! The built-in scenes, and which scene a command uses.
 //!
-//! A command that needs no scene file uses one of these, so it works in any folder. Each is one file of `configs/` and
-//! refers to no other file (no CT, no calibration), so it is complete wherever it is written and its paths cannot
-//! point elsewhere.
+//! A command that needs no scene file uses one of these, so it works in any folder. Each is one file of
+//! `configs/` and refers to no other file (no CT, no calibration), so it is complete wherever it is written
+//! and its paths cannot point elsewhere.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -77,8 +77,8 @@ impl SceneSource {
         file.map_or(SceneSource::BuiltIn(built_in), |file| SceneSource::File(file.to_owned()))
     }
 
-    /// The same scene with keys set, each by a line `KEY=VALUE`: the key with its path, a number for a table of an array (from 0), and the
-    /// value as in TOML.
+    /// The same scene with keys set, each by a line `KEY=VALUE`: the key with its path, a number for a table
+    /// of an array (from 0), and the value as in TOML.
     ///
     /// # Errors
     /// Bad input: not such a line, a path through something that is no table, or a scene that is no TOML.
@@ -124,7 +124,8 @@ impl SceneSource {
         self.parsed().map_err(|error| self.refused(error))
     }
 
-    /// Checks that a scene has these keys, with values of their types; not whether the values are in their ranges.
+    /// Checks that a scene has these keys, with values of their types; not whether the values are in their
+    /// ranges.
     ///
     /// # Errors
     /// Bad input: an unknown or missing key, or a value of a wrong type.

@@ -1,4 +1,5 @@
-//! What is valid in a volume and most likely a mistake. Nothing is refused for it: each is said, with what to do.
+//! What is valid in a volume and most likely a mistake. Nothing is refused for it: each is said, with what to
+//! do.
 
 use ipc_types::scene::Scene;
 use voxel_grid::Volume;

@@ -14,11 +14,12 @@ use volume_io::{
 };
 use voxel_grid::{Ct, Volume, density};
 
-/// Which files a volume may refer to. A command-line option and not a scene key, because a scene may be as untrusted as
-/// its volume.
+/// Which files a volume may refer to. A command-line option and not a scene key, because a scene may be as
+/// untrusted as its volume.
 #[derive(Debug, Clone, Copy, Default, clap::Args)]
 pub struct VolumeFiles {
-    /// Allow a volume header to name data files outside its own folder, and a slice folder to contain links that leave it.
+    /// Allow a volume header to name data files outside its own folder, and a slice folder to contain links
+    /// that leave it.
     #[arg(long)]
     pub allow_elsewhere: bool,
 }
@@ -164,8 +165,8 @@ fn of_file(path: &Path, source: &SceneVolume, files: VolumeFiles) -> Result<Load
     }
 }
 
-/// Synthetic bone for a mask: cancellous down to the middle of a femoral head (22 mm deep), so that there is something
-/// to drill; marrow only in thicker regions.
+/// Synthetic bone for a mask: cancellous down to the middle of a femoral head (22 mm deep), so that there is
+/// something to drill; marrow only in thicker regions.
 const MASK_MODEL: MaskModel = MaskModel {
     cortical_thickness_m: 2.0e-3,
     cortical_hu: 1500,

@@ -16,7 +16,8 @@ pub enum Frame {
 }
 
 impl Frame {
-    /// A position of this frame in LPS, in the same unit. RAS is LPS turned by half a turn about z, so this is its own inverse.
+    /// A position of this frame in LPS, in the same unit. RAS is LPS turned by half a turn about z, so this
+    /// is its own inverse.
     pub fn to_lps(self, [x, y, z]: [f64; 3]) -> [f64; 3] {
         match self {
             Frame::Lps => [x, y, z],

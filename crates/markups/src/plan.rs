@@ -1,8 +1,9 @@
 //! The plan of a drilling: where it enters, where it bends, where it ends.
 //!
-//! The tool goes straight from the entry to the bend, in a pilot hole, and from there on a circular arc that leaves that line as its
-//! tangent and ends at the target. Without a bend all of it is straight: a pilot hole, and the last 10 mm for the tool. A tool that bends
-//! does not begin a hole in a slanting surface: it slides off.
+//! The tool goes straight from the entry to the bend, in a pilot hole, and from there on a circular arc that
+//! leaves that line as its tangent and ends at the target. Without a bend all of it is straight: a pilot
+//! hole, and the last 10 mm for the tool. A tool that bends does not begin a hole in a slanting surface: it
+//! slides off.
 
 use crate::error::PlanError;
 use crate::markup::{Kind, Markup, Point};
@@ -12,9 +13,11 @@ use crate::vector::{across, dot, length, minus, plus, unit};
 const SHORTEST_MM: f64 = 1.0;
 /// A target this near the line, mm, is on it.
 const ON_THE_LINE_MM: f64 = 0.05;
-/// What the tool drills itself of a straight plan, mm: so short a piece of it sticks out of the pilot hole that it stays on the line.
+/// What the tool drills itself of a straight plan, mm: so short a piece of it sticks out of the pilot hole
+/// that it stays on the line.
 const LAST_MM: f64 = 10.0;
-/// The pilot hole begins this far outside of the entry, mm: surfaces of bone are rough, and the entry is set by hand.
+/// The pilot hole begins this far outside of the entry, mm: surfaces of bone are rough, and the entry is set
+/// by hand.
 const OUTSIDE_MM: f64 = 10.0;
 
 /// A plan. It always has a direction, and its target lies ahead.
@@ -35,7 +38,8 @@ pub struct Arc {
 }
 
 impl Arc {
-    /// The arc to a point that lies `ahead_mm` along the tangent and `beside_mm` across it: its chord turns by half its angle.
+    /// The arc to a point that lies `ahead_mm` along the tangent and `beside_mm` across it: its chord turns
+    /// by half its angle.
     pub fn to(ahead_mm: f64, beside_mm: f64) -> Arc {
         let half_rad = libm::atan2(beside_mm, ahead_mm);
         let chord_mm = libm::hypot(ahead_mm, beside_mm);
@@ -45,8 +49,9 @@ impl Arc {
 }
 
 impl Plan {
-    /// The plan in a file's markups: the control points named `entry`, `bend` and `target` in whatever list they are (case does not count),
-    /// or the two ends of the only line, or the two or three points of the only curve.
+    /// The plan in a file's markups: the control points named `entry`, `bend` and `target` in whatever list
+    /// they are (case does not count), or the two ends of the only line, or the two or three points of the
+    /// only curve.
     ///
     /// # Errors
     /// [`PlanError`]: no such points, a name that stands twice, points too close to each other or a target behind the bend.
@@ -120,7 +125,8 @@ impl Plan {
         unit(minus(self.bend_mm.unwrap_or(self.target_mm), self.entry_mm))
     }
 
-    /// Where the burr's centre starts: at the bend, or, in a straight plan, 10 mm before the target, but not before the entry. LPS, mm.
+    /// Where the burr's centre starts: at the bend, or, in a straight plan, 10 mm before the target, but not
+    /// before the entry. LPS, mm.
     pub fn burr_start_mm(&self) -> [f64; 3] {
         let straight = || {
             let hole_mm = length(minus(self.target_mm, self.entry_mm)) - LAST_MM;
@@ -140,8 +146,9 @@ impl Plan {
         (length(beside) > ON_THE_LINE_MM).then_some(beside)
     }
 
-    /// The side to which the tool bends, a unit vector across the direction: that of the target. A straight plan has none, and any will
-    /// do: the one nearest to +z (head), or nearest to -y (front) for a direction along z.
+    /// The side to which the tool bends, a unit vector across the direction: that of the target. A straight
+    /// plan has none, and any will do: the one nearest to +z (head), or nearest to -y (front) for a direction
+    /// along z.
     pub fn bend_toward(&self) -> [f64; 3] {
         let direction = self.direction();
         let up = across([0.0, 0.0, 1.0], direction);

@@ -77,7 +77,8 @@ fn a_curve_gives_every_place_of_a_scene() {
     assert_eq!(plan.bend_toward(), [0.6, 0.8, 0.0]);
     assert_eq!(plan.pilot_hole_mm(), [[0.0, 0.0, -10.0], BEND]);
     assert_eq!(plan.middle_mm(), [1.5, 2.0, 47.5]);
-    // 15 ahead and 5 beside: a circle of radius (15² + 5²) / (2 · 5) = 25, of which the chord sees 2 atan(1/3).
+    // 15 ahead and 5 beside: a circle of radius (15² + 5²) / (2 · 5) = 25, of which the chord sees 2
+    // atan(1/3).
     let turn_rad = 2.0 * (1.0_f64 / 3.0).atan();
     let arc = plan.arc(0.0);
     assert!(
@@ -106,7 +107,8 @@ fn a_straight_plan_has_a_pilot_hole_up_to_its_last_10_mm_and_may_bend_anywhere()
 }
 
 proptest! {
-    /// The circle through the tangent's foot and the point: its chord and angle give the arc in closed form, r θ.
+    /// The circle through the tangent's foot and the point: its chord and angle give the arc in closed form,
+    /// r θ.
     #[test]
     fn an_arc_is_radius_times_angle(ahead_mm in 0.1..100.0, beside_mm in 1e-3..100.0) {
         let arc = Arc::to(ahead_mm, beside_mm);

@@ -1,9 +1,10 @@
 //! The codes of `uint32` fields, each as an enum.
 //!
-//! A message carries a plain number, because any program may write any number. Whoever takes a message off a port converts it once
-//! ([`Command::tendon_mode`](crate::Command::tendon_mode), [`RunControl::action`](crate::RunControl::action), …) and decides there what an
-//! unknown code means; from there on it is an enum. The constants are what clients of every language write into the fields; both come from
-//! one declaration.
+//! A message carries a plain number, because any program may write any number. Whoever takes a message off a
+//! port converts it once ([`Command::tendon_mode`](crate::Command::tendon_mode),
+//! [`RunControl::action`](crate::RunControl::action), …) and decides there what an unknown code means; from
+//! there on it is an enum. The constants are what clients of every language write into the fields; both come
+//! from one declaration.
 
 use core::fmt::{self, Display, Formatter};
 
@@ -166,7 +167,8 @@ codes! {
 }
 
 codes! {
-    /// What [`Command::arm_mode`] asks of the arm, and what [`State::arm_mode`] says it follows; CRTK verbs and some more.
+    /// What [`Command::arm_mode`] asks of the arm, and what [`State::arm_mode`] says it follows; CRTK verbs
+    /// and some more.
     pub enum ArmMode of "arm_mode" {
         /// This command does not drive the arm.
         None = ARM_NONE, 0, "none";
@@ -184,7 +186,8 @@ codes! {
         ServoJv = ARM_SERVO_JV, 6, "servo_jv";
         /// Insert along an axis at a given feed rate, without rotating.
         Insert = ARM_INSERT, 7, "insert";
-        /// Tool base goal with a remote centre of motion: the tool's axis passes through the pivot throughout the motion.
+        /// Tool base goal with a remote centre of motion: the tool's axis passes through the pivot throughout
+        /// the motion.
         Rcm = ARM_RCM, 8, "rcm";
     }
 }
@@ -218,7 +221,8 @@ codes! {
         Moving = ARM_MOVING, 0, "moving";
         /// At its goal and at rest.
         Done = ARM_DONE, 1, "at its goal and at rest";
-        /// It aborted its motion and stopped, or stopped a joint at the end of its range; an event gives the reason.
+        /// It aborted its motion and stopped, or stopped a joint at the end of its range; an event gives the
+        /// reason.
         Fault = ARM_FAULT, 2, "motion aborted or a joint stopped at the end of its range";
     }
 }
@@ -362,12 +366,14 @@ codes! {
         ControllerLate = EVENT_CONTROLLER_LATE, 11, "controller_late";
         /// The simulation was reset before this tick; `text` says which tick began from the initial state.
         Reset = EVENT_RESET, 12, "reset";
-        /// The run ends: the simulation could not compute a tick, or its result was no state of the tool; `text` says which tick, and why.
+        /// The run ends: the simulation could not compute a tick, or its result was no state of the tool;
+        /// `text` says which tick, and why.
         SimulationFailed = EVENT_SIMULATION_FAILED, 13, "simulation_failed";
-        /// A link of the arm, the holder or the shaft behind the tool's base has entered bone, where nothing collides; `text` says which, and
-        /// how deep.
+        /// A link of the arm, the holder or the shaft behind the tool's base has entered bone, where nothing
+        /// collides; `text` says which, and how deep.
         ArmInBone = EVENT_ARM_IN_BONE, 14, "arm_in_bone";
-        /// The model of the tool is not valid from here on, because a flexure is past its stop; `text` says which, and how far.
+        /// The model of the tool is not valid from here on, because a flexure is past its stop; `text` says
+        /// which, and how far.
         ModelNotValid = EVENT_MODEL_NOT_VALID, 15, "model_not_valid";
     }
 }

@@ -20,8 +20,8 @@ pub const MAX_DEPLOYED_M: f64 = 0.5;
 pub const MAX_ROLL_RAD: f64 = core::f64::consts::TAU;
 
 message! {
-    /// A controller's command. Mode names follow CRTK. Mode 0 leaves tendons, arm, burr or tube at their previous command; a
-    /// controller may drive only what the scene's `drives` allows.
+    /// A controller's command. Mode names follow CRTK. Mode 0 leaves tendons, arm, burr or tube at their
+    /// previous command; a controller may drive only what the scene's `drives` allows.
     pub struct Command = "trabecula_msgs/msg/Command" {
         /// Sequence number of this controller's commands: 1, 2, 3 and so on.
         sequence: u64,
@@ -43,7 +43,8 @@ message! {
         arm_joint_position_rad: [f64; MAX_ARM_JOINTS],
         /// Joint velocities for the arm's servo_jv.
         arm_joint_velocity_rad_per_s: [f64; MAX_ARM_JOINTS],
-        /// Goal of the arm's servo_cp, move_cp and rcm: pose of the tool base, not counting the mount's deflection.
+        /// Goal of the arm's servo_cp, move_cp and rcm: pose of the tool base, not counting the mount's
+        /// deflection.
         t_world_base: Pose,
         /// Speed limit of move_cp and rcm; 0 selects the scene's limit. Feed rate of insert, above 0.
         arm_speed_m_per_s: f64,
@@ -105,8 +106,8 @@ message! {
 }
 
 message! {
-    /// u_k: all external input of tick k, and the only non-deterministic input of a run. Published before the state that
-    /// it leads to.
+    /// u_k: all external input of tick k, and the only non-deterministic input of a run. Published before the
+    /// state that it leads to.
     pub struct Latched = "trabecula_msgs/msg/Latched" {
         /// k: the tick that advances `State.tick` from k to k+1.
         tick: u64,

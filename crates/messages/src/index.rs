@@ -1,4 +1,5 @@
-//! Ticks, ranges of ticks and controllers as types of their own, where one integer could be taken for another.
+//! Ticks, ranges of ticks and controllers as types of their own, where one integer could be taken for
+//! another.
 
 use core::fmt::{self, Display, Formatter};
 use core::ops::AddAssign;

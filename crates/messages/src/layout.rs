@@ -1,13 +1,14 @@
-//! The single source for a message's layout: the Rust type, its `ros2msg` schema, its field table and its layout hash.
+//! The single source for a message's layout: the Rust type, its `ros2msg` schema, its field table and its
+//! layout hash.
 //!
-//! Each message is declared once, with [`message!`](crate::message). The bytes of such a struct, after the four bytes of
-//! [`CDR_LITTLE_ENDIAN`], are a valid CDR (XCDR1, little-endian) message of the generated schema, because no field is padded:
-//! `zerocopy::IntoBytes` proves that at compile time.
+//! Each message is declared once, with [`message!`](crate::message). The bytes of such a struct, after the
+//! four bytes of [`CDR_LITTLE_ENDIAN`], are a valid CDR (XCDR1, little-endian) message of the generated
+//! schema, because no field is padded: `zerocopy::IntoBytes` proves that at compile time.
 
 use sha2::{Digest, Sha256};
 
-/// CDR encapsulation header that turns a message's bytes into a `cdr` message of its `ros2msg` schema (OMG DDS-XTypes 1.3, 7.6.2.1.2:
-/// `CDR_LE`). Common readers refuse `00 07` (XCDR2).
+/// CDR encapsulation header that turns a message's bytes into a `cdr` message of its `ros2msg` schema (OMG
+/// DDS-XTypes 1.3, 7.6.2.1.2: `CDR_LE`). Common readers refuse `00 07` (XCDR2).
 pub const CDR_LITTLE_ENDIAN: [u8; 4] = [0, 1, 0, 0];
 
 const _: () = assert!(
@@ -113,10 +114,12 @@ impl<T: WireType, const N: usize> WireType for [T; N] {
     const ARRAY_LENGTH: Option<usize> = Some(N);
 }
 
-/// Declares a message: a `#[repr(C)]` struct of plain scalars, arrays and other messages, together with its schema.
+/// Declares a message: a `#[repr(C)]` struct of plain scalars, arrays and other messages, together with its
+/// schema.
 ///
-/// A hole between fields, a pointer or a type without a ROS name does not compile. A variable-length message ends in
-/// `tail name: [element] = "ros type"`; the struct then ends in a `u32` element count named `<name>_length`.
+/// A hole between fields, a pointer or a type without a ROS name does not compile. A variable-length message
+/// ends in `tail name: [element] = "ros type"`; the struct then ends in a `u32` element count named
+/// `<name>_length`.
 #[macro_export]
 macro_rules! message {
     (
@@ -185,8 +188,8 @@ impl Description {
         self.name.rsplit('/').next().unwrap_or(self.name)
     }
 
-    /// Checks that a message's length matches its type and its own count. A `Frame` is followed by an image, whose own prefix states its
-    /// lengths.
+    /// Checks that a message's length matches its type and its own count. A `Frame` is followed by an image,
+    /// whose own prefix states its lengths.
     ///
     /// # Errors
     /// The expected length, as text.

@@ -2,8 +2,8 @@
 
 use std::fmt::{self, Display, Formatter};
 
-/// The parts of a session, besides its controllers and clients. Each is exactly one program. The numbers are those of
-/// [`Event::sender`](crate::Event::sender).
+/// The parts of a session, besides its controllers and clients. Each is exactly one program. The numbers are
+/// those of [`Event::sender`](crate::Event::sender).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u32)]
 pub enum Part {
@@ -21,7 +21,8 @@ impl Part {
     /// All of them.
     pub const ALL: [Part; 4] = [Part::Host, Part::Physics, Part::Drr, Part::Recorder];
 
-    /// Its name, which no controller may have: of its program, in summaries, and in the reason why a run ended.
+    /// Its name, which no controller may have: of its program, in summaries, and in the reason why a run
+    /// ended.
     pub const fn name(self) -> &'static str {
         match self {
             Part::Host => "launcher",

@@ -88,8 +88,9 @@ pub struct PastStop {
     pub excess_rad: f64,
 }
 
-/// Part of a valid command that the plant could not follow (an unreachable goal). That part, tendon or arm, is unchanged; the command's
-/// other parts take effect. Or an arm motion that was accepted but given up later.
+/// Part of a valid command that the plant could not follow (an unreachable goal). That part, tendon or arm,
+/// is unchanged; the command's other parts take effect. Or an arm motion that was accepted but given up
+/// later.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Refusal {
     /// The controller that sent it.

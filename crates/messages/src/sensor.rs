@@ -2,8 +2,9 @@ use super::MAX_SENSOR_VALUES;
 use crate::message;
 
 message! {
-    /// One reading of a sensor that the scene names. Published before the state of the tick at which it arrives, and only in scenes with a
-    /// `[[sensor]]`. What the values are, `kind` says; their order and units are in docs/sensors.md.
+    /// One reading of a sensor that the scene names. Published before the state of the tick at which it
+    /// arrives, and only in scenes with a `[[sensor]]`. What the values are, `kind` says; their order and
+    /// units are in docs/sensors.md.
     pub struct SensorReading = "trabecula_msgs/msg/SensorReading" {
         /// `State.tick` of the state with which the reading arrives.
         tick: u64,
@@ -15,7 +16,8 @@ message! {
         sensor_index: u32,
         /// 1 fbg, 2 tracker, 3 encoders, 4 load_cell, 5 force_torque.
         kind: u32,
-        /// 1 if it measured, 0 if the reading dropped out or the tracker does not see its marker; the values are then 0.
+        /// 1 if it measured, 0 if the reading dropped out or the tracker does not see its marker; the values
+        /// are then 0.
         valid: u32,
         /// Number of used entries of `value`.
         value_count: u32,

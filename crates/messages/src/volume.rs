@@ -3,9 +3,9 @@ use voxel_grid::{Ct, GridError, VoxelGrid};
 use crate::message;
 
 message! {
-    /// Voxels that are removed from this tick on. Published before the tick's state, and only for ticks that remove
-    /// voxels; a tick that removes more than 4096 has several, in order of their `sequence`. Messages of tick 0 hold the scene's
-    /// predrilled holes, which `removed_total` does not count.
+    /// Voxels that are removed from this tick on. Published before the tick's state, and only for ticks that
+    /// remove voxels; a tick that removes more than 4096 has several, in order of their `sequence`. Messages
+    /// of tick 0 hold the scene's predrilled holes, which `removed_total` does not count.
     pub struct Removed = "trabecula_msgs/msg/Removed" {
         /// `State.tick` of the first state without them.
         tick: u64,
@@ -49,7 +49,8 @@ impl Removed {
 }
 
 message! {
-    /// The CT volume: geometry, then Hounsfield units with x varying fastest. Published once; late joiners receive it.
+    /// The CT volume: geometry, then Hounsfield units with x varying fastest. Published once; late joiners
+    /// receive it.
     pub struct Volume = "trabecula_msgs/msg/Volume" {
         /// SHA-256 of geometry and voxels.
         sha256: [u8; 32],

@@ -5,8 +5,8 @@ use crate::{Error, Message};
 
 /// Turns bytes, in pieces of any size, into messages.
 ///
-/// After [`Error::HeaderVersion`] or [`Error::TooLarge`] the stream is out of step and every call fails alike: close it. After any other
-/// error the message in question is gone and the next one can be read.
+/// After [`Error::HeaderVersion`] or [`Error::TooLarge`] the stream is out of step and every call fails
+/// alike: close it. After any other error the message in question is gone and the next one can be read.
 #[derive(Debug)]
 pub struct Decoder {
     most_body_bytes: usize,
@@ -20,8 +20,8 @@ impl Decoder {
         Decoder { most_body_bytes, bytes: Vec::new(), newest: None }
     }
 
-    /// Takes bytes of the stream. Call [`Decoder::next`] until it returns `None` before the next piece, so that no more than one message
-    /// and one piece are held.
+    /// Takes bytes of the stream. Call [`Decoder::next`] until it returns `None` before the next piece, so
+    /// that no more than one message and one piece are held.
     pub fn push(&mut self, bytes: &[u8]) {
         self.bytes.extend_from_slice(bytes);
     }

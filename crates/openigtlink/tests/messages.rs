@@ -123,7 +123,8 @@ proptest! {
         while let Ok(Some(_)) = decoder.next() {}
     }
 
-    /// Bodies whose checksum is right but whose content is anything: only the readers of the types stand between them and us.
+    /// Bodies whose checksum is right but whose content is anything: only the readers of the types stand
+    /// between them and us.
     #[test]
     fn any_content_of_any_type_is_read_or_refused(
         kind in prop::sample::select(vec!["TRANSFORM", "IMAGE", "POINT", "STRING", "STATUS", "POLYDATA"]),

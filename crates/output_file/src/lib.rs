@@ -1,15 +1,17 @@
-//! Files that a command leaves behind: each is complete and on disk under its name, or absent, and none overwrites another.
+//! Files that a command leaves behind: each is complete and on disk under its name, or absent, and none
+//! overwrites another.
 //!
-//! A file is written as a draft in its folder, synced to disk and given its name; then its folder is synced too. If the name exists, so
-//! does the whole file, even after a power failure. A name that is taken stays untouched, even if it was free when the command began. A
-//! command that fails or is killed leaves no incomplete file: a draft has no name (`O_TMPFILE`) and vanishes with its process. Only on
-//! file systems without unnamed files (NFS, FAT) does a killed command leave its drafts, as hidden files `.trabecula-unfinished-…`, which
-//! are safe to remove.
+//! A file is written as a draft in its folder, synced to disk and given its name; then its folder is synced
+//! too. If the name exists, so does the whole file, even after a power failure. A name that is taken stays
+//! untouched, even if it was free when the command began. A command that fails or is killed leaves no
+//! incomplete file: a draft has no name (`O_TMPFILE`) and vanishes with its process. Only on file systems
+//! without unnamed files (NFS, FAT) does a killed command leave its drafts, as hidden files
+//! `.trabecula-unfinished-…`, which are safe to remove.
 //!
 //! Errors of close are not checked: `fsync` has already reported a full or broken disk.
 //!
-//! **Boundary:** whole files of commands; files read while they are written (the logs of a run) have their own writer. **Invariant:** it
-//! replaces nothing but its own files.
+//! **Boundary:** whole files of commands; files read while they are written (the logs of a run) have their
+//! own writer. **Invariant:** it replaces nothing but its own files.
 //!
 //! ```
 //! let folder = tempfile::tempdir().unwrap();
@@ -67,7 +69,8 @@ impl OutputError {
     }
 }
 
-/// Fails if any of these names is taken, by anything, including a dangling link, or is none that a file could have.
+/// Fails if any of these names is taken, by anything, including a dangling link, or is none that a file could
+/// have.
 ///
 /// # Errors
 /// [`OutputError::Exists`] or [`OutputError::Create`], for the first one.
@@ -167,8 +170,8 @@ impl WholeFile {
     /// Gives the file its name and syncs the name to disk.
     ///
     /// # Errors
-    /// [`OutputError::Exists`]; [`OutputError::Write`] with the system's reason: then there is no new file, or a power failure may remove
-    /// it.
+    /// [`OutputError::Exists`]; [`OutputError::Write`] with the system's reason: then there is no new file,
+    /// or a power failure may remove it.
     pub fn keep(self) -> Result<(), OutputError> {
         keep_all(vec![self])
     }
@@ -183,8 +186,8 @@ impl WholeFile {
     }
 }
 
-/// Gives all files their names, or none if a name is taken. If one is taken between the check and the naming, the files before it stay,
-/// each whole.
+/// Gives all files their names, or none if a name is taken. If one is taken between the check and the naming,
+/// the files before it stay, each whole.
 ///
 /// # Errors
 /// As [`WholeFile::keep`].

@@ -11,7 +11,8 @@ use rustix::io::Errno;
 use crate::draft::plain;
 use crate::{OutputError, OutputFile, WholeFile, folder_of, refuse_existing, sync_folder};
 
-/// A file that is saved again whenever there is more to record, always atomically. It replaces only its own last version.
+/// A file that is saved again whenever there is more to record, always atomically. It replaces only its own
+/// last version.
 #[derive(Debug)]
 pub struct SavedFile {
     path: PathBuf,
@@ -58,7 +59,8 @@ impl SavedFile {
     /// Saves the file. The previous version stays whole until then.
     ///
     /// # Errors
-    /// Any [`OutputError`], with the existing file unchanged. [`OutputError::Exists`] if that is not the last version saved.
+    /// Any [`OutputError`], with the existing file unchanged. [`OutputError::Exists`] if that is not the last
+    /// version saved.
     pub fn save(&mut self, bytes: impl AsRef<[u8]>) -> Result<(), OutputError> {
         let mut file = OutputFile::begin(&self.path)?;
         file.write_all(bytes.as_ref()).map_err(OutputError::write(&self.path))?;
@@ -86,7 +88,8 @@ impl SavedFile {
     }
 }
 
-/// Replaces our last version. Swaps first and checks what it got afterwards, so that no other program can get in between.
+/// Replaces our last version. Swaps first and checks what it got afterwards, so that no other program can get
+/// in between.
 fn replace(file: WholeFile, ours: &Identity) -> Result<(), OutputError> {
     let WholeFile { draft, path } = file;
     let draft = draft.into_named(&path).map_err(OutputError::write(&path))?;

@@ -2,7 +2,8 @@
 
 use run_log::BuildInfo;
 
-/// Version and a hash of the sources that decide a tick: what names a build, in logs and in `trabecula --version`.
+/// Version and a hash of the sources that decide a tick: what names a build, in logs and in
+/// `trabecula --version`.
 pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "+", env!("TRABECULA_SOURCE"));
 
 /// This build, from `build.rs`.

@@ -1,4 +1,5 @@
-//! Tables as Parquet files. Kept out of `run_log` because the `parquet` crate pulls in system randomness and dates.
+//! Tables as Parquet files. Kept out of `run_log` because the `parquet` crate pulls in system randomness and
+//! dates.
 
 use std::io::Write;
 use std::sync::Arc;

@@ -1,5 +1,5 @@
-//! How the launcher tells its recorder why a run ends: through a file in the session's folder, or in the run's folder
-//! if the session's has been removed. The file holds the text for the log's end marker.
+//! How the launcher tells its recorder why a run ends: through a file in the session's folder, or in the
+//! run's folder if the session's has been removed. The file holds the text for the log's end marker.
 
 use std::path::{Path, PathBuf};
 

@@ -1,4 +1,5 @@
-//! How much a log makes its reader keep is bounded by kind. Regression: a log of 49 kB took 1.6 GB of schema names.
+//! How much a log makes its reader keep is bounded by kind. Regression: a log of 49 kB took 1.6 GB of schema
+//! names.
 //!
 //! Counts every allocated byte, freed or not, which is an upper bound on what was ever held at once.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]

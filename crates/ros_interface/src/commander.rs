@@ -2,7 +2,8 @@
 
 use messages::{ArmMode, BurrMode, Command, MAX_ARM_JOINTS, MAX_TENDONS, Pose, TendonMode, TubeMode};
 
-/// How long a velocity holds without another: a program that has died, or a network that has, must not turn joints or burr for good.
+/// How long a velocity holds without another: a program that has died, or a network that has, must not turn
+/// joints or burr for good.
 pub const VELOCITY_HOLDS_S: f64 = 0.5;
 
 /// CRTK's meta-states (Collaborative Robotics Toolkit, "Operating state").
@@ -55,8 +56,8 @@ pub enum Motion {
     TubeMoveJp([f64; 2]),
 }
 
-/// The newest request for each part, repeated in every command: a command that was late, and replaced by the safe one, is then obeyed
-/// again.
+/// The newest request for each part, repeated in every command: a command that was late, and replaced by the
+/// safe one, is then obeyed again.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Commander {
     arm: Option<Arm>,
@@ -101,7 +102,8 @@ impl Commander {
         }
     }
 
-    /// Gives up what moves: arm and tube stop, the burr stops, the tension stays. Parts that nobody has moved are left alone.
+    /// Gives up what moves: arm and tube stop, the burr stops, the tension stays. Parts that nobody has moved
+    /// are left alone.
     pub fn release(&mut self) {
         if self.arm.is_some() {
             self.arm = Some(Arm::Hold);
@@ -120,8 +122,8 @@ impl Commander {
         self.disabled = true;
     }
 
-    /// `enable`: motion is obeyed again; an arm that gave up a motion stands, and its fault is over. `drives_arm`: whether this
-    /// controller may say so.
+    /// `enable`: motion is obeyed again; an arm that gave up a motion stands, and its fault is over.
+    /// `drives_arm`: whether this controller may say so.
     pub fn enable(&mut self, drives_arm: bool) {
         self.disabled = false;
         if drives_arm {
@@ -129,7 +131,8 @@ impl Commander {
         }
     }
 
-    /// Fills in the command that answers a state at a time (the clock of [`Commander::take`]). Returns which velocities have run out now.
+    /// Fills in the command that answers a state at a time (the clock of [`Commander::take`]). Returns which
+    /// velocities have run out now.
     pub fn fill(&mut self, now_s: f64, command: &mut Command) -> Option<&'static str> {
         let mut ran_out = None;
         if let Some(Arm::Turns(_, until_s)) = self.arm

@@ -11,14 +11,15 @@ use crate::topics::Output;
 
 /// The C-arm's optical frame: +z from the source to the detector.
 pub const C_ARM_FRAME: &str = "c_arm";
-/// An image of more bytes is sent in a smaller form: a subscriber of Fast DDS has a receive buffer of 212 992 bytes unless its profile or
-/// its machine says otherwise, and loses fragments of what is larger.
+/// An image of more bytes is sent in a smaller form: a subscriber of Fast DDS has a receive buffer of 212 992
+/// bytes unless its profile or its machine says otherwise, and loses fragments of what is larger.
 pub const MAX_IMAGE_BYTES: usize = 180_000;
 
 /// How images are sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum ImageForm {
-    /// `mono16` up to [`MAX_IMAGE_BYTES`], else `mono8`, else `mono8` with every two by two pixels (four by four, and so on) as one.
+    /// `mono16` up to [`MAX_IMAGE_BYTES`], else `mono8`, else `mono8` with every two by two pixels (four by
+    /// four, and so on) as one.
     #[default]
     Fitting,
     /// `mono16` always.
@@ -89,7 +90,8 @@ fn reduced(pixels: &[u16], columns: usize, width: usize, height: usize, side: us
 fn camera(frame: &Frame, header: Header, width: u32, height: u32, side: usize) -> CameraInfo {
     let mut k = frame.projection.intrinsics;
     if side > 1 {
-        // Pixel centres at integers: the centre of the first large pixel is (side - 1) / 2 from that of the first small one.
+        // Pixel centres at integers: the centre of the first large pixel is (side - 1) / 2 from that of the
+        // first small one.
         let (scale, shift) = (1.0 / side as f64, (side as f64 - 1.0) / 2.0);
         k[0] *= scale;
         k[1] *= scale;

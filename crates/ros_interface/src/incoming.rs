@@ -205,8 +205,8 @@ impl Field {
     }
 }
 
-/// The field's numbers in the order of `names`, which the message has in any order, or, as many CRTK programs send it, not at all.
-/// Entries behind the last name are 0.
+/// The field's numbers in the order of `names`, which the message has in any order, or, as many CRTK programs
+/// send it, not at all. Entries behind the last name are 0.
 fn values<const N: usize>(
     message: &JointState,
     field: Field,

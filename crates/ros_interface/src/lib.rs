@@ -1,12 +1,15 @@
-//! A session as ROS 2 sees it: which topics there are, which messages they carry, and what a message that comes in asks for.
+//! A session as ROS 2 sees it: which topics there are, which messages they carry, and what a message that
+//! comes in asks for.
 //!
-//! Topics and verbs are those of CRTK, the Collaborative Robotics Toolkit (github.com/collaborative-robotics/documentation): `measured_js`,
-//! `setpoint_js`, `measured_cp`, `measured_cv`, `measured_cf`, `servo_jp`, `servo_jv`, `servo_jf`, `move_jp`, `servo_cp`, `move_cp`,
+//! Topics and verbs are those of CRTK, the Collaborative Robotics Toolkit
+//! (github.com/collaborative-robotics/documentation): `measured_js`, `setpoint_js`, `measured_cp`,
+//! `measured_cv`, `measured_cf`, `servo_jp`, `servo_jv`, `servo_jf`, `move_jp`, `servo_cp`, `move_cp`,
 //! `operating_state`, `state_command`. SI units; the frame `world` is the patient frame, LPS.
 //!
-//! **Boundary:** states, frames and bytes in, bytes and commands out; no sockets, no clock (times come in as numbers). DDS is
-//! `bridge_proc`'s. **Invariants:** whatever bytes come in, what [`incoming::read`] accepts is finite, complete and within the ranges that
-//! the physics accepts; a velocity that is not repeated runs out.
+//! **Boundary:** states, frames and bytes in, bytes and commands out; no sockets, no clock (times come in as
+//! numbers). DDS is `bridge_proc`'s. **Invariants:** whatever bytes come in, what [`incoming::read`] accepts
+//! is finite, complete and within the ranges that the physics accepts; a velocity that is not repeated runs
+//! out.
 //!
 //! ```
 //! use ros_interface::cdr::{self, Order};

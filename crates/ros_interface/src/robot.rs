@@ -88,7 +88,8 @@ impl Robot {
         self.tendons
     }
 
-    /// Frame of the arm's base (index 0) and of its links (from 1), each at its joint and turning about its own z, as URDF wants it.
+    /// Frame of the arm's base (index 0) and of its links (from 1), each at its joint and turning about its
+    /// own z, as URDF wants it.
     pub fn arm_frame(&self, index: usize) -> String {
         if index == 0 {
             format!("{}/base", self.names.arm)
@@ -132,7 +133,8 @@ impl Robot {
         format!("{}/link_{index}", self.names.manipulator)
     }
 
-    /// Frame of the burr's centre, of the tip, of what slides in an outer tube (`slide`) or of what also turns in it (`tube`).
+    /// Frame of the burr's centre, of the tip, of what slides in an outer tube (`slide`) or of what also
+    /// turns in it (`tube`).
     pub fn tool_end(&self, which: &str) -> String {
         format!("{}/{which}", self.names.manipulator)
     }
@@ -182,8 +184,8 @@ impl Robot {
         placed
     }
 
-    /// Velocity of the tool's base, m/s and rad/s along the world's axes: that of the flange by the arm's Jacobian, carried over to the
-    /// base. `None` for a gantry, of which a state holds no velocity.
+    /// Velocity of the tool's base, m/s and rad/s along the world's axes: that of the flange by the arm's
+    /// Jacobian, carried over to the base. `None` for a gantry, of which a state holds no velocity.
     pub fn base_velocity(&self, state: &State) -> Option<[[f64; 3]; 2]> {
         if self.flange_floats() {
             return None;

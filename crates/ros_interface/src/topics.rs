@@ -1,4 +1,5 @@
-//! The topics, each once: name, type, quality of service, meaning. `docs/ros2.md` lists the same rows (a test compares them).
+//! The topics, each once: name, type, quality of service, meaning. `docs/ros2.md` lists the same rows (a test
+//! compares them).
 
 use scene::Drives;
 
@@ -18,7 +19,8 @@ impl Default for Names {
 }
 
 impl Names {
-    /// A name that ROS 2 takes as a part of a topic: a letter, then letters, digits and underscores, no two underscores in a row.
+    /// A name that ROS 2 takes as a part of a topic: a letter, then letters, digits and underscores, no two
+    /// underscores in a row.
     pub fn is_legal(name: &str) -> bool {
         name.len() <= 64
             && name.starts_with(|c: char| c.is_ascii_alphabetic())
@@ -34,8 +36,9 @@ impl Names {
 /// How a topic is offered or asked for. History is KEEP_LAST throughout.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Qos {
-    /// Reliable, volatile, depth 1: serves subscribers of both kinds, since DDS lets one that asks for best effort have it from a
-    /// reliable publisher, and a subscriber with ROS 2's defaults would not hear a best-effort one at all.
+    /// Reliable, volatile, depth 1: serves subscribers of both kinds, since DDS lets one that asks for best
+    /// effort have it from a reliable publisher, and a subscriber with ROS 2's defaults would not hear a
+    /// best-effort one at all.
     State,
     /// The same, but a subscriber that comes late hears the last message (transient local).
     Latched,

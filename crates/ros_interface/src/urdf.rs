@@ -214,7 +214,8 @@ fn drawn(shape: Shape) -> Option<(Isometry3<f64>, String)> {
             if length < 1e-6 {
                 return None;
             }
-            // A cylinder lies along its own z, about its middle; half a turn about x where the rod goes straight back.
+            // A cylinder lies along its own z, about its middle; half a turn about x where the rod goes
+            // straight back.
             let turn = UnitQuaternion::rotation_between(&Vector3::z(), &to).unwrap_or_else(|| {
                 UnitQuaternion::from_axis_angle(&Vector3::x_axis(), core::f64::consts::PI)
             });

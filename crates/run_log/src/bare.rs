@@ -1,4 +1,5 @@
-//! Schemas, channels and messages outside of chunks: a file of another program may have no chunks (MCAP specification, "File structure").
+//! Schemas, channels and messages outside of chunks: a file of another program may have no chunks (MCAP
+//! specification, "File structure").
 
 use std::collections::BTreeSet;
 
@@ -52,7 +53,8 @@ impl BareRecords {
     /// Takes a record outside of chunks.
     ///
     /// # Errors
-    /// The file has chunks, or nothing has declared the message's channel: then the record's type has changed.
+    /// The file has chunks, or nothing has declared the message's channel: then the record's type has
+    /// changed.
     pub fn admit(&mut self, opcode: u8, record: &[u8]) -> Result<(), String> {
         if !self.are_expected() {
             return Err(format!("record type {opcode:#04x} outside of a chunk, in a file of chunks"));

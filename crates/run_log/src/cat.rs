@@ -21,8 +21,8 @@ const MAX_TAIL_ELEMENTS: usize = 4096;
 pub struct CatOptions {
     /// Topics; empty for all.
     pub topics: Vec<String>,
-    /// Field paths such as `t_world_link[7].position_m`; empty for whole messages. Topics without any of these fields
-    /// are skipped.
+    /// Field paths such as `t_world_link[7].position_m`; empty for whole messages. Topics without any of
+    /// these fields are skipped.
     pub fields: Vec<String>,
     /// Ticks whose messages to print.
     pub ticks: TickRange,
@@ -53,12 +53,12 @@ pub struct Written {
     pub verdict: Verdict,
 }
 
-/// Writes the selected messages. Floats are printed with just enough digits to round-trip; infinities and NaN become
-/// strings.
+/// Writes the selected messages. Floats are printed with just enough digits to round-trip; infinities and NaN
+/// become strings.
 ///
 /// # Errors
-/// [`LogError::NoSuchField`]; [`LogError::NoSuchTopic`], after the messages of the other topics; a log that cannot be
-/// read.
+/// [`LogError::NoSuchField`]; [`LogError::NoSuchTopic`], after the messages of the other topics; a log that
+/// cannot be read.
 pub fn cat(log: &dyn LogSource, options: &CatOptions, out: &mut dyn Write) -> Result<Written, LogError> {
     check_fields(&options.fields, &options.topics)?;
     let mut stream = match options.topics.as_slice() {
@@ -92,7 +92,8 @@ pub fn cat(log: &dyn LogSource, options: &CatOptions, out: &mut dyn Write) -> Re
     }
 }
 
-/// A field that exists in no message is a user error, not an empty result. `topics` are those whose messages are printed.
+/// A field that exists in no message is a user error, not an empty result. `topics` are those whose messages
+/// are printed.
 fn check_fields(fields: &[String], topics: &[String]) -> Result<(), LogError> {
     let first_chosen = topics.iter().find_map(|topic| Topic::of_name(topic)).map(Topic::description);
     for field in fields {

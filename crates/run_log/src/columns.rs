@@ -10,8 +10,8 @@ use crate::stream::{MessageStream, ReadOptions};
 use crate::topics::{self, Topic};
 use crate::verdict::Verdict;
 
-/// The first columns of a table: when a message was logged, as a tick and as simulated time. No message has fields of these names, so no two
-/// columns have one.
+/// The first columns of a table: when a message was logged, as a tick and as simulated time. No message has
+/// fields of these names, so no two columns have one.
 pub const LOG_COLUMNS: [&str; 2] = ["log_tick", "log_time_ns"];
 
 /// One column: one scalar of a message.
@@ -37,8 +37,8 @@ impl Column {
     }
 }
 
-/// The columns for the given fields, in that order; arrays and nested messages expand to one column per scalar. No
-/// fields: the whole message.
+/// The columns for the given fields, in that order; arrays and nested messages expand to one column per
+/// scalar. No fields: the whole message.
 ///
 /// # Errors
 /// [`LogError::NoSuchField`].

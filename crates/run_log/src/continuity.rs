@@ -1,7 +1,8 @@
 //! Finds missing messages of a run lane from their sequence numbers.
 //!
-//! Every state and command carries its tick; every removal, keyframe part and frame carries a number that increases by
-//! one. Missing messages are reported as stretches of ticks, each with its count of missing messages per topic.
+//! Every state and command carries its tick; every removal, keyframe part and frame carries a number that
+//! increases by one. Missing messages are reported as stretches of ticks, each with its count of missing
+//! messages per topic.
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -44,8 +45,8 @@ pub struct Gap {
     pub stretches: Vec<Stretch>,
     /// Number of stretches beyond those listed.
     pub more: u64,
-    /// Missing messages by topic. Includes those after the last tick and those of unnumbered topics, taken from the
-    /// end marker's counts.
+    /// Missing messages by topic. Includes those after the last tick and those of unnumbered topics, taken
+    /// from the end marker's counts.
     pub lost: BTreeMap<String, u64>,
 }
 
@@ -140,7 +141,8 @@ impl Continuity {
                 let Ok((removed, _)) = Removed::read_from_prefix(body) else { return };
                 self.removed_total = removed.removed_total;
                 let missing = self.removed.see(removed.sequence, Tick(removed.tick));
-                // A state that lacks removals and a jump in the removals' numbers are the same loss: count it once.
+                // A state that lacks removals and a jump in the removals' numbers are the same loss: count it
+                // once.
                 self.owed = self.owed.filter(|_| missing.is_none());
                 self.numbered(Topic::Removed, missing);
             }

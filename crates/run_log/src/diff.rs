@@ -47,16 +47,16 @@ pub struct DiffReport {
     pub frames: Option<Divergence>,
     /// The first keyframe part and the first reply that differ.
     pub messages: Vec<Divergence>,
-    /// Parts that only one log has, and each log's end reason if the reasons differ. A log that merely lacks its end
-    /// is covered by its verdict.
+    /// Parts that only one log has, and each log's end reason if the reasons differ. A log that merely lacks
+    /// its end is covered by its verdict.
     pub remarks: Vec<String>,
     /// What is wrong with each log.
     pub verdicts: [Verdict; 2],
 }
 
 impl DiffReport {
-    /// True if both hold the same ticks, frames, keyframes and replies. Header entries may differ (another build,
-    /// another mode).
+    /// True if both hold the same ticks, frames, keyframes and replies. Header entries may differ (another
+    /// build, another mode).
     pub fn same_run(&self) -> bool {
         let none_differs = self.ticks.is_none() && self.frames.is_none() && self.messages.is_empty();
         none_differs && self.remarks.is_empty()
@@ -91,8 +91,8 @@ impl DiffReport {
     }
 }
 
-/// Compares two `run.mcap`: headers, every tick, every frame, every keyframe and reply. Two logs of one run may
-/// interleave frames and ticks differently; that does not count as a difference.
+/// Compares two `run.mcap`: headers, every tick, every frame, every keyframe and reply. Two logs of one run
+/// may interleave frames and ticks differently; that does not count as a difference.
 pub fn diff(
     first: &dyn LogSource,
     second: &dyn LogSource,
@@ -288,8 +288,8 @@ fn compare_messages<M: Logged>(
     }
 }
 
-/// Compares two frames. A log may hold hashes instead of images; then the frames' own fields decide, including the
-/// hash.
+/// Compares two frames. A log may hold hashes instead of images; then the frames' own fields decide,
+/// including the hash.
 pub fn compare_frame(a: &FrameRecord, b: &FrameRecord) -> Option<Divergence> {
     let (tick, frame) = (Tick(a.frame.tick), Frame::DESCRIPTION);
     compare(Topic::DrrFrame, tick, frame, a.frame.as_bytes(), b.frame.as_bytes()).or_else(|| {

@@ -50,7 +50,8 @@ pub enum EndReason {
     ControllerMissing(String),
     /// In lockstep, a controller did not answer in time; holds its name.
     ControllerLate(String),
-    /// The simulation could not compute a tick, whose commands are the log's last; holds the tick and the cause, as `tick 81: …`.
+    /// The simulation could not compute a tick, whose commands are the log's last; holds the tick and the
+    /// cause, as `tick 81: …`.
     SimulationFailed(String),
     /// The log, or its folder, was moved while it was being written.
     LogMoved,
@@ -100,14 +101,15 @@ impl EndReason {
 pub struct EndMarker {
     /// Why the run ended.
     pub reason: EndReason,
-    /// `State.tick` of the last state; in the timing lane, the tick of the last message. None if there was none.
+    /// `State.tick` of the last state; in the timing lane, the tick of the last message. None if there was
+    /// none.
     pub last_tick: Option<Tick>,
     /// `State.hash` of the last state, low word first; none in the timing lane.
     pub hash: Option<[u64; 2]>,
     /// Messages written, by topic.
     pub counts: BTreeMap<String, u64>,
-    /// Messages that never reached the log, by topic: those that the writer missed by their numbers and those that its
-    /// owner counted. Topics without losses are absent.
+    /// Messages that never reached the log, by topic: those that the writer missed by their numbers and those
+    /// that its owner counted. Topics without losses are absent.
     pub lost: BTreeMap<String, u64>,
     /// Messages that were in the log and were lost to damage, by topic; only in a repaired log.
     pub damaged: BTreeMap<String, u64>,

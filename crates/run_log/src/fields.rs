@@ -26,7 +26,8 @@ impl Scalar {
         }
     }
 
-    /// Reads a little-endian scalar of a ROS type; none if the type is not a scalar or there are too few bytes.
+    /// Reads a little-endian scalar of a ROS type; none if the type is not a scalar or there are too few
+    /// bytes.
     pub fn read(ros_type: &str, bytes: &[u8]) -> Option<Scalar> {
         let word = |n: usize| -> Option<u64> {
             let mut buffer = [0u8; 8];
@@ -58,8 +59,8 @@ impl Scalar {
         }
     }
 
-    /// Number of representable values between two floats of one type; none for integers, NaN and mixed types. `-0.0`
-    /// and `0.0` are 1 apart because their bits differ.
+    /// Number of representable values between two floats of one type; none for integers, NaN and mixed types.
+    /// `-0.0` and `0.0` are 1 apart because their bits differ.
     pub fn ulp_distance(&self, other: &Scalar) -> Option<u64> {
         match (*self, *other) {
             (Scalar::Float64(a), Scalar::Float64(b)) if !a.is_nan() && !b.is_nan() => Some(

@@ -1,5 +1,6 @@
-//! A log for viewers, made from a log: what the 3D panels of Lichtblick, Foxglove and RViz draw, `/tf` and a scene, beside messages of the
-//! log. It is derived and holds no header of a run, so no command takes it for one.
+//! A log for viewers, made from a log: what the 3D panels of Lichtblick, Foxglove and RViz draw, `/tf` and a
+//! scene, beside messages of the log. It is derived and holds no header of a run, so no command takes it for
+//! one.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -20,7 +21,8 @@ use crate::topics;
 pub const TF: &str = "/tf";
 /// Schema name of [`TF`].
 const TF_SCHEMA_NAME: &str = "tf2_msgs/msg/TFMessage";
-/// ROS 2's definitions of the message and of those in it (`tf2_msgs`, `geometry_msgs`, `std_msgs`, `builtin_interfaces`, Jazzy).
+/// ROS 2's definitions of the message and of those in it (`tf2_msgs`, `geometry_msgs`, `std_msgs`,
+/// `builtin_interfaces`, Jazzy).
 const TF_SCHEMA: &str = "geometry_msgs/TransformStamped[] transforms
 ================================================================================
 MSG: geometry_msgs/TransformStamped
@@ -179,8 +181,8 @@ fn tf_message(time_ns: u64, poses: &[(&str, &str, &Pose)]) -> Vec<u8> {
     [CDR_LITTLE_ENDIAN.as_slice(), &cdr.0].concat()
 }
 
-/// The body of a CDR message, little-endian: each number at a multiple of its size from the body's start (OMG, DDS Interoperability Wire
-/// Protocol 2.5, clause 10; CORBA 3.4 part 2, clause 9.3).
+/// The body of a CDR message, little-endian: each number at a multiple of its size from the body's start
+/// (OMG, DDS Interoperability Wire Protocol 2.5, clause 10; CORBA 3.4 part 2, clause 9.3).
 struct Cdr(Vec<u8>);
 
 impl Cdr {

@@ -1,4 +1,5 @@
-//! Gives frames and replies a fixed place among the ticks, although their arrival depends on the renderer's speed.
+//! Gives frames and replies a fixed place among the ticks, although their arrival depends on the renderer's
+//! speed.
 
 use std::collections::VecDeque;
 
@@ -14,8 +15,9 @@ const MAX_HELD_BYTES: usize = 256 << 20;
 
 /// How many ticks after the tick it shows a frame is written.
 ///
-/// In lockstep the physics waits for the renderer and the recorder, so neither lags by more than one state queue, and
-/// twice that always suffices. In real time it is 300 ms, which keeps losses small if the recorder is killed.
+/// In lockstep the physics waits for the renderer and the recorder, so neither lags by more than one state
+/// queue, and twice that always suffices. In real time it is 300 ms, which keeps losses small if the recorder
+/// is killed.
 pub fn frame_lag_ticks(header: &LogHeader) -> u64 {
     match header.mode {
         RunMode::Lockstep => 2 * STATE.queue_length as u64,
@@ -77,8 +79,8 @@ impl FrameOrder {
 
     /// Queues a reply. Replies are written in order of arrival.
     ///
-    /// A refusal may name a tick that never comes. It is written at the tick of its arrival so that it does not block
-    /// later replies.
+    /// A refusal may name a tick that never comes. It is written at the tick of its arrival so that it does
+    /// not block later replies.
     pub fn reply(&mut self, reply: &DrrReply) {
         let now = self.tick.unwrap_or(Tick::START);
         let comes = reply.status() == Ok(DrrStatus::Accepted)

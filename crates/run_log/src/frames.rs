@@ -24,8 +24,8 @@ pub struct FrameRecord {
     pub pixels: Vec<u8>,
 }
 
-/// The frames of a `run.mcap` in sequence. A missing frame is an error and ends the iteration, unless the caller calls
-/// [`FrameReader::go_on`].
+/// The frames of a `run.mcap` in sequence. A missing frame is an error and ends the iteration, unless the
+/// caller calls [`FrameReader::go_on`].
 pub struct FrameReader {
     stream: MessageStream,
     expected: u64,
@@ -62,8 +62,8 @@ impl FrameReader {
         self.stream.verdict()
     }
 
-    /// Resumes after the missing frames once the iteration has ended with [`LogError::Gap`]. False if it ended for
-    /// another reason.
+    /// Resumes after the missing frames once the iteration has ended with [`LogError::Gap`]. False if it
+    /// ended for another reason.
     pub fn go_on(&mut self) -> bool {
         let at_gap = std::mem::take(&mut self.at_gap);
         self.done &= !at_gap;

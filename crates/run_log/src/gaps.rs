@@ -6,8 +6,8 @@ use messages::services::EVENT;
 
 use crate::topics::Topic;
 
-/// Maximum number of senders tracked, more than a session has. Messages carry their sender's id, so a client could
-/// make up any number of them.
+/// Maximum number of senders tracked, more than a session has. Messages carry their sender's id, so a client
+/// could make up any number of them.
 const MAX_SENDERS: usize = 64;
 
 const _: () = assert!(EVENT.max_publishers + Topic::ALL.len() < MAX_SENDERS);
@@ -22,8 +22,8 @@ pub struct Gaps {
 }
 
 impl Gaps {
-    /// Checks a message's number. A sender's numbers start at 1 and increase by one; a sender that restarts has lost
-    /// nothing.
+    /// Checks a message's number. A sender's numbers start at 1 and increase by one; a sender that restarts
+    /// has lost nothing.
     pub fn see(&mut self, topic: Topic, sender: u32, number: u64) {
         if self.last.len() >= MAX_SENDERS && !self.last.contains_key(&(topic, sender)) {
             return;

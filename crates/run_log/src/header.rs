@@ -16,8 +16,8 @@ pub const FORMAT_VERSION: u32 = 1;
 pub const HEADER_RECORD: &str = "trabecula";
 /// Name of the attachment that holds the scene.
 pub const SCENE_ATTACHMENT: &str = "scene.toml";
-/// Name of the attachment that holds the scene's C-arm calibration, and of the session-folder file that it is copied
-/// from.
+/// Name of the attachment that holds the scene's C-arm calibration, and of the session-folder file that it is
+/// copied from.
 pub const CALIBRATION_ATTACHMENT: &str = "calibration.json";
 
 /// Name of the metadata record in a file of several runs (`join`): how many runs, and their names.

@@ -1,5 +1,5 @@
-//! The summary of a whole log: which chunks hold which topics, so that reading one topic skips the other chunks; and
-//! the declarations, as a fallback where the log's own are damaged.
+//! The summary of a whole log: which chunks hold which topics, so that reading one topic skips the other
+//! chunks; and the declarations, as a fallback where the log's own are damaged.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Seek, SeekFrom};
@@ -33,8 +33,8 @@ struct ChunkPlace {
 }
 
 impl Summary {
-    /// Reads the summary; none if the file has no intact index. `data_end` is where the summary begins; without it,
-    /// the footer's value is used.
+    /// Reads the summary; none if the file has no intact index. `data_end` is where the summary begins;
+    /// without it, the footer's value is used.
     pub fn read<R: Read + Seek>(source: &mut R, data_end: Option<u64>) -> Option<Summary> {
         let records = records(source, data_end)?;
         let (mut summary, mut rest) = (Summary::default(), records.as_slice());

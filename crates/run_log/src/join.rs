@@ -43,7 +43,8 @@ fn walk_whole(
     }
 }
 
-/// Refuses the log of a run with a message that readers refuse, though each checksum is right: another program wrote it.
+/// Refuses the log of a run with a message that readers refuse, though each checksum is right: another
+/// program wrote it.
 fn refuse_unreadable(log: &dyn LogSource) -> Result<(), LogError> {
     // What is no log of one run has no messages to check here.
     let Ok(verdict) = verdict(log, ReadOptions { allow_other_layouts: true }) else { return Ok(()) };
@@ -92,7 +93,8 @@ pub fn compress<W: Write>(
     out.finish()
 }
 
-/// Checks that two logs hold the same messages in the same order. Any fault of the second counts as damage of `path`.
+/// Checks that two logs hold the same messages in the same order. Any fault of the second counts as damage of
+/// `path`.
 ///
 /// # Errors
 /// [`LogError::NotWhole`] for the first, [`LogError::Damaged`] if the second cannot be read or differs.
@@ -110,9 +112,9 @@ fn prefix(run: usize) -> String {
     format!("run{run}/")
 }
 
-/// Concatenates whole logs into one log in `out`; errors will name `path`. The first log's topics begin with `/run1`,
-/// its attachments and metadata with `run1/`, and so on; times stay as they are, so that a viewer shows all runs on
-/// one axis. [`split`] undoes it.
+/// Concatenates whole logs into one log in `out`; errors will name `path`. The first log's topics begin with
+/// `/run1`, its attachments and metadata with `run1/`, and so on; times stay as they are, so that a viewer
+/// shows all runs on one axis. [`split`] undoes it.
 ///
 /// # Errors
 /// [`LogError::NotWhole`], [`LogError::SeveralRuns`], and any error of the output.
@@ -195,8 +197,8 @@ fn not_whole(input: &dyn LogSource, cause: &str) -> LogError {
     LogError::NotWhole { path: input.path().into(), cause: cause.to_owned() }
 }
 
-/// A log of several runs being split into one log per run. The runs follow each other, so only one output is open at a
-/// time.
+/// A log of several runs being split into one log per run. The runs follow each other, so only one output is
+/// open at a time.
 struct Split<'o, O: RunOutputs> {
     outputs: &'o mut O,
     /// What the runs say of their writer.
@@ -205,7 +207,8 @@ struct Split<'o, O: RunOutputs> {
     whole: usize,
     /// The run being written.
     out: Option<Rewriter<O::Output>>,
-    /// Schemas are declared once for all runs; each output declares them again with the first channel that needs them.
+    /// Schemas are declared once for all runs; each output declares them again with the first channel that
+    /// needs them.
     schemas: BTreeMap<u16, (SchemaHeader, Vec<u8>)>,
     kept: Declared,
     chunk_is_ours: bool,
@@ -270,8 +273,8 @@ impl<'o, O: RunOutputs> Split<'o, O> {
         out.piece(Piece::Channel(channel))
     }
 
-    /// Which run a name of the joined log belongs to; none if it belongs to no run. The first name of a run ends the
-    /// previous run.
+    /// Which run a name of the joined log belongs to; none if it belongs to no run. The first name of a run
+    /// ends the previous run.
     fn run_of(&mut self, name: &str) -> Result<Option<InRun<'_, O::Output>>, LogError> {
         let run = |name: &str| name.strip_prefix("run")?.parse::<usize>().ok();
         let parts = name.split_once('/').and_then(|(first, rest)| Some((run(first)?, rest)));

@@ -1,5 +1,6 @@
-//! Checks that all strings lie within a record before parsing it. `mcap`'s parser allocates memory as soon as it has
-//! read a string's length: up to 4 GiB for a record of a few bytes. Format: <https://mcap.dev/spec>, "Records".
+//! Checks that all strings lie within a record before parsing it. `mcap`'s parser allocates memory as soon as
+//! it has read a string's length: up to 4 GiB for a record of a few bytes. Format: <https://mcap.dev/spec>,
+//! "Records".
 
 use mcap::records::{Record, op};
 

@@ -1,20 +1,22 @@
 //! Logs of a run as MCAP: writing, reading, repairing, comparing, replaying and tabulating them.
 //!
-//! A run produces two logs. `run.mcap`, the deterministic lane, is a function of the scene and the latched commands:
-//! its bytes depend only on the sequence of messages written to it. `timing.mcap` holds wall-clock times and
-//! everything that depends on them.
+//! A run produces two logs. `run.mcap`, the deterministic lane, is a function of the scene and the latched
+//! commands: its bytes depend only on the sequence of messages written to it. `timing.mcap` holds wall-clock
+//! times and everything that depends on them.
 //!
-//! A record is the raw message after a [`CDR_LITTLE_ENDIAN`](messages::layout::CDR_LITTLE_ENDIAN) header, so any
-//! reader of `cdr` with `ros2msg` schemas can show it. Chunks are closed every 100 ms of simulated time, and their
-//! CRCs are checked on reading. A log truncated at any byte can be read up to its last complete tick.
+//! A record is the raw message after a [`CDR_LITTLE_ENDIAN`](messages::layout::CDR_LITTLE_ENDIAN) header, so
+//! any reader of `cdr` with `ros2msg` schemas can show it. Chunks are closed every 100 ms of simulated time,
+//! and their CRCs are checked on reading. A log truncated at any byte can be read up to its last complete
+//! tick.
 //!
-//! **Boundary:** bytes in, bytes out. It writes to any `Write` and reads any `Read + Seek` ([`LogSource`]); it opens
-//! no files, reads no clock and starts no thread that outlives the call. Log files, the recorder and the build's
-//! identity are in `recorder_proc`. It does not depend on the simulation either: a log is verified against any
-//! [`Plant`](messages::Plant).
+//! **Boundary:** bytes in, bytes out. It writes to any `Write` and reads any `Read + Seek` ([`LogSource`]);
+//! it opens no files, reads no clock and starts no thread that outlives the call. Log files, the recorder and
+//! the build's identity are in `recorder_proc`. It does not depend on the simulation either: a log is
+//! verified against any [`Plant`](messages::Plant).
 //!
-//! **Invariants:** the bytes of `run.mcap` do not depend on when messages arrive. A reader checks every length and
-//! count before it trusts it. No single damaged record makes a log unreadable, and everything skipped is reported.
+//! **Invariants:** the bytes of `run.mcap` do not depend on when messages arrive. A reader checks every
+//! length and count before it trusts it. No single damaged record makes a log unreadable, and everything
+//! skipped is reported.
 //!
 //! Writing a log into memory and reading it back:
 //! ```

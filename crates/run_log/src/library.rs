@@ -5,7 +5,8 @@ use std::io::BufReader;
 use crate::records::Records;
 use crate::source::LogSource;
 
-/// The program that recorded a log, or wrote again what it had recorded: the header's metadata stand before the first message.
+/// The program that recorded a log, or wrote again what it had recorded: the header's metadata stand before
+/// the first message.
 pub(crate) const LIBRARY: &str = concat!("trabecula ", env!("CARGO_PKG_VERSION"));
 /// What wrote a log of another program again: metadata stand where that program put them.
 const REWRITTEN: &str = concat!("rewritten by trabecula ", env!("CARGO_PKG_VERSION"));

@@ -1,7 +1,8 @@
 //! Limits on how much of a log a reader keeps in memory.
 //!
-//! A chunk of a few kilobytes can unpack to a hundred megabytes of names. Everything that a reader keeps beyond the
-//! current record is therefore bounded here, by kind; our own logs use less than a hundredth of these limits.
+//! A chunk of a few kilobytes can unpack to a hundred megabytes of names. Everything that a reader keeps
+//! beyond the current record is therefore bounded here, by kind; our own logs use less than a hundredth of
+//! these limits.
 
 use std::path::Path;
 
@@ -10,7 +11,8 @@ use mcap::records::{Channel, SchemaHeader};
 use crate::error::LogError;
 use crate::records::MAX_RECORD_BYTES;
 
-/// Longest name of a topic, schema, encoding, attachment or metadata record. ROS names have at most 255 bytes.
+/// Longest name of a topic, schema, encoding, attachment or metadata record. ROS names have at most 255
+/// bytes.
 pub(crate) const MAX_NAME_BYTES: usize = 256;
 /// Maximum number of schemas, and of channels, in a file.
 pub(crate) const MAX_DECLARATIONS: usize = 4096;

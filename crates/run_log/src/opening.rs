@@ -1,5 +1,5 @@
-//! Finds the header of a log. The file holds it twice, at the start and after the first chunk, each copy with the
-//! scene, the calibration and its own checksums. The first readable copy is used.
+//! Finds the header of a log. The file holds it twice, at the start and after the first chunk, each copy with
+//! the scene, the calibration and its own checksums. The first readable copy is used.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Seek};
@@ -78,7 +78,8 @@ impl Parts {
 pub(crate) fn open(source: Source, path: &Path) -> Result<Opened, LogError> {
     let mut records = Records::new(source, path)?;
     let mut parts = Parts::default();
-    // Other programs that write logs again put metadata and attachments behind the messages: then nothing is damaged.
+    // Other programs that write logs again put metadata and attachments behind the messages: then nothing is
+    // damaged.
     let mut is_moved = false;
     let error = loop {
         match records.next_record() {

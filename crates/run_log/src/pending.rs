@@ -123,8 +123,8 @@ impl Pending {
         Err(LogError::Damaged { path: stream.path().into(), offset: stream.offset(), cause })
     }
 
-    /// Takes a part of the keyframe of state `last`. If an earlier part is missing, the keyframe is dropped: ticks
-    /// need it only as a starting point, and the loss is counted elsewhere.
+    /// Takes a part of the keyframe of state `last`. If an earlier part is missing, the keyframe is dropped:
+    /// ticks need it only as a starting point, and the loss is counted elsewhere.
     pub fn take_keyframe_part(
         &mut self,
         path: &Path,
@@ -169,8 +169,8 @@ impl Pending {
         (saved.bytes.len() == *total).then_some(saved)
     }
 
-    /// The voxels that a state says were removed, and those that a reset removed before. In the initial state, all are
-    /// predrilled.
+    /// The voxels that a state says were removed, and those that a reset removed before. In the initial
+    /// state, all are predrilled.
     pub fn removed_of(
         &mut self,
         path: &Path,

@@ -66,8 +66,8 @@ pub struct SavedState {
 
 /// The ticks of a `run.mcap`, in order, from a complete log or one truncated at any byte.
 ///
-/// Iterates over complete ticks only. An error (a gap, damage) is the last item; after a gap, [`LogReader::go_on`]
-/// seeks to the next keyframe and the iteration resumes there.
+/// Iterates over complete ticks only. An error (a gap, damage) is the last item; after a gap,
+/// [`LogReader::go_on`] seeks to the next keyframe and the iteration resumes there.
 pub struct LogReader {
     stream: MessageStream,
     initial: State,
@@ -185,8 +185,8 @@ impl LogReader {
         self.beginning.as_ref()
     }
 
-    /// Once the iteration has ended with [`LogError::Gap`], seeks to the next keyframe, where the iteration then
-    /// resumes. None if the iteration ended for another reason, or the log has no further keyframe.
+    /// Once the iteration has ended with [`LogError::Gap`], seeks to the next keyframe, where the iteration
+    /// then resumes. None if the iteration ended for another reason, or the log has no further keyframe.
     ///
     /// # Errors
     /// The log cannot be read further.
@@ -239,8 +239,8 @@ impl LogReader {
         &self.stream
     }
 
-    /// The keyframe of the state in which the last-read tick began, if there is one; at the end of the log, the
-    /// keyframe of the last state. Each keyframe is returned only once.
+    /// The keyframe of the state in which the last-read tick began, if there is one; at the end of the log,
+    /// the keyframe of the last state. Each keyframe is returned only once.
     pub fn take_keyframe(&mut self) -> Option<SavedState> {
         self.pending.whole_keyframe()?;
         self.pending.keyframe.take().map(|(saved, _)| saved)
@@ -251,8 +251,8 @@ impl LogReader {
         self.last
     }
 
-    /// The commands of the tick that the simulation could not compute, and its words for why, if the run ended by that. Known once the
-    /// iteration has ended without an error.
+    /// The commands of the tick that the simulation could not compute, and its words for why, if the run
+    /// ended by that. Known once the iteration has ended without an error.
     pub fn failure(&self) -> Option<RecordedFailure> {
         if !self.done || self.at_gap {
             return None;

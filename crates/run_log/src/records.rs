@@ -1,8 +1,8 @@
 //! Reads a file's MCAP records in order, checking every length before trusting it.
 //!
-//! We do the framing here rather than with `mcap`'s readers because a log may be truncated or damaged anywhere: their
-//! attachment parser panics on short records, and they do not report the byte at which a file stops. Format:
-//! <https://mcap.dev/spec>, "Records", "Chunk", "Attachment", "Data End".
+//! We do the framing here rather than with `mcap`'s readers because a log may be truncated or damaged
+//! anywhere: their attachment parser panics on short records, and they do not report the byte at which a file
+//! stops. Format: <https://mcap.dev/spec>, "Records", "Chunk", "Attachment", "Data End".
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufReader, Read, Seek, SeekFrom};
@@ -23,7 +23,8 @@ use crate::unpack::{read_full, unpack};
 /// Longest record or unpacked chunk: the longest message, with room for its neighbours.
 pub(crate) const MAX_RECORD_BYTES: u64 = MAX_MESSAGE_BYTES as u64 + (16 << 20);
 pub(crate) const RECORD_HEADER: usize = 9;
-/// A log still being written ends in fewer zeros than one block of the recorder's file (`recorder_proc::background`).
+/// A log still being written ends in fewer zeros than one block of the recorder's file
+/// (`recorder_proc::background`).
 pub const PADDING_BYTES: u64 = 4096;
 /// Longest record that is read in one piece; a chunk of our own logs has a third of it.
 const READ_AT_ONCE: usize = 1 << 20;
@@ -101,8 +102,8 @@ impl Records {
         Ok(Records::from(source, path, MAGIC.len() as u64, Some(crc)))
     }
 
-    /// Reads the records from the given offset, which must be the start of one; `bare` is what its header told. The whole-file checksum is
-    /// not checked.
+    /// Reads the records from the given offset, which must be the start of one; `bare` is what its header
+    /// told. The whole-file checksum is not checked.
     pub fn at(mut source: Source, path: &Path, offset: u64, bare: BareRecords) -> Result<Records, LogError> {
         let moved = source.seek(SeekFrom::Start(offset));
         moved.map_err(|source| LogError::Read { path: path.into(), offset, source })?;
@@ -146,7 +147,8 @@ impl Records {
         &self.chunk
     }
 
-    /// Skips these chunks from now on. The whole-file checksum is then not checked; those of the chunks read are.
+    /// Skips these chunks from now on. The whole-file checksum is then not checked; those of the chunks read
+    /// are.
     pub fn skip_chunks(&mut self, chunks: BTreeSet<u64>) {
         self.data_crc = self.data_crc.take().filter(|_| chunks.is_empty());
         self.unwanted = chunks;
@@ -247,8 +249,8 @@ impl Records {
         crc.update(self.record.get(..covered).unwrap_or(&self.record));
     }
 
-    /// Number of zeros up to the end of the file; none if anything else follows, or if there is more than a block of
-    /// zeros.
+    /// Number of zeros up to the end of the file; none if anything else follows, or if there is more than a
+    /// block of zeros.
     fn zeros_to_the_end(&mut self) -> Result<Option<u64>, LogError> {
         self.read_up_to(PADDING_BYTES)?;
         let few = (self.record.len() as u64) < PADDING_BYTES;
@@ -377,8 +379,8 @@ pub(crate) fn metadata(record: &[u8]) -> Result<(String, BTreeMap<String, String
     }
 }
 
-/// Parses an attachment. Layout: log time, create time (8 bytes each), name, media type (4 bytes of length each),
-/// 8 bytes of data length, data, CRC of all before it.
+/// Parses an attachment. Layout: log time, create time (8 bytes each), name, media type (4 bytes of length
+/// each), 8 bytes of data length, data, CRC of all before it.
 pub(crate) fn attachment(record: &[u8]) -> Result<Attached, String> {
     let parse = || -> Option<(Attached, u32)> {
         let (body, crc) = record.split_at_checked(record.len().checked_sub(4)?)?;

@@ -1,10 +1,10 @@
 //! `repair` — turns a truncated or damaged log into a whole one, and reports what is missing.
 //!
-//! Every message in a chunk with a correct checksum is kept, with its number, its time and its place; the index and
-//! the summary are rewritten. If the chunk that declares a topic is damaged, the declaration comes from the old
-//! summary; if a run lane has lost that too, from the fixed order in which every run lane declares its topics. Losses
-//! are counted from the messages' numbers and, if the end marker survives, from its counts; both go into the new end
-//! marker, whose reason is `repaired`.
+//! Every message in a chunk with a correct checksum is kept, with its number, its time and its place; the
+//! index and the summary are rewritten. If the chunk that declares a topic is damaged, the declaration comes
+//! from the old summary; if a run lane has lost that too, from the fixed order in which every run lane
+//! declares its topics. Losses are counted from the messages' numbers and, if the end marker survives, from
+//! its counts; both go into the new end marker, whose reason is `repaired`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Seek, Write};
@@ -61,8 +61,8 @@ pub struct RepairReport {
     pub cut: Option<Cut>,
     /// The input's end marker.
     pub marker: Option<EndMarker>,
-    /// Last tick up to which every tick is complete and can be replayed; none in the timing lane and without an
-    /// initial state.
+    /// Last tick up to which every tick is complete and can be replayed; none in the timing lane and without
+    /// an initial state.
     pub complete_tick: Option<Tick>,
     /// Tick of the last state found.
     pub last_tick: Option<Tick>,
@@ -118,8 +118,8 @@ impl RepairReport {
         Ok(())
     }
 
-    /// Reads both logs and fills in the verdicts and the last complete tick from what readers find, not from what the
-    /// repair intended.
+    /// Reads both logs and fills in the verdicts and the last complete tick from what readers find, not from
+    /// what the repair intended.
     ///
     /// # Errors
     /// The result cannot be read.
@@ -134,7 +134,8 @@ impl RepairReport {
         Ok(())
     }
 
-    /// The verdict that every command gives, plus what only a repair sees because it reads on where others stop.
+    /// The verdict that every command gives, plus what only a repair sees because it reads on where others
+    /// stop.
     fn verdict_before(&self, told: Result<Verdict, LogError>) -> Verdict {
         let damage = |offset, cause| Fault::Damaged { offset, cause };
         let mut before = told.unwrap_or_else(|error| {
@@ -166,7 +167,8 @@ impl<'i> Repair<'i> {
     /// Surveys a log.
     ///
     /// # Errors
-    /// [`LogError::NotMcap`], [`LogError::NoHeader`] if both copies of the header are lost, [`LogError::Read`].
+    /// [`LogError::NotMcap`], [`LogError::NoHeader`] if both copies of the header are lost,
+    /// [`LogError::Read`].
     pub fn of(input: &'i dyn LogSource) -> Result<Repair<'i>, LogError> {
         Ok(Repair { input, survey: Survey::of(input.open()?, input.path())? })
     }

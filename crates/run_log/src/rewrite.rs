@@ -87,7 +87,8 @@ impl<W: Write> Rewriter<W> {
         self.prefix = prefix.to_owned();
     }
 
-    /// Declares channels and schemas of the current source; each is written before the first record that needs it.
+    /// Declares channels and schemas of the current source; each is written before the first record that
+    /// needs it.
     pub fn declare(&mut self, declared: Summary) {
         self.declared = declared;
     }

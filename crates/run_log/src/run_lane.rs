@@ -19,12 +19,12 @@ use crate::topics::{self, Topic};
 
 /// The deterministic lane of a run, being written.
 ///
-/// Calls may interleave in any way, as long as each topic stays in order and the removals of tick 0 come before its
-/// state, and the readings of a state before it. A tick is written as `Latched` k, `Removed` k+1, `SensorReading`s k+1, `State` k+1 once
-/// all of them have arrived. The arrival of
-/// frames and replies depends on the renderer, so they are held and written a fixed number of ticks after the tick
-/// that they show (`frame_lag_ticks`): two runs with the same messages produce the same bytes. Only a frame that
-/// arrives even later is written on arrival. A keyframe must be given before the next tick's state; it is written
+/// Calls may interleave in any way, as long as each topic stays in order and the removals of tick 0 come
+/// before its state, and the readings of a state before it. A tick is written as `Latched` k, `Removed` k+1,
+/// `SensorReading`s k+1, `State` k+1 once all of them have arrived. The arrival of frames and replies depends
+/// on the renderer, so they are held and written a fixed number of ticks after the tick that they show
+/// (`frame_lag_ticks`): two runs with the same messages produce the same bytes. Only a frame that arrives
+/// even later is written on arrival. A keyframe must be given before the next tick's state; it is written
 /// directly after its own state and the frames due there.
 ///
 /// `log_time` is tick × dt; for a frame, the tick that it shows.
@@ -230,8 +230,8 @@ impl<W: Write> RunLog<W> {
         &self.lost
     }
 
-    /// Writes all waiting messages, the end marker, the index and the footer. `lost` is the owner's count; the marker
-    /// records the greater of the two counts per topic.
+    /// Writes all waiting messages, the end marker, the index and the footer. `lost` is the owner's count;
+    /// the marker records the greater of the two counts per topic.
     pub fn finish(
         mut self,
         reason: EndReason,
@@ -275,8 +275,8 @@ impl<W: Write> RunLog<W> {
         }
     }
 
-    /// Writes the keyframes of states up to this one in a chunk of their own, so that reading states does not read
-    /// keyframes.
+    /// Writes the keyframes of states up to this one in a chunk of their own, so that reading states does not
+    /// read keyframes.
     fn write_keyframes(&mut self, tick: Tick) -> Result<(), LogError> {
         if self.keyframes.front().is_none_or(|(of, _)| *of > tick) {
             return Ok(());
@@ -334,7 +334,8 @@ impl<W: Write> RunLog<W> {
         }
     }
 
-    /// Writes the readings of states up to this one. Their channel is declared with the first, so that a log without sensors has none.
+    /// Writes the readings of states up to this one. Their channel is declared with the first, so that a log
+    /// without sensors has none.
     fn write_readings(&mut self, tick: Tick) -> Result<(), LogError> {
         while self.readings.front().is_some_and(|reading| reading.tick <= tick.0)
             && let Some(reading) = self.readings.pop_front()

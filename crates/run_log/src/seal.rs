@@ -1,5 +1,5 @@
-//! A checksum inside a metadata record. MCAP has none there: a flipped bit would show only in the checksum at the end
-//! of the file.
+//! A checksum inside a metadata record. MCAP has none there: a flipped bit would show only in the checksum at
+//! the end of the file.
 
 use std::collections::BTreeMap;
 

@@ -23,7 +23,8 @@ pub(crate) const PROFILE: &str = "ros2";
 const CHUNK_NS: u64 = 100_000_000;
 /// A chunk is also closed once it holds this many bytes.
 const CHUNK_BYTES: usize = 4 << 20;
-/// Longest message that is logged. Readers refuse longer records, so that a damaged length cannot exhaust memory.
+/// Longest message that is logged. Readers refuse longer records, so that a damaged length cannot exhaust
+/// memory.
 pub(crate) const MAX_MESSAGE_BYTES: usize = 128 << 20;
 
 // What every session can send is logged; a frame's size depends on its scene.
@@ -47,8 +48,8 @@ struct Channel {
 pub(crate) struct Sink<W: Write> {
     writer: McapWriter<W>,
     path: PathBuf,
-    /// The second copy of the header, until it is written after the first chunk, out of reach of damage to the first
-    /// copy.
+    /// The second copy of the header, until it is written after the first chunk, out of reach of damage to
+    /// the first copy.
     second: Option<Header>,
     channels: Vec<Channel>,
     dt_ns: u64,
@@ -61,8 +62,8 @@ pub(crate) struct Sink<W: Write> {
     scratch: Vec<u8>,
 }
 
-/// What is written at the start of a log and again after its first chunk: scene and calibration as attachments,
-/// everything else as metadata.
+/// What is written at the start of a log and again after its first chunk: scene and calibration as
+/// attachments, everything else as metadata.
 struct Header {
     header: LogHeader,
     entries: BTreeMap<String, String>,

@@ -11,8 +11,8 @@ pub trait ReadSeek: Read + Seek + Send {}
 
 impl<T: Read + Seek + Send> ReadSeek for T {}
 
-/// A log that can be opened any number of times. This crate provides logs in memory ([`LogBytes`]); its users provide
-/// logs in files.
+/// A log that can be opened any number of times. This crate provides logs in memory ([`LogBytes`]); its users
+/// provide logs in files.
 pub trait LogSource {
     /// The log's name in error messages.
     fn path(&self) -> &Path;

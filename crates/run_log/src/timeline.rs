@@ -6,8 +6,8 @@ pub trait Bin: Clone {
     fn merge(&mut self, later: &Self);
 }
 
-/// Bins of equal width from time 0 on. When a time lies beyond the last possible bin, neighbouring bins are merged and
-/// the width doubles until it fits: the run always covers between half and all of `capacity` bins.
+/// Bins of equal width from time 0 on. When a time lies beyond the last possible bin, neighbouring bins are
+/// merged and the width doubles until it fits: the run always covers between half and all of `capacity` bins.
 #[derive(Debug, Clone)]
 pub struct Timeline<B> {
     capacity: usize,

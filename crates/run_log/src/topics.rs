@@ -103,7 +103,8 @@ pub fn command_topic(controller: &str) -> String {
 /// Schema name of [`Topic::DrrImage`].
 pub const IMAGE_SCHEMA_NAME: &str = "sensor_msgs/msg/Image";
 
-/// The topics of `run.mcap`, in the order in which their channels are declared. [`Topic::Sensor`] follows with the first reading.
+/// The topics of `run.mcap`, in the order in which their channels are declared. [`Topic::Sensor`] follows
+/// with the first reading.
 pub const RUN_TOPICS: [Topic; 7] = [
     Topic::Latched,
     Topic::State,
@@ -114,7 +115,8 @@ pub const RUN_TOPICS: [Topic; 7] = [
     Topic::Keyframe,
 ];
 
-/// Schema name and text under which a message is logged: its own, except that images use sensor_msgs/msg/Image.
+/// Schema name and text under which a message is logged: its own, except that images use
+/// sensor_msgs/msg/Image.
 pub fn schema_of(description: &Description) -> (&'static str, String) {
     if description.name == ImagePrefix::DESCRIPTION.name {
         (IMAGE_SCHEMA_NAME, SENSOR_MSGS_IMAGE_SCHEMA.to_string())

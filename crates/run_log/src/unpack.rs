@@ -6,11 +6,12 @@ use mcap::records::ChunkHeader;
 
 use crate::records::MAX_RECORD_BYTES;
 
-/// Most bytes that one byte of a packed chunk can become at once. A chunk that claims more is unpacked piece by piece, so that it takes no
-/// memory before it has proved that it needs it. LZ4 reaches 255.
+/// Most bytes that one byte of a packed chunk can become at once. A chunk that claims more is unpacked piece
+/// by piece, so that it takes no memory before it has proved that it needs it. LZ4 reaches 255.
 const LARGEST_RATIO: u64 = 256;
 
-/// Unpacks a chunk and checks its CRC before any of its records is read; 0 is "not computed" (MCAP specification, "Chunk").
+/// Unpacks a chunk and checks its CRC before any of its records is read; 0 is "not computed" (MCAP
+/// specification, "Chunk").
 pub(crate) fn unpack(header: &ChunkHeader, data: &[u8], out: &mut Vec<u8>) -> Result<(), String> {
     let size = header.uncompressed_size;
     if size > MAX_RECORD_BYTES {
@@ -46,8 +47,8 @@ pub(crate) fn unpack(header: &ChunkHeader, data: &[u8], out: &mut Vec<u8>) -> Re
     Ok(())
 }
 
-/// Unpacks `size` bytes, or one more if there are more. In one piece, the decoder writes where the bytes stay, instead of into its own
-/// memory first.
+/// Unpacks `size` bytes, or one more if there are more. In one piece, the decoder writes where the bytes
+/// stay, instead of into its own memory first.
 fn unpack_with(mut decoder: impl Read, size: u64, in_one_piece: bool, out: &mut Vec<u8>) -> io::Result<()> {
     if !in_one_piece {
         out.clear();

@@ -1,7 +1,8 @@
 //! Closed triangle meshes: surfaces that bound a solid, which is what a ray can be long in.
 //!
-//! A mesh is closed if every edge is run through as often one way as the other, once equal corners are one: then what enters it leaves it,
-//! whatever the ray. Shells that touch or overlap are allowed, and count each for itself.
+//! A mesh is closed if every edge is run through as often one way as the other, once equal corners are one:
+//! then what enters it leaves it, whatever the ray. Shells that touch or overlap are allowed, and count each
+//! for itself.
 
 use std::collections::BTreeMap;
 
@@ -48,8 +49,9 @@ pub struct ClosedMesh {
 }
 
 impl ClosedMesh {
-    /// Joins equal corners and checks that the triangles bound a solid. Triangles of no area are left out. A shell that lies within no
-    /// other is turned outward if it is not; one within another is a cavity if it is turned against it.
+    /// Joins equal corners and checks that the triangles bound a solid. Triangles of no area are left out. A
+    /// shell that lies within no other is turned outward if it is not; one within another is a cavity if it
+    /// is turned against it.
     ///
     /// # Errors
     /// [`MeshFault`].
@@ -190,7 +192,8 @@ fn bounds(corners: &[[f64; 3]]) -> [[f64; 3]; 2] {
     [end(f64::INFINITY, f64::min), end(f64::NEG_INFINITY, f64::max)]
 }
 
-/// The different corners, and the triangles as their numbers, without those that have two corners in one place.
+/// The different corners, and the triangles as their numbers, without those that have two corners in one
+/// place.
 fn joined(triangles: &[Triangle]) -> (Vec<[f64; 3]>, Vec<[u32; 3]>) {
     // -0 is 0.
     let places: Vec<[f64; 3]> =

@@ -1,8 +1,9 @@
 //! A cutter as balls along the tool's axis: contact, drilling, X-ray and pictures all take it from here.
 //!
-//! A cutter is a body of revolution. Its outline is a row of balls at the corners of the shape, and the envelope of balls between them: a
-//! cylinder between equal balls, a cone between unequal ones. Between two balls the union of balls is narrower than that envelope by the
-//! scallop; there are as many balls as keep it below a bound.
+//! A cutter is a body of revolution. Its outline is a row of balls at the corners of the shape, and the
+//! envelope of balls between them: a cylinder between equal balls, a cone between unequal ones. Between two
+//! balls the union of balls is narrower than that envelope by the scallop; there are as many balls as keep it
+//! below a bound.
 
 use crate::{CutterShape, ToolBurr};
 
@@ -21,12 +22,14 @@ pub struct CutterBall {
     pub radius_m: f64,
 }
 
-/// A ball of a cutter, and what of the union is its own: the part between the planes through the circles in which it meets its neighbours.
+/// A ball of a cutter, and what of the union is its own: the part between the planes through the circles in
+/// which it meets its neighbours.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CutterZone {
     /// The ball.
     pub ball: CutterBall,
-    /// Where its part begins and ends, from the ball's centre toward the front, m; its poles where there is no neighbour.
+    /// Where its part begins and ends, from the ball's centre toward the front, m; its poles where there is
+    /// no neighbour.
     pub ahead_m: [f64; 2],
 }
 
@@ -82,7 +85,8 @@ impl Cutter {
     /// The parts of the union, from the front to the back; they do not overlap.
     pub fn zones(&self) -> impl Iterator<Item = CutterZone> {
         let balls = self.balls();
-        // From the centre of a ball back to the circle in which it meets the next one: where both have the same power.
+        // From the centre of a ball back to the circle in which it meets the next one: where both have the
+        // same power.
         let meets = |index: usize| {
             let (own, next) = (balls.get(index)?, balls.get(index + 1)?);
             let apart_m = next.behind_m - own.behind_m;
@@ -99,7 +103,8 @@ impl Cutter {
         })
     }
 
-    /// Mass properties of the union, from its zones: a slice at z of a ball of radius r has the area `pi (r^2 - z^2)`.
+    /// Mass properties of the union, from its zones: a slice at z of a ball of radius r has the area
+    /// `pi (r^2 - z^2)`.
     pub fn solid(&self) -> CutterSolid {
         let (mut volume, mut first, mut second, mut along) = (0.0, 0.0, 0.0, 0.0);
         for CutterZone { ball, ahead_m: [from, to] } in self.zones() {
@@ -141,8 +146,8 @@ fn scallop_m(front: &CutterBall, back: &CutterBall) -> f64 {
 }
 
 impl ToolBurr {
-    /// The balls at the corners of its shape, from the front to the back. Two that touch from within or that lie in each other are no
-    /// shape; the check refuses them.
+    /// The balls at the corners of its shape, from the front to the back. Two that touch from within or that
+    /// lie in each other are no shape; the check refuses them.
     pub(crate) fn corners(&self) -> Vec<CutterBall> {
         let radius_m = |diameter_mm: f64| diameter_mm / 2e3;
         let widest_m = radius_m(self.diameter_mm);
@@ -180,7 +185,8 @@ impl ToolBurr {
         self.scallop_mm.unwrap_or(STANDARD_SCALLOP_MM) / 1e3
     }
 
-    /// Its balls: those at the corners, and between them as many as the scallop asks for; no more than there is room for.
+    /// Its balls: those at the corners, and between them as many as the scallop asks for; no more than there
+    /// is room for.
     pub fn cutter(&self) -> Cutter {
         let mut cutter = Cutter::ball(self.diameter_mm / 2e3);
         for (slot, ball) in cutter.ball.iter_mut().zip(self.balls()) {
@@ -208,10 +214,10 @@ const MOST_COUNTED: usize = 1000;
 
 /// The balls of the envelope of two, behind the front one and with the back one, whose radius is no smaller.
 ///
-/// Two balls of a cone with the half angle a, the front one of radius r, leave the scallop h if they are
-/// `s = 2 (h sin a + cos a sqrt(h (2r - h))) / cos^2 a` apart: [`scallop_m`] solved for the distance. These are the longest steps; all are
-/// shortened in proportion, so that the last one ends at the back ball. That leaves no larger scallop, since the longest step grows less
-/// than in proportion to the radius.
+/// Two balls of a cone with the half angle a, the front one of radius r, leave the scallop h if they are `s =
+/// 2 (h sin a + cos a sqrt(h (2r - h))) / cos^2 a` apart: [`scallop_m`] solved for the distance. These are
+/// the longest steps; all are shortened in proportion, so that the last one ends at the back ball. That
+/// leaves no larger scallop, since the longest step grows less than in proportion to the radius.
 fn between(front: CutterBall, back: CutterBall, most_m: f64) -> impl Iterator<Item = CutterBall> {
     let apart_m = back.behind_m - front.behind_m;
     let sine = (back.radius_m - front.radius_m) / apart_m;
@@ -273,7 +279,8 @@ mod tests {
         }
     }
 
-    /// The zones neither overlap nor leave anything out, so their sums are those of the union. 1e-8: the slices.
+    /// The zones neither overlap nor leave anything out, so their sums are those of the union. 1e-8: the
+    /// slices.
     #[test]
     fn the_zones_of_a_cutter_are_its_union() {
         for (shape, length_mm) in [

@@ -1,4 +1,5 @@
-//! The declarations of a scene's keys as values, read from the JSON schema: what the range checks and the reference page go by.
+//! The declarations of a scene's keys as values, read from the JSON schema: what the range checks and the
+//! reference page go by.
 
 use std::sync::LazyLock;
 
@@ -235,7 +236,8 @@ mod tests {
         let declared = |schema: &Value| schema["properties"].as_object().map_or(0, serde_json::Map::len);
         let read = as_read::<Scene>();
         let definitions = read["$defs"].as_object().unwrap();
-        // A table that stands in two places, as `[contact]` and `[truth.contact]`, is defined once and referred to twice.
+        // A table that stands in two places, as `[contact]` and `[truth.contact]`, is defined once and
+        // referred to twice.
         let text = read.to_string();
         let places = |name: &str| text.matches(&format!("\"#/$defs/{name}\"")).count();
         let below: usize = definitions.iter().map(|(name, schema)| places(name) * declared(schema)).sum();

@@ -1,13 +1,16 @@
 //! Scenes: one TOML file holds everything that a run needs.
 //!
-//! Keys carry their unit (`_mm`, `_deg`, `_rpm`); what a scene does not name is not simulated: without `[volume]` no bone, without `[drr]`
-//! no X-ray process. Parsing checks every key and every range; errors name file, key, value and allowed range.
+//! Keys carry their unit (`_mm`, `_deg`, `_rpm`); what a scene does not name is not simulated: without
+//! `[volume]` no bone, without `[drr]` no X-ray process. Parsing checks every key and every range; errors
+//! name file, key, value and allowed range.
 //!
-//! **Boundary:** text in, a [`Scene`] or a [`SceneError`] out. Files are opened elsewhere (`ipc_types::scene_file`).
+//! **Boundary:** text in, a [`Scene`] or a [`SceneError`] out. Files are opened elsewhere
+//! (`ipc_types::scene_file`).
 //!
-//! **Invariants:** a [`Scene`] from [`Scene::parse`] is within every range and consistent, so no later code checks it again; an unknown
-//! key is an error. **One declaration a key**, in `model`: type, unit, range, default and text. `schemars` derives the JSON schema from it
-//! ([`json_schema`]); the range checks, their errors and the [`reference`](mod@reference) are made from that schema, so each knows every key.
+//! **Invariants:** a [`Scene`] from [`Scene::parse`] is within every range and consistent, so no later code
+//! checks it again; an unknown key is an error. **One declaration a key**, in `model`: type, unit, range,
+//! default and text. `schemars` derives the JSON schema from it ([`json_schema`]); the range checks, their
+//! errors and the [`reference`](mod@reference) are made from that schema, so each knows every key.
 //!
 //! ```
 //! use std::path::Path;
@@ -65,8 +68,8 @@ pub use truth::planned_path_in_bone_mm;
 
 use std::path::{Path, PathBuf};
 
-/// Longest run. MCAP numbers a channel's messages with 32 bits: at the shortest time step, 0.1 ms, a day needs a fifth of
-/// them. All other counts of ticks, frames and bytes have 64 bits.
+/// Longest run. MCAP numbers a channel's messages with 32 bits: at the shortest time step, 0.1 ms, a day
+/// needs a fifth of them. All other counts of ticks, frames and bytes have 64 bits.
 pub const LONGEST_RUN_S: f64 = 86_400.0;
 
 /// Most readings of a sensor that are measured and have not arrived: its rate times its longest delay.
@@ -88,13 +91,15 @@ fn malformed(text: &str, path: &Path, parsed: &str, cause: &toml::de::Error) -> 
     SceneError::Malformed { file: path.to_owned(), line, cause }
 }
 
-/// The path from the root of the file system: a scene's text is copied into the session's folder and into the log.
+/// The path from the root of the file system: a scene's text is copied into the session's folder and into the
+/// log.
 fn absolute(path: PathBuf) -> PathBuf {
     std::path::absolute(&path).unwrap_or(path)
 }
 
 impl Scene {
-    /// Parses and checks a scene's text; `path` names it in errors, and relative paths in the scene are relative to its folder.
+    /// Parses and checks a scene's text; `path` names it in errors, and relative paths in the scene are
+    /// relative to its folder.
     ///
     /// # Errors
     /// [`SceneError`]: a key is unknown or missing, or a value is out of its range; the scene names a file (a plan, a tool, a URDF), which
@@ -105,8 +110,8 @@ impl Scene {
         Scene::parse_with(text, path, &refused)
     }
 
-    /// The same, with a function that reads the files that the scene may name (`tool.plan`, `manipulator.file`, `arm.urdf`). The scene
-    /// returned holds what follows from them, and names no file.
+    /// The same, with a function that reads the files that the scene may name (`tool.plan`,
+    /// `manipulator.file`, `arm.urdf`). The scene returned holds what follows from them, and names no file.
     ///
     /// # Errors
     /// As [`Scene::parse`]; a file cannot be read or is none of its kind, or gives what the scene gives, too.
@@ -179,8 +184,9 @@ impl Scene {
         (rate_hz > 0.0).then(|| ((1.0 / (rate_hz * self.dt_s())) + 0.5).max(1.0) as u64)
     }
 
-    /// The tick of the scheduled frame that controllers see at `tick` in lockstep: each is seen half a period after its tick, however
-    /// long it took to render, so that a run repeats bit for bit. `None` where none is due.
+    /// The tick of the scheduled frame that controllers see at `tick` in lockstep: each is seen half a period
+    /// after its tick, however long it took to render, so that a run repeats bit for bit. `None` where none
+    /// is due.
     pub fn frame_seen_at(&self, tick: u64) -> Option<u64> {
         let period = self.frame_period_ticks()?;
         let frame = tick.checked_sub((period / 2).max(1))?;

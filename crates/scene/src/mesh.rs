@@ -1,6 +1,7 @@
 //! Triangles of the mesh files with which an arm is drawn: STL, binary or as text, and OBJ.
 //!
-//! The files are as foreign as any: a count is believed only if the file is as long as it says, and no coordinate may be infinite or NaN.
+//! The files are as foreign as any: a count is believed only if the file is as long as it says, and no
+//! coordinate may be infinite or NaN.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -93,7 +94,8 @@ fn told(count: Option<u32>) -> String {
 
 /// The triangles of a file's content, `most` of them at most.
 ///
-/// Formats: Marshall Burns, "Automated Fabrication" (1993), section 6.5 (STL); Wavefront's "Object Files", appendix B1 (OBJ).
+/// Formats: Marshall Burns, "Automated Fabrication" (1993), section 6.5 (STL); Wavefront's "Object Files",
+/// appendix B1 (OBJ).
 ///
 /// # Errors
 /// [`MeshError`]: the content is none of its kind, holds no triangle or too many, or a corner that is nowhere.

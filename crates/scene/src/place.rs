@@ -4,8 +4,8 @@ use core::ops::Range;
 
 use toml::de::{DeTable, DeValue};
 
-/// The key whose name or value lies at a byte of the text, with its path: `run.duration_s`, `tool.direction[1]`; `None` outside of all, or in
-/// a text that is not TOML.
+/// The key whose name or value lies at a byte of the text, with its path: `run.duration_s`,
+/// `tool.direction[1]`; `None` outside of all, or in a text that is not TOML.
 pub(crate) fn key_at(text: &str, byte: usize) -> Option<String> {
     let document = DeTable::parse(text).ok()?;
     let here = |path: &str, spans: [Range<usize>; 2]| {
@@ -27,7 +27,8 @@ pub(crate) fn line_at(text: &str, byte: usize) -> usize {
     text.bytes().take(byte).filter(|byte| *byte == b'\n').count() + 1
 }
 
-/// What `found` first says of a key: of its path, and of the places of its name and of its value. Those below a key come before it.
+/// What `found` first says of a key: of its path, and of the places of its name and of its value. Those below
+/// a key come before it.
 type Found<'f, T> = &'f dyn Fn(&str, [Range<usize>; 2]) -> Option<T>;
 
 fn search_table<T>(table: &DeTable<'_>, path: &str, found: Found<'_, T>) -> Option<T> {

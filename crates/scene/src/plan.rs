@@ -1,7 +1,7 @@
 //! `tool.plan`: a file of 3D Slicer's markups in place of the points of a scene.
 //!
-//! The keys that follow from the plan are put into the scene's table before it is parsed, so a [`Scene`](crate::Scene) holds numbers only,
-//! and so does its copy in the session and in the log.
+//! The keys that follow from the plan are put into the scene's table before it is parsed, so a
+//! [`Scene`](crate::Scene) holds numbers only, and so does its copy in the session and in the log.
 
 use std::path::Path;
 
@@ -13,12 +13,14 @@ use crate::error::SceneError;
 use crate::named_file::{ReadText, numbers, take_text};
 use crate::tool::STANDARD_RADII;
 
-/// How much wider than the burr the pilot hole is, mm: as in the scenes of `configs/`, 7 mm for a burr of 6.5 mm.
+/// How much wider than the burr the pilot hole is, mm: as in the scenes of `configs/`, 7 mm for a burr of 6.5
+/// mm.
 const PILOT_PLAY_MM: f64 = 0.5;
 /// The keys that the plan's points give. Beside a plan they would stand twice.
 const PLACES: [&str; 2] = ["burr_start_mm", "direction"];
 
-/// Puts what follows from `tool.plan` into a scene's table, and takes the key out. `false`: the scene names no plan.
+/// Puts what follows from `tool.plan` into a scene's table, and takes the key out. `false`: the scene names
+/// no plan.
 ///
 /// # Errors
 /// The file cannot be read or holds no plan; a point of it also stands in the scene.

@@ -5,17 +5,18 @@ use markups::vector::{across, cross, dot, length, minus, plus, unit};
 
 use crate::{CurvedDrilling, Predrill, Scene, ToolDescription, ToolOuterTube, TubeDeployment};
 
-/// Distance of the points of a planned path, mm: the chord of an arc of 20 mm radius is within 0.4 micrometres of it.
+/// Distance of the points of a planned path, mm: the chord of an arc of 20 mm radius is within 0.4
+/// micrometres of it.
 const STEP_MM: f64 = 0.25;
 /// A hole this near to the burr's start, mm, leads to it.
 const SAME_MM: f64 = 0.01;
 /// A target this near the line, mm, is on it.
 const ON_THE_LINE_MM: f64 = 1e-6;
 
-/// The planned path of the burr's centre, LPS, mm: through the pilot hole that leads to its start, straight to where the bend begins, and
-/// on the circle that the controller steers for, which leaves the line as its tangent and ends at the target. Without a target: straight.
-/// Of a tool that slides out of an outer tube: the way of its burr, on the rest shape of what is out.
-/// `None`: no built-in controller drills.
+/// The planned path of the burr's centre, LPS, mm: through the pilot hole that leads to its start, straight
+/// to where the bend begins, and on the circle that the controller steers for, which leaves the line as its
+/// tangent and ends at the target. Without a target: straight. Of a tool that slides out of an outer tube:
+/// the way of its burr, on the rest shape of what is out. `None`: no built-in controller drills.
 pub fn planned_path_mm(scene: &Scene) -> Option<Vec<[f64; 3]>> {
     let start_mm = scene.tool.burr_start_mm;
     let along = unit(scene.tool.direction);
@@ -32,7 +33,8 @@ pub fn planned_path_mm(scene: &Scene) -> Option<Vec<[f64; 3]>> {
     Some(dense(&hole.into_iter().chain(path).collect::<Vec<_>>()))
 }
 
-/// The same path with points on its straight parts: a program that draws a smooth line through few points leaves them.
+/// The same path with points on its straight parts: a program that draws a smooth line through few points
+/// leaves them.
 fn dense(path: &[[f64; 3]]) -> Vec<[f64; 3]> {
     let mut points: Vec<[f64; 3]> = path.first().copied().into_iter().collect();
     for piece in path.windows(2) {
@@ -71,7 +73,8 @@ fn curve_mm(drilling: &CurvedDrilling, start_mm: [f64; 3], along: [f64; 3]) -> V
     path
 }
 
-/// The way of the burr while the tool slides out: each flexure bends by the share of it that is out, the outer tube does not bend.
+/// The way of the burr while the tool slides out: each flexure bends by the share of it that is out, the
+/// outer tube does not bend.
 fn deployment_mm(plan: &TubeDeployment, scene: &Scene, along: [f64; 3]) -> Option<Vec<[f64; 3]>> {
     let tool = scene.manipulator.tool.as_ref()?;
     let outer = tool.outer_tube.as_ref()?;

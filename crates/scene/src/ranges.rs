@@ -14,7 +14,8 @@ impl Range {
     }
 }
 
-/// Checks the values of a table, in the order of the declaration, and of the tables in it; `path` is its own key.
+/// Checks the values of a table, in the order of the declaration, and of the tables in it; `path` is its own
+/// key.
 ///
 /// # Errors
 /// [`SceneError::OutOfRange`], [`SceneError::Invalid`]: the first value that is not allowed.
@@ -178,7 +179,8 @@ mod tests {
         assert_eq!(said, "a.toml: `tool.burr_start_mm[1]` is 1e9, allowed is -100000 to 100000");
     }
 
-    /// Of several errors always the same is named: the first in the order of the declarations, not of the file.
+    /// Of several errors always the same is named: the first in the order of the declarations, not of the
+    /// file.
     #[test]
     fn the_first_error_is_that_of_the_key_declared_first() {
         let scene =

@@ -1,4 +1,5 @@
-//! The scene reference: `docs/scene.md` is the output of [`scene_reference`], made from the declarations of the keys.
+//! The scene reference: `docs/scene.md` is the output of [`scene_reference`], made from the declarations of
+//! the keys.
 
 use std::fmt::Write;
 

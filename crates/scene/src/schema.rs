@@ -1,4 +1,5 @@
-//! The JSON schema of scene files, derived from the declarations of [`model`](crate::model) by the crate `schemars`.
+//! The JSON schema of scene files, derived from the declarations of [`model`](crate::model) by the crate
+//! `schemars`.
 
 use schemars::generate::SchemaSettings;
 use schemars::transform::RecursiveTransform;
@@ -9,8 +10,8 @@ use crate::Scene;
 
 /// The JSON schema of scene files, for editors: draft 7, which those that know TOML read.
 ///
-/// It holds each key's type, range, default and text, and refuses unknown keys. What relates keys to each other, such as "either
-/// `phantom` or `path`", only [`Scene::parse`] checks.
+/// It holds each key's type, range, default and text, and refuses unknown keys. What relates keys to each
+/// other, such as "either `phantom` or `path`", only [`Scene::parse`] checks.
 pub fn json_schema() -> Value {
     let mut schema = generate::<Scene>(SchemaSettings::draft07());
     allow_plan(&mut schema);
@@ -28,8 +29,8 @@ const OF_A_PLAN: [(&str, &str); 7] = [
     ("Skiving", "depth_mm"),
 ];
 
-/// Lets a scene with a plan leave out what follows from it. An editor sees one table at a time: of the tool it knows whether there is a
-/// plan, of the others it does not.
+/// Lets a scene with a plan leave out what follows from it. An editor sees one table at a time: of the tool
+/// it knows whether there is a plan, of the others it does not.
 fn allow_plan(schema: &mut Value) {
     for (table, key) in OF_A_PLAN {
         if let Some(required) = schema["definitions"][table]["required"].as_array_mut() {
@@ -46,7 +47,8 @@ pub(crate) fn as_read<T: JsonSchema>() -> Value {
     generate::<T>(SchemaSettings::draft2020_12())
 }
 
-/// A type's schema as a writer sees it: `required` lists every key of a table, in the order of the declaration.
+/// A type's schema as a writer sees it: `required` lists every key of a table, in the order of the
+/// declaration.
 pub(crate) fn as_written<T: JsonSchema>() -> Value {
     generate::<T>(SchemaSettings::draft2020_12().for_serialize())
 }

@@ -28,10 +28,12 @@ pub struct OuterTubeSize {
     pub end_m: f64,
 }
 
-/// The BIGSS/JHU manipulator: a nitinol tube with an outer diameter of 6 mm and a lumen of 4 mm (Murphy et al. 2014, "Design and kinematic
-/// characterization of a surgical manipulator with a focus on treating osteolysis", Robotica 32, doi 10.1017/S0263574713001082); contact
-/// spheres of 3 mm radius and a burr of 3.25 mm radius as in the open-source simulator (htp2/continuum-manip-volumetric-drilling-plugin).
-/// The cable's 2 mm are an assumption: only X-ray frames show it.
+/// The BIGSS/JHU manipulator: a nitinol tube with an outer diameter of 6 mm and a lumen of 4 mm
+/// (Murphy et al. 2014, "Design and kinematic characterization of a surgical manipulator with a focus
+/// on treating osteolysis", Robotica 32, doi 10.1017/S0263574713001082); contact spheres of 3 mm
+/// radius and a burr of 3.25 mm radius as in the open-source simulator
+/// (htp2/continuum-manip-volumetric-drilling-plugin). The cable's 2 mm are an assumption: only X-ray
+/// frames show it.
 pub const STANDARD_RADII: ToolRadii = ToolRadii {
     tube_outer_m: 3.0e-3,
     tube_inner_m: 2.0e-3,
@@ -49,18 +51,21 @@ pub struct Holder {
     pub radius_m: f64,
 }
 
-/// An assumption, about the size of a drive unit with two motors; only the pictures and the check of the arm against bone use it.
+/// An assumption, about the size of a drive unit with two motors; only the pictures and the check of the arm
+/// against bone use it.
 pub const STANDARD_HOLDER: Holder = Holder { length_m: 0.06, radius_m: 0.02 };
 
 impl Holder {
-    /// How far the holder reaches along the straight line from the flange to the tool's base, which is `distance_m` long, m: to the base at
-    /// most. `None` if the base is on the flange: then there is neither holder nor bare shaft.
+    /// How far the holder reaches along the straight line from the flange to the tool's base, which is
+    /// `distance_m` long, m: to the base at most. `None` if the base is on the flange: then there is neither
+    /// holder nor bare shaft.
     pub fn reach_m(&self, distance_m: f64) -> Option<f64> {
         (distance_m > ON_FLANGE_M).then(|| self.length_m.min(distance_m))
     }
 
-    /// Where the holder ends and the bare shaft begins, on the line from the flange to the tool's base, world, m. `None` if the base is on
-    /// the flange; the base itself if it is no farther away than the holder is long.
+    /// Where the holder ends and the bare shaft begins, on the line from the flange to the tool's base,
+    /// world, m. `None` if the base is on the flange; the base itself if it is no farther away than the
+    /// holder is long.
     pub fn front_m(&self, flange_m: [f64; 3], base_m: [f64; 3]) -> Option<[f64; 3]> {
         let way: [f64; 3] = core::array::from_fn(|axis| base_m[axis] - flange_m[axis]);
         let length_m = way.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -83,7 +88,8 @@ impl Arm {
 }
 
 impl ToolRadii {
-    /// Radius of the tool where it is widest, but for the burr: of the tube, or of the one that it slides out of.
+    /// Radius of the tool where it is widest, but for the burr: of the tube, or of the one that it slides out
+    /// of.
     pub fn widest_tube_m(&self) -> f64 {
         self.outer_tube.map_or(self.tube_outer_m, |tube| tube.outer_m)
     }
@@ -153,7 +159,8 @@ impl ToolDescription {
         (to > from).then(|| length_mm / (to - from) as f64)
     }
 
-    /// Length of tube that a flexure bends, mm: its own, or half way to either neighbour. `None` for an only one without length.
+    /// Length of tube that a flexure bends, mm: its own, or half way to either neighbour. `None` for an only
+    /// one without length.
     pub fn length_mm(places: &[FlexurePlace], index: usize) -> Option<f64> {
         places.get(index)?.flexure.length_mm.or_else(|| ToolDescription::pitch_mm(places, index))
     }

@@ -1,7 +1,7 @@
 //! `manipulator.file`: a file that describes a tool.
 //!
-//! It is put into the scene's table as `[manipulator.tool]` before the scene is parsed, so a [`Scene`](crate::Scene) holds the tool itself,
-//! and so does its copy in the session and in the log.
+//! It is put into the scene's table as `[manipulator.tool]` before the scene is parsed, so a
+//! [`Scene`](crate::Scene) holds the tool itself, and so does its copy in the session and in the log.
 
 use std::path::Path;
 
@@ -29,7 +29,8 @@ impl ToolDescription {
     }
 }
 
-/// Puts the tool that `manipulator.file` describes into a scene's table, and takes the key out. `false`: the scene names no file.
+/// Puts the tool that `manipulator.file` describes into a scene's table, and takes the key out. `false`: the
+/// scene names no file.
 ///
 /// # Errors
 /// The file cannot be read or describes no tool; the scene also describes one.

@@ -5,8 +5,8 @@ use markups::vector::{cross, dot, length, minus, plus};
 use crate::{Contact, Drilling, Manipulator, Scene, TrueManipulator, Truth, planned_path_mm};
 
 impl Scene {
-    /// The scene as it is: with what `[truth]` says in the place of what the plan and the controllers believe, and without `[truth]`. The
-    /// bone's place is [`Scene::in_bone_mm`].
+    /// The scene as it is: with what `[truth]` says in the place of what the plan and the controllers
+    /// believe, and without `[truth]`. The bone's place is [`Scene::in_bone_mm`].
     pub fn as_it_is(&self) -> Scene {
         let mut scene = self.clone();
         if let Some(truth) = scene.truth.take() {
@@ -45,7 +45,8 @@ pub fn planned_path_in_bone_mm(scene: &Scene) -> Option<Vec<[f64; 3]>> {
     Some(path.into_iter().map(|point_mm| scene.in_bone_mm(point_mm)).collect())
 }
 
-/// Rodrigues' formula. Sine and cosine are those of `libm`, the same on every machine: the bone's place enters the hash of a run.
+/// Rodrigues' formula. Sine and cosine are those of `libm`, the same on every machine: the bone's place
+/// enters the hash of a run.
 fn turned(vector: [f64; 3], rotation_vector_deg: [f64; 3]) -> [f64; 3] {
     let angle_deg = length(rotation_vector_deg);
     if angle_deg == 0.0 {

@@ -1,8 +1,9 @@
 //! `arm.urdf`: a serial arm out of a URDF file (<https://wiki.ros.org/urdf/XML>, `joint` and `link`).
 //!
-//! The joints between base and tip are put into the scene's table as `arm.joint` before it is parsed, and the meshes of the links there as
-//! `arm.mesh`. A [`Scene`](crate::Scene) therefore holds the arm's kinematics as numbers, and so does its copy in the session and in the log;
-//! of the meshes, which are only its looks, it holds the files' paths.
+//! The joints between base and tip are put into the scene's table as `arm.joint` before it is parsed, and the
+//! meshes of the links there as `arm.mesh`. A [`Scene`](crate::Scene) therefore holds the arm's kinematics as
+//! numbers, and so does its copy in the session and in the log; of the meshes, which are only its looks, it
+//! holds the files' paths.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -31,7 +32,8 @@ const CONTINUOUS_RAD: f64 = 2.0 * core::f64::consts::PI;
 /// Fastest turn that a file may give, 10 turns a second.
 const FASTEST_RAD_PER_S: f64 = 20.0 * core::f64::consts::PI;
 
-/// Puts the joints of the file that `arm.urdf` names into a scene's table, and takes the keys of the file out. `false`: it names none.
+/// Puts the joints of the file that `arm.urdf` names into a scene's table, and takes the keys of the file
+/// out. `false`: it names none.
 ///
 /// # Errors
 /// The file cannot be read, or holds no serial arm of the kind that a scene takes.
@@ -66,7 +68,8 @@ pub(crate) fn put_in(
     Ok(true)
 }
 
-/// The joints from base to tip, each as a table of `arm.joint`, and the meshes of the links there, each as one of `arm.mesh`.
+/// The joints from base to tip, each as a table of `arm.joint`, and the meshes of the links there, each as
+/// one of `arm.mesh`.
 fn arm_of(
     text: &str,
     base: Option<&str>,
@@ -275,7 +278,8 @@ impl UrdfJoint<'_> {
     }
 }
 
-/// Three numbers of an attribute, none of them farther from zero than `most`; the error is about what has the attribute.
+/// Three numbers of an attribute, none of them farther from zero than `most`; the error is about what has the
+/// attribute.
 pub(crate) fn three(tag: &str, key: &str, text: &str, most: f64) -> Result<[f64; 3], String> {
     let parts: Vec<&str> = text.split_ascii_whitespace().collect();
     let [x, y, z] = parts.as_slice() else {

@@ -1,4 +1,5 @@
-//! What the links of a URDF file are drawn with: meshes of their `visual`, and those of their `collision` where none of it can be drawn.
+//! What the links of a URDF file are drawn with: meshes of their `visual`, and those of their `collision`
+//! where none of it can be drawn.
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -81,7 +82,8 @@ impl<'a> Mesh<'a> {
 }
 
 impl MeshPlaces<'_> {
-    /// The file that a name means: `package://NAME/PATH` is `NAME/PATH` in the URDF file's folder or in one above it, as in a ROS workspace.
+    /// The file that a name means: `package://NAME/PATH` is `NAME/PATH` in the URDF file's folder or in one
+    /// above it, as in a ROS workspace.
     fn found(&self, name: &str) -> Result<PathBuf, String> {
         // Reading it only tells whether it is there: most meshes are no text.
         let is_there = |path: &PathBuf| match (self.read)(path) {

@@ -104,7 +104,8 @@ impl Device {
         }
     }
 
-    /// A first-order low pass: y += (1 − e^(−2π f dt)) (x − y), exact for an input that is constant within a tick.
+    /// A first-order low pass: y += (1 − e^(−2π f dt)) (x − y), exact for an input that is constant within a
+    /// tick.
     fn filter(&mut self, sample: &mut Sample, share: f64) {
         match &mut self.state.filtered {
             Some(filtered) => {

@@ -1,8 +1,8 @@
 //! Curvature along the tool, and the shape that follows from it.
 //!
-//! The tool bends at its flexures. Each flexure's angle counts as even along the stretch of tool between the middles to its neighbours, so
-//! the curvature is constant there. A node reads the mean curvature over its gauge length, in two directions: toward tendon 0 (the bend
-//! plane, +x of the tool's base) and across (+y).
+//! The tool bends at its flexures. Each flexure's angle counts as even along the stretch of tool between the
+//! middles to its neighbours, so the curvature is constant there. A node reads the mean curvature over its
+//! gauge length, in two directions: toward tendon 0 (the bend plane, +x of the tool's base) and across (+y).
 
 use messages::{MAX_JOINTS, Pose, State};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
@@ -12,7 +12,8 @@ use crate::measure::rotation;
 /// Steps along the fibre when a shape is made from curvatures; each is a circular arc.
 const STEPS: usize = 128;
 
-/// Where the nodes of a fibre lie, from its start, as shares of its length: in the middles of equal stretches.
+/// Where the nodes of a fibre lie, from its start, as shares of its length: in the middles of equal
+/// stretches.
 pub fn node_places(nodes: u32) -> impl Iterator<Item = f64> {
     (0..nodes).map(move |node| (f64::from(node) + 0.5) / f64::from(nodes))
 }
@@ -66,7 +67,8 @@ impl Stretches {
     }
 }
 
-/// Pose of the base of the tube in which the fibre lies: the tool's base, but for a tool that has slid out of an outer tube and turned in it.
+/// Pose of the base of the tube in which the fibre lies: the tool's base, but for a tool that has slid out of
+/// an outer tube and turned in it.
 pub fn t_world_tube(state: &State) -> Pose {
     if state.tube_deployed_m == 0.0 && state.tube_roll_rad == 0.0 {
         return state.t_world_base;
@@ -84,7 +86,8 @@ fn distance_m(a: &Pose, b: &Pose) -> f64 {
     (Vector3::from(a.position_m) - Vector3::from(b.position_m)).norm()
 }
 
-/// Length of tool that bends at flexure i: half the way to either neighbour; at the ends, twice the half way to the only one.
+/// Length of tool that bends at flexure i: half the way to either neighbour; at the ends, twice the half way
+/// to the only one.
 fn stretch_m(state: &State, i: usize, count: usize) -> f64 {
     let link = &state.t_world_link;
     let before = (i > 0).then(|| distance_m(&link[i - 1], &link[i]));
@@ -96,7 +99,8 @@ fn stretch_m(state: &State, i: usize, count: usize) -> f64 {
     }
 }
 
-/// What the nodes of a fibre without errors read: toward and across of each, from base to tip, 1/m. All zero for a tool that does not bend.
+/// What the nodes of a fibre without errors read: toward and across of each, from base to tip, 1/m. All zero
+/// for a tool that does not bend.
 pub(crate) fn node_curvatures(state: &State, nodes: u32, gauge_m: f64) -> impl Iterator<Item = f64> {
     let stretches = Stretches::of(state);
     let length_m = stretches.length_m();
@@ -106,8 +110,8 @@ pub(crate) fn node_curvatures(state: &State, nodes: u32, gauge_m: f64) -> impl I
     })
 }
 
-/// Where a fibre lies in its tool: what is needed to make a shape from curvatures. The dimensions are the tool's; of a state, only they are
-/// used, not its shape.
+/// Where a fibre lies in its tool: what is needed to make a shape from curvatures. The dimensions are the
+/// tool's; of a state, only they are used, not its shape.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fibre {
     /// From the tube's base ([`t_world_tube`]) to the fibre's start, metres.
@@ -139,8 +143,8 @@ impl Fibre {
         }
     }
 
-    /// Pose of the burr, from that of the tube's base and the curvatures of the nodes (toward and across of each): between nodes the curvature
-    /// is linear, outside it is that of the nearest node.
+    /// Pose of the burr, from that of the tube's base and the curvatures of the nodes (toward and across of
+    /// each): between nodes the curvature is linear, outside it is that of the nearest node.
     pub fn burr(&self, t_world_tube: &Pose, curvatures_per_m: &[f64]) -> Pose {
         let nodes = (curvatures_per_m.len() / 2) as u32;
         let mut here = Isometry3::from_parts(
@@ -177,7 +181,8 @@ fn interpolated(curvatures_per_m: &[f64], nodes: u32, share: f64) -> [f64; 2] {
     })
 }
 
-/// The pose at the end of a circular arc along +z that turns by `turn_per_m` for each metre: half the turn, the chord, half the turn.
+/// The pose at the end of a circular arc along +z that turns by `turn_per_m` for each metre: half the turn,
+/// the chord, half the turn.
 fn arc(turn_per_m: Vector3<f64>, length_m: f64) -> Isometry3<f64> {
     let half = UnitQuaternion::from_scaled_axis(turn_per_m * (0.5 * length_m));
     let angle = turn_per_m.norm() * length_m;

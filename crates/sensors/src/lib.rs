@@ -1,13 +1,15 @@
 //! Sensors: what measures the simulated tool, instead of the exact state.
 //!
-//! A reading is a function of the states up to its sample, its tick and the seeds of run and sensor: noise, bias, jitter and drop-outs are
-//! counter-based random numbers, drift and the low-pass filter are kept in the state. [`SensorArray::see`] is given every state, in order,
-//! and says which readings arrive with it.
+//! A reading is a function of the states up to its sample, its tick and the seeds of run and sensor: noise,
+//! bias, jitter and drop-outs are counter-based random numbers, drift and the low-pass filter are kept in the
+//! state. [`SensorArray::see`] is given every state, in order, and says which readings arrive with it.
 //!
-//! [`MeasuredState`] is the other end: it puts readings in the place of a state's exact values, for controllers.
+//! [`MeasuredState`] is the other end: it puts readings in the place of a state's exact values, for
+//! controllers.
 //!
-//! **Boundary:** states in, readings out. It only computes. **Invariants:** readings of a sensor arrive in the order of their samples; at
-//! most [`scene::MAX_READINGS_UNDERWAY`] of them wait; a step allocates nothing.
+//! **Boundary:** states in, readings out. It only computes. **Invariants:** readings of a sensor arrive in
+//! the order of their samples; at most [`scene::MAX_READINGS_UNDERWAY`] of them wait; a step allocates
+//! nothing.
 //!
 //! ```
 //! use std::path::Path;
@@ -150,7 +152,8 @@ impl SensorArray {
         self.list();
     }
 
-    /// Begins anew at the present tick: filters and drift as at the start, nothing underway. Sequence numbers go on.
+    /// Begins anew at the present tick: filters and drift as at the start, nothing underway. Sequence numbers
+    /// go on.
     pub fn reset(&mut self) {
         self.devices.iter_mut().for_each(Device::reset);
         self.clock.sent += self.arrived.len() as u64;

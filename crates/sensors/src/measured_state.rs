@@ -7,7 +7,8 @@ use scene::{Scene, Tracked};
 use crate::fibre::{Fibre, t_world_tube};
 use crate::measure::rotation;
 
-/// Puts the newest readings of chosen sensors in the place of a state's exact values. What no reading of them tells stays exact.
+/// Puts the newest readings of chosen sensors in the place of a state's exact values. What no reading of them
+/// tells stays exact.
 ///
 /// | kind | stands for |
 /// |---|---|
@@ -17,7 +18,8 @@ use crate::measure::rotation;
 /// | `load_cell` | `tendon_tension_n` |
 /// | `force_torque` | `flange_wrench` |
 ///
-/// A controller that is told to use a sensor waits for its first valid reading: see [`MeasuredState::is_complete`].
+/// A controller that is told to use a sensor waits for its first valid reading: see
+/// [`MeasuredState::is_complete`].
 #[derive(Debug, Clone)]
 pub struct MeasuredState {
     used: Vec<Used>,
@@ -33,7 +35,8 @@ struct Used {
 }
 
 impl MeasuredState {
-    /// For the sensors of these names; names that the scene does not have are left out (a checked scene has none).
+    /// For the sensors of these names; names that the scene does not have are left out (a checked scene has
+    /// none).
     pub fn new(scene: &Scene, names: &[String]) -> MeasuredState {
         let used = |name: &String| {
             let (index, sensor) = (0..).zip(&scene.sensor).find(|(_, sensor)| sensor.name == *name)?;

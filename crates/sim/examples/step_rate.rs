@@ -1,4 +1,5 @@
-//! Steps a second: the bare physics, and the same ticks by `Sim`, in turn over the same ticks of the default scene.
+//! Steps a second: the bare physics, and the same ticks by `Sim`, in turn over the same ticks of the default
+//! scene.
 //!
 //! `cargo run --release -p sim --example step_rate [TICKS [ROUNDS]]`
 

@@ -23,8 +23,9 @@ struct Held {
     sim: Sim,
 }
 
-/// Simulations that are stepped together. A thread makes its simulations, holds them and steps each of them whole, so no number of threads
-/// changes a bit. They never leave it, because the arm's trajectories are objects of C++ (Ruckig) that belong to one thread.
+/// Simulations that are stepped together. A thread makes its simulations, holds them and steps each of them
+/// whole, so no number of threads changes a bit. They never leave it, because the arm's trajectories are
+/// objects of C++ (Ruckig) that belong to one thread.
 pub struct Batch {
     workers: Vec<Worker>,
     count: usize,
@@ -137,18 +138,19 @@ impl Batch {
         received_watched(&answer, look).map_err(|_| SimError::Gone)?.unwrap_or(Err(none))
     }
 
-    /// Makes `ticks` ticks with every simulation and returns their states, in order. `commands` holds those of the first, then those of the second and so on,
-    /// each as for [`Sim::step`]; without any, no driven controller asks for anything.
+    /// Makes `ticks` ticks with every simulation and returns their states, in order. `commands` holds those
+    /// of the first, then those of the second and so on, each as for [`Sim::step`]; without any, no driven
+    /// controller asks for anything.
     ///
     /// # Errors
-    /// Too few or too many commands: nothing has changed. Otherwise the error of the first simulation, in their order, that has one; the
-    /// others have made their ticks.
+    /// Too few or too many commands: nothing has changed. Otherwise the error of the first simulation, in
+    /// their order, that has one; the others have made their ticks.
     pub fn step(&self, commands: Option<Vec<Command>>, ticks: u64) -> Result<Vec<State>, SimError> {
         self.step_watched(commands, ticks, &mut || false)
     }
 
-    /// As [`Batch::step`]. While it waits it asks `is_to_end` every 50 ms, and if that is true, no simulation makes a further tick: each
-    /// stands at the tick to which it has come.
+    /// As [`Batch::step`]. While it waits it asks `is_to_end` every 50 ms, and if that is true, no simulation
+    /// makes a further tick: each stands at the tick to which it has come.
     ///
     /// # Errors
     /// As [`Batch::step`].
@@ -254,8 +256,8 @@ impl Batch {
     }
 }
 
-/// Looks so often for what another thread sends before it sleeps, some 50 microseconds in all: a caller that makes tick after tick would wait
-/// longer for a sleeping thread to wake than for the tick.
+/// Looks so often for what another thread sends before it sleeps, some 50 microseconds in all: a caller that
+/// makes tick after tick would wait longer for a sleeping thread to wake than for the tick.
 const LOOKS: u32 = 1000;
 
 /// What the other thread has sent by then, if anything.

@@ -165,7 +165,8 @@ pub enum SimError {
 }
 
 impl SimError {
-    /// Whether it is the machine's fault, such as too little memory or a full disk, or a defect: the same run may work elsewhere.
+    /// Whether it is the machine's fault, such as too little memory or a full disk, or a defect: the same run
+    /// may work elsewhere.
     pub fn is_of_the_machine(&self) -> bool {
         match self {
             SimError::Log(_)

@@ -15,13 +15,14 @@ use crate::shared::SharedScene;
 use crate::simulator::{Drive, Sim};
 
 impl Sim {
-    /// The simulation of a log's scene, taken to the state of `tick`, or of the log's last tick: the log's commands are stepped through
-    /// the physics, and every state on the way is compared with the log's. Built-in controllers that `drive` leaves to the simulation are
-    /// shown the states on the way, so they go on as they would have.
+    /// The simulation of a log's scene, taken to the state of `tick`, or of the log's last tick: the log's
+    /// commands are stepped through the physics, and every state on the way is compared with the log's.
+    /// Built-in controllers that `drive` leaves to the simulation are shown the states on the way, so they go
+    /// on as they would have.
     ///
     /// # Errors
-    /// Not a log of this build; the tick is not in it, or lies behind a gap; a built-in controller cannot be brought to where it was: the
-    /// log is of real time or begins with a keyframe, or it sees frames.
+    /// Not a log of this build; the tick is not in it, or lies behind a gap; a built-in controller cannot be
+    /// brought to where it was: the log is of real time or begins with a keyframe, or it sees frames.
     pub fn from_log(log: &Path, tick: Option<u64>, drive: &Drive) -> Result<Sim, SimError> {
         Sim::from_log_unless(log, tick, drive, &AtomicBool::new(false))
     }

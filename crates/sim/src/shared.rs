@@ -26,8 +26,9 @@ pub struct SharedScene {
 }
 
 impl SharedScene {
-    /// Reads a scene, or takes the built-in femur's, and sets keys: each of `settings` is a line `KEY=VALUE` of `trabecula run --set`;
-    /// `seed` replaces `run.seed`. The settings that its tolerance leads to are chosen as for a run. Mode is lockstep, whatever it says.
+    /// Reads a scene, or takes the built-in femur's, and sets keys: each of `settings` is a line `KEY=VALUE`
+    /// of `trabecula run --set`; `seed` replaces `run.seed`. The settings that its tolerance leads to are
+    /// chosen as for a run. Mode is lockstep, whatever it says.
     ///
     /// # Errors
     /// [`SimError::Input`], in the words of `trabecula scene check`.

@@ -18,8 +18,8 @@ use crate::recording::{Lane, Recording};
 use crate::shared::SharedScene;
 use crate::x_ray::{View, XRay};
 
-/// Which controllers the caller drives, of those that the simulation could run itself. The caller always drives external ones and
-/// programs; built-in ones otherwise run in the simulation, as they do in a run.
+/// Which controllers the caller drives, of those that the simulation could run itself. The caller always
+/// drives external ones and programs; built-in ones otherwise run in the simulation, as they do in a run.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Drive {
     /// No built-in one.
@@ -90,7 +90,8 @@ impl Sim {
     /// A simulation at tick 0.
     ///
     /// # Errors
-    /// The scene has no controller that `drive` names; a calibration cannot be used; the physics refuses the scene.
+    /// The scene has no controller that `drive` names; a calibration cannot be used; the physics refuses the
+    /// scene.
     pub fn new(shared: &Arc<SharedScene>, drive: &Drive) -> Result<Sim, SimError> {
         let mut sim = Sim::at_start(shared, drivers(shared, drive)?)?;
         sim.start = Some(sim.snapshot());
@@ -144,8 +145,8 @@ impl Sim {
         self.run.plant().state()
     }
 
-    /// The readings of sensors that arrived in the last call of [`Sim::step`], the newest 1024; before the first and after a jump,
-    /// those of the present state.
+    /// The readings of sensors that arrived in the last call of [`Sim::step`], the newest 1024; before the
+    /// first and after a jump, those of the present state.
     pub fn readings(&self) -> Vec<SensorReading> {
         match self.readings.is_empty() {
             true => self.run.plant().readings().to_vec(),
@@ -164,13 +165,14 @@ impl Sim {
         &self.drilled
     }
 
-    /// Parts of commands that could not be followed in the last call of [`Sim::step`], such as unreachable goals, and why.
+    /// Parts of commands that could not be followed in the last call of [`Sim::step`], such as unreachable
+    /// goals, and why.
     pub fn refusals(&self) -> &[String] {
         &self.refusals
     }
 
-    /// Makes `ticks` ticks, in each of which every driven controller sends its command again. `commands` holds one for each of
-    /// [`Sim::driven`], in that order; their `sequence` and `state_tick` are filled in.
+    /// Makes `ticks` ticks, in each of which every driven controller sends its command again. `commands`
+    /// holds one for each of [`Sim::driven`], in that order; their `sequence` and `state_tick` are filled in.
     ///
     /// # Errors
     /// A command is refused: nothing has changed. The physics, the X-ray or the recording fails.
@@ -288,7 +290,8 @@ impl Sim {
         XRay::of(x_ray, shared, plant.predrilled())?.render(shared, plant.state(), drilled, from, sequence)
     }
 
-    /// The X-ray of the present state from each of these, with the pixels of [`Sim::render`], in less time than one after the other.
+    /// The X-ray of the present state from each of these, with the pixels of [`Sim::render`], in less time
+    /// than one after the other.
     ///
     /// # Errors
     /// As [`Sim::render`]; nothing has been rendered then.
@@ -313,8 +316,9 @@ impl Sim {
         x_ray.render_many(shared, plant.state(), drilled, numbered, is_to_end)
     }
 
-    /// The X-ray of the present state as [`Sim::render`] gives it, and its labels. Voxels at or above `bone_from_hu` are bone; without it,
-    /// at or above the scene's `drr.labels.bone_from_hu`, or else its `volume.bone_threshold_hu`.
+    /// The X-ray of the present state as [`Sim::render`] gives it, and its labels. Voxels at or above
+    /// `bone_from_hu` are bone; without it, at or above the scene's `drr.labels.bone_from_hu`, or else its
+    /// `volume.bone_threshold_hu`.
     ///
     /// # Errors
     /// As [`Sim::render`].
@@ -340,10 +344,12 @@ impl Sim {
         }))
     }
 
-    /// Goes to the state of a snapshot, of this or another simulation of the same scene, and continues from there bit for bit.
+    /// Goes to the state of a snapshot, of this or another simulation of the same scene, and continues from
+    /// there bit for bit.
     ///
     /// # Errors
-    /// The snapshot is of another scene, or of a simulation that drives other controllers itself; this one is being recorded.
+    /// The snapshot is of another scene, or of a simulation that drives other controllers itself; this one is
+    /// being recorded.
     pub fn restore(&mut self, snapshot: &Snapshot) -> Result<(), SimError> {
         let saved = &*snapshot.0;
         let drives = |drivers: &[Driver]| -> Vec<bool> {
@@ -384,8 +390,8 @@ impl Sim {
         self.start = Some(self.snapshot());
     }
 
-    /// Records from tick 0 into `run.mcap` of a folder, which is created. `trabecula replay --verify` accepts the log. The file has its
-    /// name when the recording is closed.
+    /// Records from tick 0 into `run.mcap` of a folder, which is created. `trabecula replay --verify` accepts
+    /// the log. The file has its name when the recording is closed.
     ///
     /// # Errors
     /// Ticks have been made; a recording is open; the folder holds a `run.mcap` or cannot be written.

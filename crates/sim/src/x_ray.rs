@@ -14,7 +14,8 @@ use xray::{CArm, DetectorFormat, DrrError, DrrRenderer, Labels, PositionerAngles
 use crate::error::SimError;
 use crate::shared::SharedScene;
 
-/// Frames rendered together before it is asked whether to give up: a second of a large volume. A thread without a frame waits for the last one of them.
+/// Frames rendered together before it is asked whether to give up: a second of a large volume. A thread
+/// without a frame waits for the last one of them.
 const POSES_AT_ONCE: usize = 64;
 
 /// The renderer of a simulation, and how much of the drilling it has been told.
@@ -106,7 +107,8 @@ impl XRay {
         Ok(rendered)
     }
 
-    /// The frame, and what it shows; voxels at or above `bone_from_hu`, or else the scene's threshold, are bone.
+    /// The frame, and what it shows; voxels at or above `bone_from_hu`, or else the scene's threshold, are
+    /// bone.
     pub(crate) fn labels(
         &mut self,
         shared: &SharedScene,
@@ -178,7 +180,8 @@ fn volume(shared: &SharedScene) -> Result<VolumeView<'_>, SimError> {
 pub enum View {
     /// From the scene's C-arm.
     Scene,
-    /// From the scene's C-arm turned about the scene's isocentre to these positioner angles, as DICOM has them.
+    /// From the scene's C-arm turned about the scene's isocentre to these positioner angles, as DICOM has
+    /// them.
     Angles {
         /// Primary angle.
         primary_deg: f64,

@@ -19,10 +19,10 @@ pub struct ContactPlane {
     pub give: Give,
 }
 
-/// How an obstacle recedes within a step under a tool that cuts it: at all its planes by `m_per_n` for each newton above `from_n` of the sum
-/// of the forces on them, up to `most_m`. Without it the tool meets in each step the obstacle of the step before, presses as hard as the
-/// contact is stiff, cuts too much, and finds nothing to press on in the next. All planes that recede in a step are of one link and have
-/// one law.
+/// How an obstacle recedes within a step under a tool that cuts it: at all its planes by `m_per_n` for each
+/// newton above `from_n` of the sum of the forces on them, up to `most_m`. Without it the tool meets in each
+/// step the obstacle of the step before, presses as hard as the contact is stiff, cuts too much, and finds
+/// nothing to press on in the next. All planes that recede in a step are of one link and have one law.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Give {
     /// Force up to which nothing is cut, N.
@@ -51,8 +51,8 @@ impl ContactPlane {
         }
     }
 
-    /// True if the gap is finite, the normal has unit length, which `Unit::new_unchecked` does not guarantee, and the strength is not
-    /// negative.
+    /// True if the gap is finite, the normal has unit length, which `Unit::new_unchecked` does not guarantee,
+    /// and the strength is not negative.
     pub(crate) fn is_usable(&self) -> bool {
         self.gap_m.is_finite() && (self.normal.norm_squared() - 1.0).abs() < 1e-6 && self.strength_n >= 0.0
     }

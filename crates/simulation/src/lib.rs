@@ -1,14 +1,15 @@
 //! Simulates a continuum manipulator on a robot arm that drills bone, one fixed time step at a time.
 //!
-//! [`Simulation`] computes x_{k+1} = step(x_k, u_k): the state after tick k from the state before it and the commands of that tick. The
-//! physics process passes in the commands that the hub has latched and publishes the new state; a replay passes in the commands of a log.
+//! [`Simulation`] computes x_{k+1} = step(x_k, u_k): the state after tick k from the state before it and the
+//! commands of that tick. The physics process passes in the commands that the hub has latched and publishes
+//! the new state; a replay passes in the commands of a log.
 //!
 //! **Boundary:** no clock, no randomness, no files, no other processes. The CT is borrowed and never copied.
 //!
 //! **Invariants**
 //!
-//! - The same scene, CT and commands give the same bits: with or without vector instructions, after a keyframe or a reset, and whether
-//!   caches are kept or dropped.
+//! - The same scene, CT and commands give the same bits: with or without vector instructions, after a
+//!   keyframe or a reset, and whether caches are kept or dropped.
 //! - A step allocates no memory, except in Ruckig while the arm moves and in Rapier if there are free bodies.
 //! - A refused command changes nothing.
 //!

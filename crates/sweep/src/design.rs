@@ -14,12 +14,14 @@ pub enum Design {
     Grid,
     /// Independent points, evenly distributed.
     Random,
-    /// Each parameter's range in as many parts as there are samples, one sample in each part (McKay, Beckman and Conover 1979).
+    /// Each parameter's range in as many parts as there are samples, one sample in each part (McKay, Beckman
+    /// and Conover 1979).
     LatinHypercube,
     /// A Sobol sequence, scrambled by the seed (Burley 2020, "Practical hash-based Owen scrambling").
     Sobol,
-    /// Two Sobol samples A and B, and A with one column after the other from B: samples × (parameters + 2) points, from which Sobol indices
-    /// follow (Saltelli et al. 2010, doi 10.1016/j.cpc.2009.09.018). The points of a sample follow each other: A, A with column 1 from B, …, B.
+    /// Two Sobol samples A and B, and A with one column after the other from B: samples × (parameters + 2)
+    /// points, from which Sobol indices follow (Saltelli et al. 2010, doi 10.1016/j.cpc.2009.09.018). The
+    /// points of a sample follow each other: A, A with column 1 from B, …, B.
     Saltelli,
     /// The rows of a CSV file.
     Csv,
@@ -38,7 +40,8 @@ impl Design {
         }
     }
 
-    /// The place of point `index` in dimension `dimension` of `dimensions`, in [0, 1); for designs that have such places.
+    /// The place of point `index` in dimension `dimension` of `dimensions`, in [0, 1); for designs that have
+    /// such places.
     pub(crate) fn unit(self, index: u64, (dimension, dimensions): (usize, usize), of: Sampling) -> f64 {
         match self {
             Design::Random => of.number(index, dimension),
@@ -83,8 +86,9 @@ impl Sampling {
     }
 }
 
-/// A permutation of 0 to `count` - 1, a function of `key`: a Feistel network on the next power of four, walked until the result is among
-/// them (Black and Rogaway 2002, "Ciphers with arbitrary finite domains", cycle walking).
+/// A permutation of 0 to `count` - 1, a function of `key`: a Feistel network on the next power of four,
+/// walked until the result is among them (Black and Rogaway 2002, "Ciphers with arbitrary finite domains",
+/// cycle walking).
 fn permuted(index: u64, count: u64, key: u64) -> u64 {
     let half_bits = (64 - count.saturating_sub(1).leading_zeros()).div_ceil(2).max(1);
     let mask = (1_u64 << half_bits) - 1;

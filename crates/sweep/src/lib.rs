@@ -1,10 +1,12 @@
 //! Parameter sweeps: which scenes to run, and what their results say about the parameters.
 //!
-//! A [`Study`] is a file of TOML: a scene, the parameters to vary, and a design. [`Study::point`] gives the settings of its run number i;
-//! [`indices`] and [`spearman`] say afterwards which parameters a result depends on.
+//! A [`Study`] is a file of TOML: a scene, the parameters to vary, and a design. [`Study::point`] gives the
+//! settings of its run number i; [`indices`] and [`spearman`] say afterwards which parameters a result
+//! depends on.
 //!
-//! **Boundary:** text and numbers in, values out: it opens no file and runs nothing; `trabecula sweep` does (`src/sweep/`).
-//! **Invariant:** point i is a function of the study's text and of i alone, so points can be made anywhere and in any order.
+//! **Boundary:** text and numbers in, values out: it opens no file and runs nothing; `trabecula sweep` does
+//! (`src/sweep/`). **Invariant:** point i is a function of the study's text and of i alone, so points can be
+//! made anywhere and in any order.
 //!
 //! ```
 //! let text = r#"

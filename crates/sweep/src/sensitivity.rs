@@ -5,11 +5,13 @@ use xxhash_rust::xxh3::xxh3_64;
 /// How much of a result's variance a parameter explains.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Index {
-    /// First-order index: the parameter alone. Saltelli et al. 2010 (doi 10.1016/j.cpc.2009.09.018), table 2, estimator (b).
+    /// First-order index: the parameter alone. Saltelli et al. 2010 (doi 10.1016/j.cpc.2009.09.018), table 2,
+    /// estimator (b).
     pub first_order: f64,
     /// Half of its 95 % interval.
     pub first_order_interval: f64,
-    /// Total index: the parameter and all that it does together with others. Jansen 1999, estimator (f) of the same table.
+    /// Total index: the parameter and all that it does together with others. Jansen 1999, estimator (f) of
+    /// the same table.
     pub total: f64,
     /// Half of its 95 % interval.
     pub total_interval: f64,
@@ -18,9 +20,10 @@ pub struct Index {
 /// Resamples behind an interval.
 const RESAMPLES: u64 = 200;
 
-/// The Sobol indices of each of `dimensions` parameters from the results of a Saltelli design, in the order of its points; `None` is a run
-/// without that result. Also returns the number of samples that were left out because one of their runs has none. Intervals are 1.96
-/// standard deviations over 200 resamples with a fixed seed.
+/// The Sobol indices of each of `dimensions` parameters from the results of a Saltelli design, in the order
+/// of its points; `None` is a run without that result. Also returns the number of samples that were left out
+/// because one of their runs has none. Intervals are 1.96 standard deviations over 200 resamples with a fixed
+/// seed.
 ///
 /// `None` if fewer than two samples are left or the result never changes.
 pub fn indices(results: &[Option<f64>], dimensions: usize) -> Option<(Vec<Index>, usize)> {
@@ -86,8 +89,8 @@ fn deviation(numbers: impl Iterator<Item = f64> + Clone) -> f64 {
     (numbers.map(|x| (x - mean) * (x - mean)).sum::<f64>() / count).sqrt()
 }
 
-/// Spearman's rank correlation: Pearson's of the ranks, equal numbers sharing their mean rank. `None` with fewer than three pairs or where
-/// one side never changes.
+/// Spearman's rank correlation: Pearson's of the ranks, equal numbers sharing their mean rank. `None` with
+/// fewer than three pairs or where one side never changes.
 pub fn spearman(pairs: &[(f64, f64)]) -> Option<f64> {
     if pairs.len() < 3 {
         return None;

@@ -1,4 +1,5 @@
-//! Points from a CSV file: the first line names the keys, each further line holds the values of a point, as in TOML.
+//! Points from a CSV file: the first line names the keys, each further line holds the values of a point, as
+//! in TOML.
 
 use std::path::Path;
 

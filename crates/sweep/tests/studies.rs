@@ -36,7 +36,8 @@ proptest! {
         }
     }
 
-    /// Any 2^k consecutive points of a Sobol sequence from a multiple of 2^k on have one in each of 2^k parts.
+    /// Any 2^k consecutive points of a Sobol sequence from a multiple of 2^k on have one in each of 2^k
+    /// parts.
     #[test]
     fn a_sobol_sequence_is_even_at_every_power_of_two(k in 1_u32..9, seed in 0_u64..(1 << 62)) {
         let n = 1_u64 << k;
@@ -55,7 +56,8 @@ proptest! {
     }
 }
 
-/// Points are a function of text and number alone: these numbers stay, whatever machine or version makes them.
+/// Points are a function of text and number alone: these numbers stay, whatever machine or version makes
+/// them.
 #[test]
 fn the_points_of_a_study_never_change() {
     let found: Vec<String> = ["random", "latin_hypercube", "sobol", "saltelli"]
@@ -216,7 +218,8 @@ fn samples_with_a_failed_run_are_left_out() {
     assert!(indices(&[None; 15], 3).is_none());
 }
 
-/// The estimators and the order of a Saltelli design are SALib's (PyPI), which analyses our points as its own.
+/// The estimators and the order of a Saltelli design are SALib's (PyPI), which analyses our points as its
+/// own.
 #[test]
 fn salib_finds_the_same_indices_in_our_points() {
     let study = of_ranges("saltelli", 256, 7, 3);

@@ -1,4 +1,5 @@
-//! The board between the sources and the clients' connections. No source ever blocks here: it hands its message over and continues.
+//! The board between the sources and the clients' connections. No source ever blocks here: it hands its
+//! message over and continues.
 
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -65,7 +66,8 @@ pub struct Board {
     time_ns: AtomicU64,
     /// Number of the next notice.
     notices: AtomicU32,
-    /// Attributes late ticks. Kept across ticks, because stolen time is checked against the machine's counter over all of them.
+    /// Attributes late ticks. Kept across ticks, because stolen time is checked against the machine's counter
+    /// over all of them.
     misses: Mutex<Misses>,
     /// Number of the next miss that is told.
     misses_told: AtomicU32,
@@ -134,7 +136,8 @@ impl Board {
         self.hand_out(NOTICE, self.time_ns(), number, value.to_string().into_bytes(), keep);
     }
 
-    /// Publishes a message and keeps it as the newest of its channel and slot. Before a late tick's timing, also publishes the cause.
+    /// Publishes a message and keeps it as the newest of its channel and slot. Before a late tick's timing,
+    /// also publishes the cause.
     pub fn publish(&self, topic: &str, time_ns: u64, slot: u32, bytes: Vec<u8>) {
         if topic == Topic::TickTiming.name()
             && let Some(miss) = self.miss_of(&bytes)

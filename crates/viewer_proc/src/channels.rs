@@ -12,7 +12,8 @@ use crate::protocol::Advertisement;
 pub const INFO: &str = "/view/info";
 /// The bone's surface, one message per block ([`crate::surface::mesh`]).
 pub const SURFACE: &str = "/view/surface";
-/// The arm's links that have a mesh, one message per link, in the frame that it moves with ([`crate::surface::mesh`]).
+/// The arm's links that have a mesh, one message per link, in the frame that it moves with
+/// ([`crate::surface::mesh`]).
 pub const ARM: &str = "/view/arm";
 /// The connected parts and their rates (JSON).
 pub const PARTS: &str = "/view/parts";
@@ -20,9 +21,11 @@ pub const PARTS: &str = "/view/parts";
 pub const PLAYBACK: &str = "/view/playback";
 /// The speed limit of a running session, or none (JSON; live only).
 pub const PACE: &str = "/view/pace";
-/// The state at the position on the time line, which a slow client gets less often but never late (logs only).
+/// The state at the position on the time line, which a slow client gets less often but never late (logs
+/// only).
 pub const VIEW_STATE: &str = "/view/state";
-/// The state of the tick at which the frame that is shown was taken, so that the tool can be drawn over it (logs only).
+/// The state of the tick at which the frame that is shown was taken, so that the tool can be drawn over it
+/// (logs only).
 pub const FRAME_STATE: &str = "/view/frame_state";
 /// Notices for the user (JSON).
 pub const NOTICE: &str = "/view/notice";
@@ -33,7 +36,8 @@ pub const MISS: &str = "/view/miss";
 /// The tool and its contacts for the 3D panel of Lichtblick and Foxglove (`foxglove.SceneUpdate`, JSON).
 pub const SCENE: &str = "/view/scene";
 
-/// A complete frame that a viewer client requested: `Frame` and its image. Scheduled frames do not replace it (live only).
+/// A complete frame that a viewer client requested: `Frame` and its image. Scheduled frames do not replace it
+/// (live only).
 pub const ASKED_FRAME: &str = "/view/asked_frame";
 
 /// Prefix of a second log's topics.
@@ -62,7 +66,8 @@ struct Schema<'a> {
 }
 
 impl Channels {
-    /// All channels, including one command channel per controller, and that of readings if the scene has sensors.
+    /// All channels, including one command channel per controller, and that of readings if the scene has
+    /// sensors.
     pub fn new(controllers: &[String], sensors: &[Sensor]) -> Channels {
         let mut channels = Channels::default();
         for topic in RUN_TOPICS {
@@ -102,8 +107,8 @@ impl Channels {
         channels
     }
 
-    /// Adds the channels that only logs have: [`VIEW_STATE`], [`FRAME_STATE`], and those of a second log, shown beside the first under
-    /// the prefix [`SECOND`].
+    /// Adds the channels that only logs have: [`VIEW_STATE`], [`FRAME_STATE`], and those of a second log,
+    /// shown beside the first under the prefix [`SECOND`].
     pub fn add_log(&mut self, has_second: bool) {
         self.logged(VIEW_STATE, Topic::State.description(), Policy::Newest);
         self.logged(FRAME_STATE, Topic::State.description(), Policy::Newest);

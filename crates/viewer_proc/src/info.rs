@@ -28,8 +28,8 @@ pub struct ToolShape {
     pub cutter: Cutter,
     /// What joins the tool to the arm.
     pub holder: Holder,
-    /// Parts of the arm between its joints: frame i + 1 in frame i while joint i + 1 is at zero; it turns about z of frame i, and the last
-    /// frame is the flange. `None`: there is no arm with joints.
+    /// Parts of the arm between its joints: frame i + 1 in frame i while joint i + 1 is at zero; it turns
+    /// about z of frame i, and the last frame is the flange. `None`: there is no arm with joints.
     pub arm_parts: Option<Vec<Pose>>,
 }
 

@@ -1,10 +1,11 @@
 //! The viewer: a page in the browser and the Foxglove WebSocket protocol, for a running session or for logs.
 //!
-//! Started only on request. It reads a session as any client does and never holds it up: it takes what has arrived and drops what its own
-//! clients do not read in time.
+//! Started only on request. It reads a session as any client does and never holds it up: it takes what has
+//! arrived and drops what its own clients do not read in time.
 //!
-//! **Boundary:** the only async runtime; no vendor's code, no request to anything but its own server. **Invariants:** each client's queue
-//! is bounded; a client without the token reads and changes nothing.
+//! **Boundary:** the only async runtime; no vendor's code, no request to anything but its own server.
+//! **Invariants:** each client's queue is bounded; a client without the token reads and changes
+//! nothing.
 //!
 //! ```
 //! use viewer_proc::surface::{Field, Voxel};

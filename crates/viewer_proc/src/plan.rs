@@ -1,8 +1,8 @@
-//! A scene before its run: its first state, its bone with the pilot holes, slices, what was measured of its plan, and its places, which can
-//! be moved, saved as another scene, and run.
+//! A scene before its run: its first state, its bone with the pilot holes, slices, what was measured of its
+//! plan, and its places, which can be moved, saved as another scene, and run.
 //!
-//! What a moved place means, how a scene is written and how one is run, a [`Planner`] knows. It works on a thread of its own, so that slices
-//! come meanwhile.
+//! What a moved place means, how a scene is written and how one is run, a [`Planner`] knows. It works on a
+//! thread of its own, so that slices come meanwhile.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -89,7 +89,8 @@ pub trait Planner: Send {
     /// It was changed since, a run is under way, or the program cannot be started.
     fn run(&mut self) -> Result<(), String>;
 
-    /// Folder of the session of a run that was started, once it can be joined, or why there is none; `None`: nothing new.
+    /// Folder of the session of a run that was started, once it can be joined, or why there is none; `None`:
+    /// nothing new.
     fn session(&mut self) -> Option<Result<PathBuf, String>>;
 }
 
@@ -100,7 +101,8 @@ enum News {
     NoRun(String),
 }
 
-/// Shows the scene of a file until the process is asked to end, or a run of it has begun: then returns that run's session.
+/// Shows the scene of a file until the process is asked to end, or a run of it has begun: then returns that
+/// run's session.
 ///
 /// # Errors
 /// The server cannot be started.

@@ -1,6 +1,7 @@
 //! The Foxglove WebSocket protocol: text messages, binary messages and their numbers.
 //!
-//! Source: the protocol's specification, `foxglove.websocket.v1` and its successor `foxglove.sdk.v1`, which agree on everything used here.
+//! Source: the protocol's specification, `foxglove.websocket.v1` and its successor `foxglove.sdk.v1`, which
+//! agree on everything used here.
 
 use serde::{Deserialize, Serialize};
 

@@ -84,8 +84,8 @@ impl Slice {
         (self.pixels[0] * self.pixels[1]) as u64
     }
 
-    /// The slice through a volume, little-endian: magic, version, columns, rows (u32), number of drilled voxels (u64), and row by row the
-    /// Hounsfield units (i16), [`OUTSIDE`] or [`DRILLED`].
+    /// The slice through a volume, little-endian: magic, version, columns, rows (u32), number of drilled
+    /// voxels (u64), and row by row the Hounsfield units (i16), [`OUTSIDE`] or [`DRILLED`].
     pub fn bytes(&self, field: &Field, hu: &[i16]) -> Vec<u8> {
         let [columns, rows] = self.pixels;
         let mut bytes = Vec::with_capacity(24 + 2 * columns * rows);
@@ -223,7 +223,8 @@ mod tests {
         }
     }
 
-    /// A grid turned by 36.87 degrees about z, whose Hounsfield units say how far a voxel lies along the patient's x.
+    /// A grid turned by 36.87 degrees about z, whose Hounsfield units say how far a voxel lies along the
+    /// patient's x.
     #[test]
     fn an_oblique_volume_is_sliced_in_the_patient_frame_and_drilled_voxels_show() {
         let axes = [[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]];

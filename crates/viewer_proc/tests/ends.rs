@@ -1,5 +1,5 @@
-//! How the viewer takes the end of a session that it did not hear: a short run may be over before the viewer listens, and another program
-//! may clear away what a killed host left. Then only the log knows.
+//! How the viewer takes the end of a session that it did not hear: a short run may be over before the viewer
+//! listens, and another program may clear away what a killed host left. Then only the log knows.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test")]
 
 use std::collections::BTreeMap;

@@ -1,7 +1,8 @@
-//! Voxels in several data files, as NRRD and MetaImage headers name them: a list of names, or a pattern such as `slice%03d.raw 1 40 1`.
+//! Voxels in several data files, as NRRD and MetaImage headers name them: a list of names, or a pattern such
+//! as `slice%03d.raw 1 40 1`.
 //!
-//! Sources: "Definition of NRRD File Format", section "Detached headers"; MetaIO documentation, "ElementDataFile". In both, each file holds
-//! an equal part of the voxels, in order along the slowest axis.
+//! Sources: "Definition of NRRD File Format", section "Detached headers"; MetaIO documentation,
+//! "ElementDataFile". In both, each file holds an equal part of the voxels, in order along the slowest axis.
 
 use crate::error::VolumeError;
 use crate::input::{self, DataFiles};
@@ -15,7 +16,8 @@ pub(crate) struct DataFile {
     pub start: u64,
 }
 
-/// The data files that a header names in `field` by `value`: one, those of a pattern, or those of the lines behind `LIST`.
+/// The data files that a header names in `field` by `value`: one, those of a pattern, or those of the lines
+/// behind `LIST`.
 pub(crate) fn named(
     header: &Path,
     (field, value): (&str, &str),

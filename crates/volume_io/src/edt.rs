@@ -1,11 +1,13 @@
 //! The exact Euclidean distance transform, separable, with a spacing along each axis.
 //!
-//! Felzenszwalb and Huttenlocher 2012, "Distance Transforms of Sampled Functions", Theory of Computing 8:415, algorithm 1: along each
-//! axis in turn, the lower envelope of parabolas; O(n) for n voxels.
+//! Felzenszwalb and Huttenlocher 2012, "Distance Transforms of Sampled Functions", Theory of Computing 8:415,
+//! algorithm 1: along each axis in turn, the lower envelope of parabolas; O(n) for n voxels.
 
-/// Squared distance, m², from each voxel centre to the nearest voxel centre of `sites`; infinite if there is no site.
+/// Squared distance, m², from each voxel centre to the nearest voxel centre of `sites`; infinite if there is
+/// no site.
 ///
-/// `sites` and the result have dimensions `dims`, i fastest. Stored as f32, computed in f64: exact to a relative 6e-8.
+/// `sites` and the result have dimensions `dims`, i fastest. Stored as f32, computed in f64: exact to a
+/// relative 6e-8.
 pub fn squared_distance_m2(dims: [usize; 3], spacing_m: [f64; 3], sites: &[bool]) -> Vec<f32> {
     let mut field: Vec<f32> = sites.iter().map(|site| if *site { 0.0 } else { f32::INFINITY }).collect();
     let longest = dims.into_iter().max().unwrap_or(0);

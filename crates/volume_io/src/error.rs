@@ -1,5 +1,5 @@
-//! The one error type of this crate. Each variant is one cause, and says which file and field, what was given, what was expected, and what
-//! to do.
+//! The one error type of this crate. Each variant is one cause, and says which file and field, what was
+//! given, what was expected, and what to do.
 
 use foreign_text::{foreign, foreign_path};
 use std::fmt;
@@ -106,7 +106,8 @@ pub enum VolumeError {
         /// The decoder's message.
         reason: String,
     },
-    /// A header names a data file outside its own folder. Refused, because it could turn any of the user's files into a picture.
+    /// A header names a data file outside its own folder. Refused, because it could turn any of the user's
+    /// files into a picture.
     #[error(
         "{0}, which leads out of the header's folder; expected a file in it; move it there, or allow it (`--allow-elsewhere`)"
     )]
@@ -140,7 +141,8 @@ pub enum VolumeError {
     /// The axes do not span space, or are not finite.
     #[error("{0}; expected three linearly independent, finite axis directions")]
     SingularDirection(Field),
-    /// The axes are not at right angles: a sheared affine, or a CT taken with a tilted gantry. With the tolerance, a cosine.
+    /// The axes are not at right angles: a sheared affine, or a CT taken with a tilted gantry. With the
+    /// tolerance, a cosine.
     #[error(
         "{0}; expected axes at right angles within {1}; resample a tilted gantry's slices (`--rectify`, in a scene `volume.resample = \
          \"rectify\"`), a sheared volume before"

@@ -3,7 +3,8 @@
 use flate2::bufread::GzDecoder;
 use std::io::{self, BufRead, Read};
 
-/// Decodes every member of a gzip stream. Zero bytes behind the last member are padding, as for `gzip(1)`; anything else there is an error.
+/// Decodes every member of a gzip stream. Zero bytes behind the last member are padding, as for `gzip(1)`;
+/// anything else there is an error.
 pub(crate) struct GzipMembers<R> {
     state: State<R>,
 }

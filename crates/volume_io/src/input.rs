@@ -28,8 +28,9 @@ impl Codec {
         }
     }
 
-    /// Upper bound of what `compressed` bytes decode to. Deflate cannot exceed 1032:1 (zlib technical notes). bzip2 has no useful bound (45
-    /// MB in 45 bytes), so this limit is ours: a hundred times what a mask reaches, and any small volume.
+    /// Upper bound of what `compressed` bytes decode to. Deflate cannot exceed 1032:1 (zlib technical notes).
+    /// bzip2 has no useful bound (45 MB in 45 bytes), so this limit is ours: a hundred times what a mask
+    /// reaches, and any small volume.
     fn most_bytes(self, compressed: u64) -> u64 {
         match self {
             Codec::Raw => compressed,
@@ -122,7 +123,8 @@ impl<R: BufRead> Read for HexDigits<R> {
     }
 }
 
-/// Fails before any allocation if a stream of at most `most_bytes` cannot hold `needed_bytes`; for bzip2 by our own limit.
+/// Fails before any allocation if a stream of at most `most_bytes` cannot hold `needed_bytes`; for bzip2 by
+/// our own limit.
 pub(crate) fn check_length(path: &Path, most_bytes: u64, needed_bytes: u64) -> Result<(), VolumeError> {
     if most_bytes >= needed_bytes {
         return Ok(());
@@ -130,7 +132,8 @@ pub(crate) fn check_length(path: &Path, most_bytes: u64, needed_bytes: u64) -> R
     Err(VolumeError::truncated(path, "voxel data", [most_bytes, needed_bytes]))
 }
 
-/// Fills `buffer` until the stream ends; returns the bytes read. A stream cut in the middle counts as ended there.
+/// Fills `buffer` until the stream ends; returns the bytes read. A stream cut in the middle counts as ended
+/// there.
 pub(crate) fn read_full(
     path: &Path,
     codec: &'static str,
@@ -171,10 +174,12 @@ pub(crate) fn skip(
     Ok(())
 }
 
-/// Checks what follows the voxels of a stream, which end at byte `needed` by the header's `field`; the stream holds at most `most` bytes.
+/// Checks what follows the voxels of a stream, which end at byte `needed` by the header's `field`; the stream
+/// holds at most `most` bytes.
 ///
-/// Extra compressed bytes mean that the header is wrong, and every voxel with it. After raw voxels other programs leave padding and
-/// trailers; ITK and nibabel read the voxels and ignore the rest, and so does this reader, with a note.
+/// Extra compressed bytes mean that the header is wrong, and every voxel with it. After raw voxels other
+/// programs leave padding and trailers; ITK and nibabel read the voxels and ignore the rest, and so does this
+/// reader, with a note.
 pub(crate) fn check_end(
     path: &Path,
     codec: Codec,

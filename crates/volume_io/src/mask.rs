@@ -7,8 +7,8 @@ use voxel_grid::Volume;
 
 /// How to fill a solid 0/1 mask. The result is synthetic: only the outline comes from the patient.
 ///
-/// The defaults are typical of a proximal femur: cortex and cancellous bone at the Hounsfield units that rho [kg/m³] = 131 + 1.067 HU (Rho
-/// et al. 1995, Med Eng Phys 17:347) gives for 1.73 and 0.5 to 0.2 g/cm³.
+/// The defaults are typical of a proximal femur: cortex and cancellous bone at the Hounsfield units that rho
+/// [kg/m³] = 131 + 1.067 HU (Rho et al. 1995, Med Eng Phys 17:347) gives for 1.73 and 0.5 to 0.2 g/cm³.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MaskModel {
     /// Thickness of the cortical shell under the surface, metres.
@@ -47,13 +47,16 @@ impl Default for MaskModel {
     }
 }
 
-/// Replaces a 0/1 mask by synthetic Hounsfield units: cortical shell, cancellous bone graded with depth, marrow core, soft tissue, air.
+/// Replaces a 0/1 mask by synthetic Hounsfield units: cortical shell, cancellous bone graded with depth,
+/// marrow core, soft tissue, air.
 ///
-/// Depth is the exact Euclidean distance from the voxel centre to the nearest centre outside, minus half the smallest spacing (the surface
-/// lies between the two). If the mask reaches the edge of the volume, the bone counts as cut there: that face gets no shell.
+/// Depth is the exact Euclidean distance from the voxel centre to the nearest centre outside, minus half the
+/// smallest spacing (the surface lies between the two). If the mask reaches the edge of the volume, the bone
+/// counts as cut there: that face gets no shell.
 ///
 /// # Errors
-/// [`VolumeError::Argument`] if the volume is not a mask (0 and one other value, both present) or the model has a negative thickness.
+/// [`VolumeError::Argument`] if the volume is not a mask (0 and one other value, both present) or the model
+/// has a negative thickness.
 pub fn mask_to_hu(volume: &mut Volume, model: &MaskModel) -> Result<(), VolumeError> {
     check_model(model)?;
     let label = mask_label(volume)?;
@@ -85,7 +88,8 @@ pub fn mask_to_hu(volume: &mut Volume, model: &MaskModel) -> Result<(), VolumeEr
 /// Turns the voxels of one label into 1, all others into 0.
 ///
 /// # Errors
-/// [`VolumeError::NoSuchLabel`] if no voxel has it; [`VolumeError::Argument`] if there are negative values, which no label is.
+/// [`VolumeError::NoSuchLabel`] if no voxel has it; [`VolumeError::Argument`] if there are negative values,
+/// which no label is.
 pub(crate) fn keep_label(path: &Path, values: &mut [i16], label: i16) -> Result<(), VolumeError> {
     if let Some(negative) = values.iter().find(|value| **value < 0) {
         return Err(VolumeError::argument(

@@ -1,7 +1,7 @@
 //! MetaImage files: .mha, and .mhd with a data file; raw, zlib-compressed or text.
 //!
-//! Source: MetaIO documentation (itk.org/Wiki/MetaIO/Documentation) and ITK's `MetaImageIO`: world LPS, rows of `TransformMatrix` are
-//! the directions of the axes. No well-kept crate reads this format.
+//! Source: MetaIO documentation (itk.org/Wiki/MetaIO/Documentation) and ITK's `MetaImageIO`: world LPS, rows
+//! of `TransformMatrix` are the directions of the axes. No well-kept crate reads this format.
 
 use crate::data_files::{DataFile, is_list, named, read_each};
 use crate::error::{Field, VolumeError};
@@ -238,7 +238,8 @@ impl<'a> Header<'a> {
         numbers::<3>(self.path, field, text)
     }
 
-    /// Refused because readers disagree: some apply the intensity function, others ignore it (ITK does), so no value can be trusted.
+    /// Refused because readers disagree: some apply the intensity function, others ignore it (ITK does), so
+    /// no value can be trusted.
     fn refuse_intensity_function(&self) -> Result<(), VolumeError> {
         for (name, neutral) in
             [("ElementToIntensityFunctionSlope", 1.0), ("ElementToIntensityFunctionOffset", 0.0)]

@@ -1,7 +1,8 @@
 //! The NIfTI-1 and NIfTI-2 headers: fields, checks and the affine.
 //!
-//! Sources: nifti1.h and nifti2.h (NIfTI DFWG, 2003 and 2011). Parsed here because the `nifti` crate does not read NIfTI-2 and because
-//! every field must be checked before any data is read; the tests compare the result with the `nifti` crate.
+//! Sources: nifti1.h and nifti2.h (NIfTI DFWG, 2003 and 2011). Parsed here because the `nifti` crate does not
+//! read NIfTI-2 and because every field must be checked before any data is read; the tests compare the result
+//! with the `nifti` crate.
 
 use crate::error::{Field, VolumeError};
 use crate::scalar::{Endian, Layout, Scalar, Scale};
@@ -266,7 +267,8 @@ fn unit(path: &Path, xyzt_units: i64) -> Result<(f64, &'static str), VolumeError
     }
 }
 
-/// The voxel-to-RAS affine: sform if its code is set, else qform, else voxel sizes alone (nifti1.h methods 3, 2 and 1).
+/// The voxel-to-RAS affine: sform if its code is set, else qform, else voxel sizes alone (nifti1.h methods 3,
+/// 2 and 1).
 fn affine(raw: &RawHeader, notes: &mut Vec<String>) -> [[f64; 4]; 3] {
     let quaternion = (raw.qform_code > 0).then(|| quaternion_affine(raw));
     if raw.sform_code > 0 {
@@ -290,11 +292,13 @@ fn affine(raw: &RawHeader, notes: &mut Vec<String>) -> [[f64; 4]; 3] {
     [[size[1], 0.0, 0.0, 0.0], [0.0, size[2], 0.0, 0.0], [0.0, 0.0, size[3], 0.0]]
 }
 
-/// nifti1.h method 2: rotation from the quaternion (b, c, d), voxel sizes, and the handedness `qfac` in pixdim[0].
+/// nifti1.h method 2: rotation from the quaternion (b, c, d), voxel sizes, and the handedness `qfac` in
+/// pixdim[0].
 fn quaternion_affine(raw: &RawHeader) -> [[f64; 4]; 3] {
     let [b, c, d] = raw.quatern;
     let square = b * b + c * c + d * d;
-    // Rounding to f32 can push the norm above 1; then a is 0 and the rest is normalised (nifti_quatern_to_mat44).
+    // Rounding to f32 can push the norm above 1; then a is 0 and the rest is normalised
+    // (nifti_quatern_to_mat44).
     let (a, b, c, d) = if square > 1.0 - 1e-7 {
         let scale = 1.0 / square.sqrt();
         (0.0, b * scale, c * scale, d * scale)

@@ -19,12 +19,13 @@ const HEADER_BYTES: usize = 352;
 
 /// Writes `volume` to `path` as one NIfTI-1 file, gzip-compressed if the name ends in `.gz`.
 ///
-/// Voxels and sizes survive a round trip exactly. The format holds its geometry in single precision: places are right to a ten-millionth of
-/// their distance from the origin, 0.03 µm at 300 mm.
+/// Voxels and sizes survive a round trip exactly. The format holds its geometry in single precision: places
+/// are right to a ten-millionth of their distance from the origin, 0.03 µm at 300 mm.
 ///
 /// # Errors
-/// [`VolumeError::Output`] if the file exists or cannot be written, in which case nothing is left of it; [`VolumeError::Unsupported`] for
-/// more than 32767 voxels along an axis; [`VolumeError::Header`] for more or fewer voxels than the grid has.
+/// [`VolumeError::Output`] if the file exists or cannot be written, in which case nothing is left of it;
+/// [`VolumeError::Unsupported`] for more than 32767 voxels along an axis; [`VolumeError::Header`] for more or
+/// fewer voxels than the grid has.
 pub fn write_nifti(path: impl AsRef<Path>, volume: &Volume) -> Result<(), VolumeError> {
     let path = path.as_ref();
     check_length(path, volume)?;

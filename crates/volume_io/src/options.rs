@@ -9,7 +9,8 @@ use std::path::Path;
 pub struct ReadOptions {
     /// Where a header's data files and a folder's links may lie.
     pub data_files: DataFiles,
-    /// The SeriesInstanceUID (0020,000e) to read from a DICOM folder that holds several; files of another format have none.
+    /// The SeriesInstanceUID (0020,000e) to read from a DICOM folder that holds several; files of another
+    /// format have none.
     pub series: Option<String>,
     /// What becomes of slices that are unevenly spaced or stacked askew.
     pub slices: Slices,
@@ -32,7 +33,8 @@ impl ReadOptions {
     }
 }
 
-/// What becomes of slices that lie on no rectangular grid: unevenly spaced, or stacked at an angle (a tilted gantry).
+/// What becomes of slices that lie on no rectangular grid: unevenly spaced, or stacked at an angle (a tilted
+/// gantry).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Slices {
     /// Refused, with where they lie.

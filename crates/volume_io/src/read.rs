@@ -1,4 +1,5 @@
-//! Reads a volume of any supported format. The content decides the format; the name only where the content cannot.
+//! Reads a volume of any supported format. The content decides the format; the name only where the content
+//! cannot.
 
 use crate::error::VolumeError;
 use crate::input::{self, Codec, lower_name};
@@ -18,14 +19,16 @@ pub fn read(path: impl AsRef<Path>) -> Result<Volume, VolumeError> {
 
 /// Reads a CT volume and reports what was found and what was assumed.
 ///
-/// Reads NIfTI-1/2 (.nii, .hdr/.img, plain or gzip), NRRD (attached or detached, one data file or several; raw, gzip, bzip2, hex, text),
-/// MetaImage (.mha, .mhd; raw, zlib, text) and DICOM CT (a folder, or any one file of a series; classic and enhanced; uncompressed,
-/// deflated, RLE, JPEG, JPEG-LS, JPEG 2000). Geometry is converted to LPS and metres; voxels stay in their order. Slope and intercept are
-/// applied; fractions are rounded (halves away from zero) and values beyond `i16` clamped, both counted in the notes. A file
-/// without units is read as millimetres.
+/// Reads NIfTI-1/2 (.nii, .hdr/.img, plain or gzip), NRRD (attached or detached, one data file or several;
+/// raw, gzip, bzip2, hex, text), MetaImage (.mha, .mhd; raw, zlib, text) and DICOM CT (a folder, or any one
+/// file of a series; classic and enhanced; uncompressed, deflated, RLE, JPEG, JPEG-LS, JPEG 2000). Geometry
+/// is converted to LPS and metres; voxels stay in their order. Slope and intercept are applied; fractions are
+/// rounded (halves away from zero) and values beyond `i16` clamped, both counted in the notes. A file without
+/// units is read as millimetres.
 ///
 /// # Errors
-/// Every cause is a variant of [`VolumeError`], and names the file, the field, the value found and what is expected.
+/// Every cause is a variant of [`VolumeError`], and names the file, the field, the value found and what is
+/// expected.
 pub fn read_with_info(path: impl AsRef<Path>) -> Result<(Volume, VolumeInfo), VolumeError> {
     read_as(path, &ReadOptions::default())
 }
@@ -83,7 +86,8 @@ pub fn read_as(path: impl AsRef<Path>, options: &ReadOptions) -> Result<(Volume,
     Err(refused(path, format!("a file that starts with {:02x?}", head.get(..8).unwrap_or(&head))))
 }
 
-/// A volume of a format without series and without loose slices, with a note of the choices that are for DICOM alone.
+/// A volume of a format without series and without loose slices, with a note of the choices that are for
+/// DICOM alone.
 fn on_a_grid(
     read: Result<(Volume, VolumeInfo), VolumeError>,
     options: &ReadOptions,

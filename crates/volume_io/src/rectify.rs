@@ -1,4 +1,5 @@
-//! Slices that lie on no rectangular grid (unevenly spaced, or stacked askew by a tilted gantry), resampled to one.
+//! Slices that lie on no rectangular grid (unevenly spaced, or stacked askew by a tilted gantry), resampled
+//! to one.
 
 use crate::error::VolumeError;
 use crate::volume::voxel_count;
@@ -15,7 +16,8 @@ pub(crate) struct Slices<'a> {
     pub rows: usize,
     /// Distance between columns, between rows.
     pub spacing_m: [f64; 2],
-    /// Where each slice's first voxel lies: along the row direction, along the column direction, along the normal.
+    /// Where each slice's first voxel lies: along the row direction, along the column direction, along the
+    /// normal.
     pub places_m: &'a [[f64; 3]],
     pub hu: &'a [i16],
 }
@@ -31,12 +33,12 @@ pub(crate) struct Rectified {
     pub note: String,
 }
 
-/// Resamples by linear interpolation within and between slices, to the smallest distance between two of them, or a little less so that the
-/// first and the last lie on the grid.
+/// Resamples by linear interpolation within and between slices, to the smallest distance between two of them,
+/// or a little less so that the first and the last lie on the grid.
 ///
-/// The error that the note states: each slice but the first and last is predicted from its two neighbours the same way, and the
-/// differences' root mean square taken. The neighbours lie twice as far apart as those of any voxel of the result, so it errs by less where
-/// the tissue is smooth.
+/// The error that the note states: each slice but the first and last is predicted from its two neighbours the
+/// same way, and the differences' root mean square taken. The neighbours lie twice as far apart as those of
+/// any voxel of the result, so it errs by less where the tissue is smooth.
 ///
 /// # Errors
 /// [`VolumeError::TooLarge`].
@@ -137,7 +139,8 @@ impl Slices<'_> {
     }
 }
 
-/// The voxel below a place along an axis and the part of the way to the next; `None` outside of the outermost centres.
+/// The voxel below a place along an axis and the part of the way to the next; `None` outside of the outermost
+/// centres.
 fn cell(place: f64, voxels: usize) -> Option<(usize, f64)> {
     let last = (voxels - 1) as f64;
     if !(-SAME_PLACE..=last + SAME_PLACE).contains(&place) {
@@ -148,7 +151,8 @@ fn cell(place: f64, voxels: usize) -> Option<(usize, f64)> {
     Some((low as usize, place - low))
 }
 
-/// Root mean square of what each inner slice differs from the interpolation of its neighbours; `None` without an inner slice.
+/// Root mean square of what each inner slice differs from the interpolation of its neighbours; `None` without
+/// an inner slice.
 fn predicted_error_hu(slices: &Slices<'_>) -> Option<f64> {
     let (mut sum, mut count) = (0.0, 0_u64);
     for slice in 1..slices.places_m.len().saturating_sub(1) {

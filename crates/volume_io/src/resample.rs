@@ -3,11 +3,13 @@
 use crate::error::VolumeError;
 use voxel_grid::{MAX_VOXELS, Volume, VoxelGrid};
 
-/// Resamples to cubic voxels of `spacing_m` by trilinear interpolation between voxel centres. Keeps axes and outer extent; values at the
-/// rim are those of the outermost centres. Resample a binary mask after [`mask_to_hu`](crate::mask_to_hu).
+/// Resamples to cubic voxels of `spacing_m` by trilinear interpolation between voxel centres. Keeps axes and
+/// outer extent; values at the rim are those of the outermost centres. Resample a binary mask after
+/// [`mask_to_hu`](crate::mask_to_hu).
 ///
 /// # Errors
-/// [`VolumeError::Argument`] if the spacing is not a positive length, or the result would have more than [`MAX_VOXELS`].
+/// [`VolumeError::Argument`] if the spacing is not a positive length, or the result would have more than
+/// [`MAX_VOXELS`].
 pub fn resample(volume: &Volume, spacing_m: f64) -> Result<Volume, VolumeError> {
     let (old_dims, old_m) = (volume.grid.dims(), volume.grid.spacing_m());
     let refuse = |given: String, expected: &str| VolumeError::argument("spacing_m", given, expected);

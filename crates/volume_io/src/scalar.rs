@@ -188,13 +188,14 @@ pub(crate) struct Layout {
 }
 
 impl Layout {
-    /// Bytes that `count` voxels take; `count` is at most [`voxel_grid::MAX_VOXELS`], so this cannot overflow.
+    /// Bytes that `count` voxels take; `count` is at most [`voxel_grid::MAX_VOXELS`], so this cannot
+    /// overflow.
     pub fn byte_count(self, count: usize) -> u64 {
         count as u64 * self.scalar.size() as u64
     }
 
-    /// Reads `count` voxels of a data file into `sink`: those behind `skip` decoded bytes, to the end of the file. `field` is what the header
-    /// says their number with.
+    /// Reads `count` voxels of a data file into `sink`: those behind `skip` decoded bytes, to the end of the
+    /// file. `field` is what the header says their number with.
     pub fn read_file(
         self,
         (path, start, codec): (&Path, u64, Codec),
@@ -220,7 +221,8 @@ impl Layout {
         input::check_end(path, codec, reader.as_mut(), (field, needed, most), notes)
     }
 
-    /// Reads `count` voxels from a stream into `sink`; memory grows with the data that arrives, not with what a header promises.
+    /// Reads `count` voxels from a stream into `sink`; memory grows with the data that arrives, not with what
+    /// a header promises.
     pub fn read(
         self,
         path: &Path,
@@ -230,7 +232,8 @@ impl Layout {
         sink: &mut HuSink,
     ) -> Result<(), VolumeError> {
         let size = self.scalar.size();
-        // A raw file's length has been checked already; a compressed stream may still hold less than its upper bound.
+        // A raw file's length has been checked already; a compressed stream may still hold less than its
+        // upper bound.
         if codec == Codec::Raw.name() {
             sink.reserve(path, count, count)?;
         }

@@ -1,4 +1,5 @@
-//! Which files a volume is read from, without reading its voxels: for a caller that keeps decoded volumes by the content of their files.
+//! Which files a volume is read from, without reading its voxels: for a caller that keeps decoded volumes by
+//! the content of their files.
 
 use crate::error::VolumeError;
 use crate::input::{self, Codec, lower_name};
@@ -12,14 +13,16 @@ use std::path::{Path, PathBuf};
 pub struct Sources {
     /// Every file whose content the reader uses, in a fixed order.
     pub files: Vec<PathBuf>,
-    /// What else decides the volume or its notes: the names that decide the format, and how many files of a folder are left out.
+    /// What else decides the volume or its notes: the names that decide the format, and how many files of a
+    /// folder are left out.
     pub names: Vec<String>,
     /// Whether reading decodes more than plain voxels in one piece: compressed data, or a file a slice.
     pub are_encoded: bool,
 }
 
-/// The files that [`read_as`](crate::read_as) reads for `path`: together with the options they decide the volume and its notes. `None` where
-/// that shows only while reading: a header with its voxels in another file, or one DICOM file of a series.
+/// The files that [`read_as`](crate::read_as) reads for `path`: together with the options they decide the
+/// volume and its notes. `None` where that shows only while reading: a header with its voxels in another
+/// file, or one DICOM file of a series.
 ///
 /// # Errors
 /// As [`read_as`](crate::read_as), for what is wrong with a header or a folder.

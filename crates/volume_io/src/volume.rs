@@ -189,7 +189,8 @@ pub(crate) fn placement(
         // Adding zero turns −0 into +0, so that two files with the same geometry compare and print the same.
         *out = axis.map(|c| c / length + 0.0);
     }
-    // Linear dependence and shear are different errors: a volume of zero thickness cannot be resampled, a sheared one can.
+    // Linear dependence and shear are different errors: a volume of zero thickness cannot be resampled, a
+    // sheared one can.
     let triple = dot(unit[0], cross(unit[1], unit[2]));
     if !(triple.is_finite() && triple.abs() > 1e-6) {
         return Err(singular());

@@ -1,16 +1,18 @@
-//! Where the voxels of a CT lie in the world (patient frame, LPS, metres): dimensions, spacing, origin and axes.
+//! Where the voxels of a CT lie in the world (patient frame, LPS, metres): dimensions, spacing, origin and
+//! axes.
 //!
-//! A [`VoxelGrid`] is checked on creation and immutable, so a grid that one reader accepts, all accept: files (`volume_io`), the message
-//! in shared memory (`messages`), the physics (`simulation`) and the X-ray (`xray`) all use it. A [`Volume`] is the voxels on it, a [`Ct`]
-//! those with their hash.
+//! A [`VoxelGrid`] is checked on creation and immutable, so a grid that one reader accepts, all accept: files
+//! (`volume_io`), the message in shared memory (`messages`), the physics (`simulation`) and the X-ray
+//! (`xray`) all use it. A [`Volume`] is the voxels on it, a [`Ct`] those with their hash.
 //!
-//! Its axes are perpendicular to rounding. Files store them with few digits (DICOM six, NIfTI as f32), so axes within
-//! [`PERPENDICULAR_TOLERANCE`] are made perpendicular by Gram-Schmidt, which keeps the first axis and adjusts the others. This matches
-//! DICOM, where the row direction is stored and the slice direction is the normal of the image. ITK applies the same tolerance and
-//! correction to NIfTI files. Axes further off are sheared and refused: only resampling could put the voxels where the file says.
+//! Its axes are perpendicular to rounding. Files store them with few digits (DICOM six, NIfTI as f32), so
+//! axes within [`PERPENDICULAR_TOLERANCE`] are made perpendicular by Gram-Schmidt, which keeps the first axis
+//! and adjusts the others. This matches DICOM, where the row direction is stored and the slice direction is
+//! the normal of the image. ITK applies the same tolerance and correction to NIfTI files. Axes further off
+//! are sheared and refused: only resampling could put the voxels where the file says.
 //!
-//! [`sample`] reads Hounsfield units between voxel centres, [`mod@slice`] is a plane through them as pixels, [`density`] the bone
-//! density that they stand for.
+//! [`sample`] reads Hounsfield units between voxel centres, [`mod@slice`] is a plane through them as pixels,
+//! [`density`] the bone density that they stand for.
 //!
 //! ```
 //! use voxel_grid::{GridError, VoxelGrid};
@@ -42,8 +44,8 @@ pub const MIN_SPACING_M: f64 = 1e-6;
 pub const MAX_SPACING_M: f64 = 0.1;
 /// Largest coordinate of the first voxel, far beyond any real patient's position.
 pub const MAX_ORIGIN_M: f64 = 100.0;
-/// Largest deviation from orthonormal axes that counts as rounding, in their dot products: for two axes, the cosine of their angle (0.006
-/// degrees, which moves a slice 500 mm away by 0.05 mm).
+/// Largest deviation from orthonormal axes that counts as rounding, in their dot products: for two axes, the
+/// cosine of their angle (0.006 degrees, which moves a slice 500 mm away by 0.05 mm).
 pub const PERPENDICULAR_TOLERANCE: f64 = 1e-4;
 /// Axes of a grid along the world axes: i to the patient's left, j to posterior, k to superior.
 const WORLD_AXES: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
@@ -86,7 +88,8 @@ pub enum GridError {
     },
 }
 
-/// A uniform grid: voxel (i, j, k) has its centre at `origin_m + i s_0 a_0 + j s_1 a_1 + k s_2 a_2`; i runs fastest in memory.
+/// A uniform grid: voxel (i, j, k) has its centre at `origin_m + i s_0 a_0 + j s_1 a_1 + k s_2 a_2`; i runs
+/// fastest in memory.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VoxelGrid {
     dims: [usize; 3],
@@ -94,7 +97,8 @@ pub struct VoxelGrid {
 }
 
 impl VoxelGrid {
-    /// A checked grid; `axes[a]` is the direction of index axis a in the world. Left-handed grids are allowed: voxels are never reordered.
+    /// A checked grid; `axes[a]` is the direction of index axis a in the world. Left-handed grids are
+    /// allowed: voxels are never reordered.
     ///
     /// # Errors
     /// Any [`GridError`].
@@ -247,7 +251,8 @@ fn perpendicular(axes: [[f64; 3]; 3]) -> Result<[[f64; 3]; 3], GridError> {
     Ok([x, y, z])
 }
 
-/// Largest deviation of the axes' dot products from those of orthonormal axes; infinite if one is not a number.
+/// Largest deviation of the axes' dot products from those of orthonormal axes; infinite if one is not a
+/// number.
 fn deviation(axes: &[[f64; 3]; 3]) -> f64 {
     let mut largest = 0.0_f64;
     for (i, a) in axes.iter().enumerate() {
@@ -322,8 +327,8 @@ mod tests {
     }
 
     proptest! {
-        /// Within the tolerance, axes become perpendicular to rounding, move by no more than their error, and stay bit for bit from then
-        /// on.
+        /// Within the tolerance, axes become perpendicular to rounding, move by no more than their error, and
+        /// stay bit for bit from then on.
         #[test]
         fn axes_within_the_tolerance_become_perpendicular_once(
             turn in prop::array::uniform3(-3.0..3.0_f64),

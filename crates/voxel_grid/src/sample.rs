@@ -3,7 +3,8 @@
 use crate::VoxelGrid;
 
 impl VoxelGrid {
-    /// The place of a world position (LPS, metres) in voxels; whole numbers are voxel centres. The inverse of [`VoxelGrid::world_m`].
+    /// The place of a world position (LPS, metres) in voxels; whole numbers are voxel centres. The inverse of
+    /// [`VoxelGrid::world_m`].
     #[inline]
     pub fn voxel_at(&self, world_m: [f64; 3]) -> [f64; 3] {
         let (origin_m, axes, spacing_m) = (self.origin_m(), self.axes(), self.spacing_m());
@@ -21,7 +22,8 @@ impl VoxelGrid {
         if !holds(dims, voxel) {
             return None;
         }
-        // Half a voxel on, the next smaller whole number is the nearest centre; a cast of a positive number finds it.
+        // Half a voxel on, the next smaller whole number is the nearest centre; a cast of a positive number
+        // finds it.
         let [i, j, k] = [0, 1, 2].map(|axis| ((voxel[axis] + 0.5) as usize).min(dims[axis] - 1));
         Some(i + dims[0] * (j + dims[1] * k))
     }
@@ -33,8 +35,8 @@ pub fn holds(dims: [usize; 3], voxel: [f64; 3]) -> bool {
     (0..3).all(|axis| (-0.5..=dims[axis] as f64 - 0.5).contains(&voxel[axis]))
 }
 
-/// Hounsfield units at a place that is given in voxels, linear between the eight voxel centres around it; beyond the outermost centres
-/// those of the nearest. `None` outside the box of the voxels. `hu`: i fastest.
+/// Hounsfield units at a place that is given in voxels, linear between the eight voxel centres around it;
+/// beyond the outermost centres those of the nearest. `None` outside the box of the voxels. `hu`: i fastest.
 #[inline]
 pub fn hu_at(dims: [usize; 3], hu: &[i16], voxel: [f64; 3]) -> Option<f64> {
     if !holds(dims, voxel) {
@@ -67,7 +69,8 @@ pub fn hu_at(dims: [usize; 3], hu: &[i16], voxel: [f64; 3]) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// Hounsfield units that are linear in the place are found exactly, on a grid turned by 36.87 degrees about z.
+    /// Hounsfield units that are linear in the place are found exactly, on a grid turned by 36.87 degrees
+    /// about z.
     #[test]
     fn a_linear_field_is_read_exactly_on_an_oblique_grid() {
         let axes = [[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]];

@@ -23,8 +23,8 @@ impl Volume {
         holds(self.grid.dims(), self.grid.voxel_at(world_m))
     }
 
-    /// Hounsfield units at a world position (LPS, metres), linear between the eight voxel centres around it; beyond the outermost
-    /// centres those of the nearest. `None` outside the volume's box.
+    /// Hounsfield units at a world position (LPS, metres), linear between the eight voxel centres around it;
+    /// beyond the outermost centres those of the nearest. `None` outside the volume's box.
     pub fn hu_at(&self, world_m: [f64; 3]) -> Option<f64> {
         sample::hu_at(self.grid.dims(), &self.hu, self.grid.voxel_at(world_m))
     }

@@ -53,7 +53,8 @@ impl ArmModel {
         self.solids.iter().map(|solid| solid.triangles().len()).sum()
     }
 
-    /// The arm in a state: its last link ends at the flange, and from there the joint angles lead back to its base.
+    /// The arm in a state: its last link ends at the flange, and from there the joint angles lead back to its
+    /// base.
     pub fn placed(&self, state: &State) -> PlacedSolids {
         let mut angles_rad = state.arm_joint_position_rad.iter();
         let mut t_base_link = vec![Placement::IDENTITY];

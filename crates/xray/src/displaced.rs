@@ -1,5 +1,6 @@
-//! Anatomy in a short interval of a ray. Same bits as [`joseph::interval_integral`](crate::joseph::interval_integral), but without its
-//! divisions: the interval spans only a few planes, so checking both ends is enough to know that all of it is inside the volume.
+//! Anatomy in a short interval of a ray. Same bits as
+//! [`joseph::interval_integral`](crate::joseph::interval_integral), but without its divisions: the interval
+//! spans only a few planes, so checking both ends is enough to know that all of it is inside the volume.
 
 use crate::joseph;
 use crate::ray::IndexRay;

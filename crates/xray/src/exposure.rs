@@ -1,8 +1,9 @@
-//! From line integrals to pixels: tool and arm, Beer-Lambert, noise, blur, readout and display, in two passes over the image.
+//! From line integrals to pixels: tool and arm, Beer-Lambert, noise, blur, readout and display, in two passes
+//! over the image.
 //!
-//! Pass 1, row by row: tool and arm over anatomy, transmission, noise, blur along the row. Pass 2: blur along columns, readout, display.
-//! Disabled stages cost nothing; without blur the second pass does everything. The loops ([`crate::lane_math`]) compile to the
-//! CPU's vector instructions, with the same bits on every CPU.
+//! Pass 1, row by row: tool and arm over anatomy, transmission, noise, blur along the row. Pass 2: blur along
+//! columns, readout, display. Disabled stages cost nothing; without blur the second pass does everything. The
+//! loops ([`crate::lane_math`]) compile to the CPU's vector instructions, with the same bits on every CPU.
 
 use std::sync::Arc;
 
@@ -290,7 +291,8 @@ impl Exposure {
         }
     }
 
-    /// The second pass without blur. Without noise it passes the attenuation on, unless the readout changes it.
+    /// The second pass without blur. Without noise it passes the attenuation on, unless the readout changes
+    /// it.
     fn directly(&self, frame: &Frame<'_>, row: usize, from: usize, count: usize, values: &mut [f64; CHUNK]) {
         let (readout, mode) = (self.detector.readout(), self.display.mode);
         if self.detector.quantum_noise {

@@ -34,7 +34,8 @@ lanes! {
 }
 
 lanes! {
-    /// Fraction of photons detected, with noise; `values` become mean photon counts. Returns the smallest of them.
+    /// Fraction of photons detected, with noise; `values` become mean photon counts. Returns the smallest of
+    /// them.
     Detect {
         photons: f64,
         key: Key,
@@ -121,7 +122,8 @@ pub(crate) fn column_blur(
     }
 }
 
-/// -ln of the readout. The readout is clamped to half a photon in 1e6, so that no signal is black rather than infinite.
+/// -ln of the readout. The readout is clamped to half a photon in 1e6, so that no signal is black rather than
+/// infinite.
 #[inline(always)]
 fn to_attenuation(values: &mut [f64; CHUNK]) {
     for v in values.iter_mut() {

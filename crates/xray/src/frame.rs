@@ -100,8 +100,9 @@ pub fn render_job(
     Ok(rendered(job, (job.sequence, &job.c_arm), pixels, report))
 }
 
-/// Renders a frame of the same state from each C-arm, numbered from `job.sequence` on; the job's own C-arm and what becomes of the cache are
-/// not used. Each has the bits of [`render_job`], and together they take less time ([`DrrRenderer::render_batch`]).
+/// Renders a frame of the same state from each C-arm, numbered from `job.sequence` on; the job's own C-arm
+/// and what becomes of the cache are not used. Each has the bits of [`render_job`], and together they take
+/// less time ([`DrrRenderer::render_batch`]).
 ///
 /// # Errors
 /// The renderer's.
@@ -145,7 +146,8 @@ fn rendered(job: &Job, (sequence, c_arm): (u64, &CArm), pixels: Vec<u16>, report
     Rendered { frame, prefix, pixels, report }
 }
 
-/// The labels of a frame; voxels at or above `bone_from_hu` are bone. May follow or precede [`render_job`] of the same job.
+/// The labels of a frame; voxels at or above `bone_from_hu` are bone. May follow or precede [`render_job`] of
+/// the same job.
 ///
 /// # Errors
 /// The renderer's.

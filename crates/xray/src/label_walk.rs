@@ -1,7 +1,8 @@
 //! The voxels of a ray for labels: Siddon's exact method, slab by slab along the ray's dominant axis.
 //!
-//! In a slab one voxel thick a ray crosses at most one plane of each other axis, so at most three voxels. Unlike in the walk of
-//! [`siddon`](crate::siddon), no slab waits for the one before it, and eight slabs of empty blocks cost one look at their flags.
+//! In a slab one voxel thick a ray crosses at most one plane of each other axis, so at most three voxels.
+//! Unlike in the walk of [`siddon`](crate::siddon), no slab waits for the one before it, and eight slabs of
+//! empty blocks cost one look at their flags.
 
 use crate::grid::Grid;
 use crate::ray::IndexRay;
@@ -98,8 +99,8 @@ impl SlabWalk {
         ((self.origin[axis] + at * self.direction[axis] + 0.5) as i32).clamp(0, self.size[axis] as i32 - 1)
     }
 
-    /// Calls `what(block)` for the blocks on the ray and `visit(drilled, pieces)` for each slab that crosses one that is not skipped, from
-    /// the source on.
+    /// Calls `what(block)` for the blocks on the ray and `visit(drilled, pieces)` for each slab that crosses
+    /// one that is not skipped, from the source on.
     #[inline(always)]
     pub(crate) fn walk(&self, what: impl Fn(usize) -> Visit, mut visit: impl FnMut(bool, [Piece; 3])) {
         let (first, last) = (self.voxel_at(K, self.enter), self.voxel_at(K, self.leave));

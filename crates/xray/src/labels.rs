@@ -1,7 +1,8 @@
 //! What a frame shows, pixel by pixel and joint by joint: for training, segmentation and registration.
 //!
-//! Every label is of the rays to the pixels' centres, so it has neither noise nor blur. [`DrrRenderer::labels`](crate::DrrRenderer::labels)
-//! makes them by Siddon's walk ([`siddon`](crate::siddon)), whatever projector renders the frame.
+//! Every label is of the rays to the pixels' centres, so it has neither noise nor blur.
+//! [`DrrRenderer::labels`](crate::DrrRenderer::labels) makes them by Siddon's walk
+//! ([`siddon`](crate::siddon)), whatever projector renders the frame.
 
 use crate::carm::CArm;
 use crate::ray::WorldRay;
@@ -63,17 +64,18 @@ pub struct Labels {
     pub rows: u32,
     /// The bits of each pixel's classes, [`Class::bit`].
     pub mask: Vec<u8>,
-    /// Attenuation (-ln of the transmission) of the anatomy without what the tool displaces. With `metal` it is that of the frame before
-    /// noise and blur, by Siddon's projector.
+    /// Attenuation (-ln of the transmission) of the anatomy without what the tool displaces. With `metal` it
+    /// is that of the frame before noise and blur, by Siddon's projector.
     pub anatomy: Vec<f32>,
-    /// Attenuation that the metal of the tool, and of the arm where frames show it, adds. For one photon energy the line integral of the metal; a spectrum is hardened by the anatomy.
+    /// Attenuation that the metal of the tool, and of the arm where frames show it, adds. For one photon
+    /// energy the line integral of the metal; a spectrum is hardened by the anatomy.
     pub metal: Vec<f32>,
     /// Length of the ray in bone, m. The tool takes none of it away.
     pub bone_m: Vec<f32>,
     /// Length of the ray in drilled voxels, m.
     pub tunnel_m: Vec<f32>,
-    /// Depth at which the ray first enters a part of the tool whose metal it crosses, m from the source along the detector's normal; NaN
-    /// without one.
+    /// Depth at which the ray first enters a part of the tool whose metal it crosses, m from the source along
+    /// the detector's normal; NaN without one.
     pub tool_depth_m: Vec<f32>,
     /// Depth at which the ray first enters bone; NaN without bone.
     pub bone_depth_m: Vec<f32>,
@@ -106,8 +108,8 @@ pub struct Keypoint {
 pub enum Visibility {
     /// Not in the image.
     Outside = 0,
-    /// In the image, but the ray crosses another part of the tool too: the burr, or a stretch farther from the point than the tool is
-    /// wide, as where the tool crosses itself or is seen from its end.
+    /// In the image, but the ray crosses another part of the tool too: the burr, or a stretch farther from
+    /// the point than the tool is wide, as where the tool crosses itself or is seen from its end.
     Overlapped = 1,
     /// In the image, and nothing else of the tool over it. Bone hides nothing from X-rays.
     Alone = 2,

@@ -86,8 +86,8 @@ impl RemovedVoxels {
     }
 }
 
-/// Flags of the blocks. Block (i, j, k) covers the voxels 8i..=8i+8 along each axis: one more than its own, so that it includes every
-/// voxel read by an interpolation that starts inside it.
+/// Flags of the blocks. Block (i, j, k) covers the voxels 8i..=8i+8 along each axis: one more than its own,
+/// so that it includes every voxel read by an interpolation that starts inside it.
 #[derive(Debug, Clone)]
 pub struct BlockMap {
     flags: Vec<u8>,
@@ -156,7 +156,8 @@ pub(crate) fn is_drilled(flags: u8) -> bool {
     flags & DRILLED != 0
 }
 
-/// Marks the blocks that a row of voxels meets and in which one of them attenuates: none that is less than `least`.
+/// Marks the blocks that a row of voxels meets and in which one of them attenuates: none that is less than
+/// `least`.
 fn mark_occupied(row: &[i16], table: &MuTable, least: i16, blocks: &mut [u8]) {
     blocks.fill(EMPTY);
     let attenuates = |hu: &i16| table.mu_per_m(*hu) > 0.0;

@@ -1,13 +1,16 @@
 //! Length of rays in closed meshes, for all pixels at once.
 //!
-//! A ray is in a closed mesh from each triangle by which it enters to the one by which it leaves, so its length there is the sum over the
-//! triangles that it crosses of the distance, taken negative where it enters. Distances beyond the detector count as the detector's, those
-//! behind the source as 0, so meshes around either are cut there. The triangles are projected and filled row by row.
+//! A ray is in a closed mesh from each triangle by which it enters to the one by which it leaves, so its
+//! length there is the sum over the triangles that it crosses of the distance, taken negative where it
+//! enters. Distances beyond the detector count as the detector's, those behind the source as 0, so meshes
+//! around either are cut there. The triangles are projected and filled row by row.
 //!
-//! **No pixel leaks.** A row crosses an edge if it is at or above its lower end and below its upper one, and the crossing is computed from the
-//! lower end to the upper one. So both triangles of an edge have the same bits of it, and of a triangle exactly one edge is crossed upward and
-//! one downward, or none. A triangle covers the columns from the one crossing on to before the other. In a closed mesh the starts and ends
-//! of a row are therefore in pairs, and in every pixel as many triangles are entered as left, whatever the rounding.
+//! **No pixel leaks.** A row crosses an edge if it is at or above its lower end and below its upper one, and
+//! the crossing is computed from the lower end to the upper one. So both triangles of an edge have the same
+//! bits of it, and of a triangle exactly one edge is crossed upward and one downward, or none. A triangle
+//! covers the columns from the one crossing on to before the other. In a closed mesh the starts and ends of a
+//! row are therefore in pairs, and in every pixel as many triangles are entered as left, whatever the
+//! rounding.
 
 use std::sync::Arc;
 
@@ -28,7 +31,8 @@ const NEAREST_M: f64 = 1e-6;
 /// Rows that one thread fills at a time.
 const BAND: usize = 8;
 
-/// Solids of aluminium that is spread evenly over what their meshes enclose. Where two overlap, both attenuate.
+/// Solids of aluminium that is spread evenly over what their meshes enclose. Where two overlap, both
+/// attenuate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlacedSolids {
     /// The solids, each in its own frame, m.
@@ -43,8 +47,8 @@ impl PlacedSolids {
     /// Solids in metres, their places in the world, and their density.
     ///
     /// # Errors
-    /// There are more or fewer places than solids; the density is not within 0.001 to 2.7 g/cm³; a coordinate is not finite or is beyond
-    /// 100 m; an orientation is no unit quaternion.
+    /// There are more or fewer places than solids; the density is not within 0.001 to 2.7 g/cm³; a coordinate
+    /// is not finite or is beyond 100 m; an orientation is no unit quaternion.
     pub fn new(
         solids: Arc<[ClosedMesh]>,
         t_world_solid: &[Pose],
@@ -122,7 +126,8 @@ impl SolidLayer {
         self.columns = view.columns as usize;
         self.sort_into_bands(view.rows as usize);
         self.aluminium_m.resize(c_arm.pixels(), 0.0);
-        // The image as seen from the source runs against the clock if the axes are left-handed with the normal.
+        // The image as seen from the source runs against the clock if the axes are left-handed with the
+        // normal.
         let leaving = if pinhole.is_right_handed() { 1.0 } else { -1.0 };
         let fraction = placed.density_g_per_cm3 / ALUMINIUM_G_PER_CM3;
         let mut aluminium_m = core::mem::take(&mut self.aluminium_m);
@@ -239,7 +244,8 @@ impl Facet {
         })
     }
 
-    /// Adds the depths of the columns that it covers in a row: with `leaving` where it is seen from inside the solid, against it else.
+    /// Adds the depths of the columns that it covers in a row: with `leaving` where it is seen from inside
+    /// the solid, against it else.
     fn fill(&self, row: u32, leaving: f64, line: &mut [f64]) {
         if row < self.rows.0 || row >= self.rows.1 {
             return;

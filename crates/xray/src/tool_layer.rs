@@ -1,4 +1,5 @@
-//! Draws the tool over the anatomy, row by row, visiting only pixels inside the projected outlines of its parts.
+//! Draws the tool over the anatomy, row by row, visiting only pixels inside the projected outlines of its
+//! parts.
 
 use pulp::Arch;
 use rayon::prelude::*;
@@ -69,7 +70,8 @@ struct Span {
     end: u32,
 }
 
-/// The tool's parts in a C-arm's view, by image row. Reused from frame to frame, so that placing allocates nothing.
+/// The tool's parts in a C-arm's view, by image row. Reused from frame to frame, so that placing allocates
+/// nothing.
 #[derive(Debug, Default)]
 pub(crate) struct PlacedTool {
     parts: Vec<PlacedPart>,
@@ -121,7 +123,8 @@ impl PlacedTool {
         }
     }
 
-    /// Computes the cells; returns the number of pixels that the tool covers. `anatomy` provides what is displaced.
+    /// Computes the cells; returns the number of pixels that the tool covers. `anatomy` provides what is
+    /// displaced.
     pub(crate) fn draw(&mut self, fan: &RayFan, anatomy: &DisplacedBy<'_>) -> usize {
         self.segments.clear();
         for row in self.row_starts.windows(2) {

@@ -13,11 +13,13 @@ const STRAIGHT_RAD: f64 = 1e-9;
 /// Wall of the holder, an assumption, m: the drive in it is not drawn.
 const HOLDER_WALL_M: f64 = 2e-3;
 
-/// Shaft and links as nitinol tubes around a steel cable, the burr as a steel ball. With `notch`, every link between two flexures has a
-/// notch at its middle, on alternating sides of the bending plane. Where two links meet at an angle, the plane through the joint that
-/// halves it cuts both, so that no wedge is missing and no metal counts twice. Behind the base the shaft goes on to the holder on the
-/// arm's flange, a steel sleeve. A tool that slides out of an outer tube has that one, of steel, about it. The burr is the last part; of a longer cutter the parts of its balls are, which do not overlap, from the
-/// front to the back, and the last link ends at the centre of the last ball.
+/// Shaft and links as nitinol tubes around a steel cable, the burr as a steel ball. With `notch`, every link
+/// between two flexures has a notch at its middle, on alternating sides of the bending plane. Where two links
+/// meet at an angle, the plane through the joint that halves it cuts both, so that no wedge is missing and no
+/// metal counts twice. Behind the base the shaft goes on to the holder on the arm's flange, a steel sleeve. A
+/// tool that slides out of an outer tube has that one, of steel, about it. The burr is the last part; of a
+/// longer cutter the parts of its balls are, which do not overlap, from the front to the back, and the last
+/// link ends at the centre of the last ball.
 pub fn tool_of(state: &State, radii: &ToolRadii, holder: &Holder, notch: Option<&SceneNotch>) -> Tool {
     let front_m = holder.front_m(state.t_world_flange.position_m, state.t_world_base.position_m);
     let cutter = &radii.cutter;
@@ -105,7 +107,8 @@ impl Link {
     }
 }
 
-/// The shaft from the holder's front on, and the links of the tool from base to the burr at `end_m`, but for those without length.
+/// The shaft from the holder's front on, and the links of the tool from base to the burr at `end_m`, but for
+/// those without length.
 fn links_of(state: &State, front_m: Option<Vec3>, end_m: Vec3) -> Vec<Link> {
     let joints = &state.t_world_link[..(state.joint_count as usize).min(state.t_world_link.len())];
     let origins = core::iter::once(&state.t_world_base).chain(joints);
@@ -117,7 +120,8 @@ fn links_of(state: &State, front_m: Option<Vec3>, end_m: Vec3) -> Vec<Link> {
     behind.into_iter().chain(origins.zip(ends).enumerate().filter_map(link)).collect()
 }
 
-/// Normal of the plane that halves the angle between two links; `None` if they are in line, or if a mitre would be too oblique.
+/// Normal of the plane that halves the angle between two links; `None` if they are in line, or if a mitre
+/// would be too oblique.
 fn mitre(before: Vec3, after: Vec3) -> Option<Vec3> {
     let sum = add_scaled(before, 1.0, after);
     let normal = scale(sum, 1.0 / norm(sum).max(f64::MIN_POSITIVE));

@@ -1,5 +1,5 @@
-//! Intersects all rays of one image row with one part of the tool. Branch-free for tubes, so that the loops vectorise; same bits as
-//! [`SeenPart::cross`].
+//! Intersects all rays of one image row with one part of the tool. Branch-free for tubes, so that the loops
+//! vectorise; same bits as [`SeenPart::cross`].
 
 use core::ops::Range;
 
@@ -137,8 +137,8 @@ impl Tube {
         }
     }
 
-    /// Same as [`SeenPart::cross`], operation by operation. False if a ray is exactly parallel to the axis or to an end: use
-    /// [`SeenPart::cross`] then.
+    /// Same as [`SeenPart::cross`], operation by operation. False if a ray is exactly parallel to the axis or
+    /// to an end: use [`SeenPart::cross`] then.
     #[inline(always)]
     fn cross(&self, direction_m: [&[f64]; 3], length_m: &[f64], out: [&mut [f64]; 3]) -> bool {
         let count = length_m.len();

@@ -1,9 +1,11 @@
-//! The DRR process: receives every state and every removed voxel, renders the frames that are due, and publishes them.
+//! The DRR process: receives every state and every removed voxel, renders the frames that are due, and
+//! publishes them.
 //!
-//! One thread talks to the other processes while another renders (with as many worker threads as the scene says), so
-//! that no message is lost however long a frame takes. In lockstep every scheduled tick is rendered, and the physics
-//! waits when the renderer falls behind. In real time, a frame that falls due during a render shows the newest state
-//! once the renderer is free. The process publishes which tick a frame will show (`DrrReply`) before it renders it.
+//! One thread talks to the other processes while another renders (with as many worker threads as the scene
+//! says), so that no message is lost however long a frame takes. In lockstep every scheduled tick is
+//! rendered, and the physics waits when the renderer falls behind. In real time, a frame that falls due
+//! during a render shows the newest state once the renderer is free. The process publishes which tick a frame
+//! will show (`DrrReply`) before it renders it.
 
 mod ports;
 mod service;

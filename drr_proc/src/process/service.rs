@@ -146,7 +146,8 @@ impl Service {
             self.publish_finished()?;
             // A physics process that joins later must learn about this one.
             self.ports.progress.deliver_history()?;
-            // In lockstep a controller that has come back waits for a frame that is out, and no other may follow before it answers.
+            // In lockstep a controller that has come back waits for a frame that is out, and no other may
+            // follow before it answers.
             self.ports.frames.deliver_history()?;
             if let Some(status) = self.ports.status.receive_newest()?
                 && status.message().phase() == Ok(Phase::Ended)
@@ -162,7 +163,8 @@ impl Service {
         self.refuse_waiting()
     }
 
-    /// Renders the last state and what is asked for of it, refuses all other requests, and waits for all frames.
+    /// Renders the last state and what is asked for of it, refuses all other requests, and waits for all
+    /// frames.
     fn finish(mut self) -> Result<(), DrrProcessError> {
         (0..ROUNDS_OF_REQUESTS).try_for_each(|_| self.take_requests())?;
         if let Some(state) = self.newest.take() {
@@ -239,7 +241,8 @@ impl Service {
         Ok(self.removals.advance(Tick(state.tick), state.removed_total)?)
     }
 
-    /// Reads pending requests. They are rate-limited per program, so that a flooding program cannot delay frames.
+    /// Reads pending requests. They are rate-limited per program, so that a flooding program cannot delay
+    /// frames.
     fn take_requests(&mut self) -> Result<(), DrrProcessError> {
         let mut refused = Vec::new();
         for _ in 0..LOOKED_AT {
@@ -281,8 +284,8 @@ impl Service {
         if self.in_flight == 0 { Renderer::Idle } else { Renderer::Busy }
     }
 
-    /// Serves requests that arrived after the state that they ask for: in lockstep no further state may arrive before
-    /// they are answered.
+    /// Serves requests that arrived after the state that they ask for: in lockstep no further state may
+    /// arrive before they are answered.
     fn serve_newest(&mut self) -> Result<(), DrrProcessError> {
         let Some(state) = self.newest.take() else { return Ok(()) };
         self.start_due(&state)?;

@@ -1,4 +1,5 @@
-//! One target of `trabecula_fuzz` under libFuzzer. `FUZZ_TARGET` names it; `fuzz/run` sets that and the limits.
+//! One target of `trabecula_fuzz` under libFuzzer. `FUZZ_TARGET` names it; `fuzz/run` sets that and the
+//! limits.
 #![no_main]
 
 use std::path::PathBuf;

@@ -1,10 +1,11 @@
-//! A session's folder: creates, locks, checks and removes it. All operations go through its handle, so that what was checked is what is
-//! changed.
+//! A session's folder: creates, locks, checks and removes it. All operations go through its handle, so that
+//! what was checked is what is changed.
 //!
-//! The host holds a lock on the folder for as long as it lives, and the kernel releases it however the host ends. The lock is the only
-//! proof that a session is alive: a process number may have been reused or mean another process in a container, and a name may have been
-//! removed (by a logout, or a cleaner of `/tmp`; well-behaved ones leave locked folders alone). The marker file names the session; a folder
-//! without one is no session.
+//! The host holds a lock on the folder for as long as it lives, and the kernel releases it however the host
+//! ends. The lock is the only proof that a session is alive: a process number may have been reused or mean
+//! another process in a container, and a name may have been removed (by a logout, or a cleaner of `/tmp`;
+//! well-behaved ones leave locked folders alone). The marker file names the session; a folder without one is
+//! no session.
 
 use std::ffi::CStr;
 use std::fs::File;
@@ -27,14 +28,15 @@ use crate::shared_memory::{Identity, SharedMemory};
 
 /// File that holds the session's name.
 const MARKER: &str = "session.id";
-/// File that tells in which `/dev/shm` the session's memory is: programs in two containers may share the folder and not the memory.
+/// File that tells in which `/dev/shm` the session's memory is: programs in two containers may share the
+/// folder and not the memory.
 const MEMORY: &str = "session.memory";
 /// The folder that the transport creates below a session's for its nodes.
 const NODES: &str = "nodes";
 /// Longest socket name, bytes (unix(7)).
 const MAX_SOCKET_NAME: usize = 108;
-/// Digits of a listener's number in its socket name, in a process that has made ten thousand ports. With more digits the transport refuses
-/// to create the listener.
+/// Digits of a listener's number in its socket name, in a process that has made ten thousand ports. With more
+/// digits the transport refuses to create the listener.
 const LISTENER_DIGITS: usize = 33;
 /// The transport's sockets are `ROOT/PREFIX_NUMBER.event`.
 pub(crate) const MAX_ROOT_PATH: usize =
@@ -52,7 +54,8 @@ pub(crate) struct HostFolder {
 }
 
 impl HostFolder {
-    /// Creates a session folder in `place`. It starts unlocked and empty; without a marker it is no session yet.
+    /// Creates a session folder in `place`. It starts unlocked and empty; without a marker it is no session
+    /// yet.
     pub(crate) fn create(place: &Place) -> Result<HostFolder, SessionError> {
         let above = place.open_or_make()?;
         loop {
@@ -73,8 +76,8 @@ impl HostFolder {
             match create_file(&handle, MARKER, id.to_string().as_bytes()) {
                 Ok(()) => {
                     let host = HostFolder { path, id, handle, above };
-                    // Before there is any memory, and whole: of half a text no host would know what to do. Without a shared memory the
-                    // session's first node fails, and says why.
+                    // Before there is any memory, and whole: of half a text no host would know what to do.
+                    // Without a shared memory the session's first node fails, and says why.
                     if let Ok(here) = Identity::here() {
                         host.write(MEMORY, here.to_string().as_bytes())?;
                     }
@@ -113,7 +116,8 @@ pub(crate) fn create_file(folder: impl AsFd, name: &str, content: &[u8]) -> io::
     File::from(file).write_all(content)
 }
 
-/// Reads a file of a session's folder. Refuses links and anything a read could block on, and reads no more than a session's files can hold.
+/// Reads a file of a session's folder. Refuses links and anything a read could block on, and reads no more
+/// than a session's files can hold.
 pub(crate) fn read_file(folder: impl AsFd, name: &str) -> io::Result<String> {
     const LONGEST: u64 = 1 << 20;
     let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
@@ -223,9 +227,10 @@ fn wipe_dead_in(sessions: &OwnedFd) -> usize {
     session_names(sessions).map(|id| wipe_if_dead(sessions, &id)).filter(|wiped| *wiped).count()
 }
 
-/// Removes a session's folder and memory if it is safe to: a real folder of this user, closed to others, whose lock is free and whose marker
-/// holds its own name; or an empty one, left by a host killed before it wrote the marker. A session whose memory this program does not see is
-/// left to a host that does: without the folder nobody would ever remove the memory.
+/// Removes a session's folder and memory if it is safe to: a real folder of this user, closed to others,
+/// whose lock is free and whose marker holds its own name; or an empty one, left by a host killed before it
+/// wrote the marker. A session whose memory this program does not see is left to a host that does: without
+/// the folder nobody would ever remove the memory.
 fn wipe_if_dead(sessions: &OwnedFd, id: &SessionId) -> bool {
     let name = id.to_string();
     let Ok(folder) = open_private(sessions, Path::new(&name)) else { return false };
@@ -242,8 +247,8 @@ fn wipe_if_dead(sessions: &OwnedFd, id: &SessionId) -> bool {
     }
 }
 
-/// Whether a session's memory is in the `/dev/shm` that this program sees, or is no more: its host was killed before it made any, or in the
-/// middle of its removal.
+/// Whether a session's memory is in the `/dev/shm` that this program sees, or is no more: its host was killed
+/// before it made any, or in the middle of its removal.
 fn has_its_memory_here(folder: &OwnedFd) -> bool {
     match (read_file(folder, MEMORY), Identity::here()) {
         (Ok(there), Ok(here)) => here.holds_what_remains_of(&there),
@@ -252,8 +257,8 @@ fn has_its_memory_here(folder: &OwnedFd) -> bool {
     }
 }
 
-/// Removes a folder in which there is nothing, or nothing but an empty folder of nodes, as a killed client leaves it ([`Remains`]). The system
-/// refuses to remove a folder that is not empty.
+/// Removes a folder in which there is nothing, or nothing but an empty folder of nodes, as a killed client
+/// leaves it ([`Remains`]). The system refuses to remove a folder that is not empty.
 fn remove_empty(sessions: &OwnedFd, id: &SessionId, folder: &OwnedFd) -> bool {
     let _ = unlinkat(folder, NODES, AtFlags::REMOVEDIR);
     let is_removed = unlinkat(sessions, id.to_string(), AtFlags::REMOVEDIR).is_ok();
@@ -263,8 +268,9 @@ fn remove_empty(sessions: &OwnedFd, id: &SessionId, folder: &OwnedFd) -> bool {
     is_removed
 }
 
-/// Locks a session's folder unless its host is alive. A host's lock is exclusive, one of a program that only looks ([`is_locked`]) is
-/// shared and gone within microseconds: next to that one the folder is still dead, and the lock is asked for again.
+/// Locks a session's folder unless its host is alive. A host's lock is exclusive, one of a program that only
+/// looks ([`is_locked`]) is shared and gone within microseconds: next to that one the folder is still dead,
+/// and the lock is asked for again.
 fn lock_if_dead(folder: &OwnedFd) -> bool {
     const TRIES: u32 = 50;
     const PAUSE: Duration = Duration::from_millis(1);
@@ -291,8 +297,8 @@ fn names(folder: impl AsFd) -> Vec<(Box<CStr>, FileType)> {
     others.map(|entry| (entry.file_name().into(), entry.file_type())).collect()
 }
 
-/// Removes a session's shared memory and folder, the marker last, so that the next host can finish an interrupted removal. What is already
-/// gone is no error.
+/// Removes a session's shared memory and folder, the marker last, so that the next host can finish an
+/// interrupted removal. What is already gone is no error.
 fn remove(sessions: &OwnedFd, id: &SessionId, folder: &OwnedFd) {
     SharedMemory::remove_all(&id.shared_memory_prefix());
     remove_content(folder, Some(MARKER));
@@ -300,8 +306,9 @@ fn remove(sessions: &OwnedFd, id: &SessionId, folder: &OwnedFd) {
     remove_empty(sessions, id, folder);
 }
 
-/// What a client that joins a session in the moment of its removal creates anew: the folder of nodes, and a segment for all nodes. Removed on
-/// drop, after the client's node, if the session is gone and no other client is left in it.
+/// What a client that joins a session in the moment of its removal creates anew: the folder of nodes, and a
+/// segment for all nodes. Removed on drop, after the client's node, if the session is gone and no other
+/// client is left in it.
 #[derive(Debug)]
 pub(crate) struct Remains {
     path: PathBuf,

@@ -1,4 +1,5 @@
-//! The host's side of a session: it creates every service before it announces the session, and removes everything at the end.
+//! The host's side of a session: it creates every service before it announces the session, and removes
+//! everything at the end.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -56,7 +57,8 @@ pub struct SessionPlan {
 }
 
 impl SessionHost {
-    /// Creates a session with all its services. An unusable place is an error before any dead host's session is removed.
+    /// Creates a session with all its services. An unusable place is an error before any dead host's session
+    /// is removed.
     ///
     /// # Errors
     /// Any [`SessionError`] except those of joining.
@@ -128,7 +130,8 @@ impl SessionHost {
         self.write(ANNOUNCEMENT_FILE, text.as_bytes())
     }
 
-    /// Writes a file of the session's folder atomically: who looks meanwhile finds none, the one before, or the whole of this one.
+    /// Writes a file of the session's folder atomically: who looks meanwhile finds none, the one before, or
+    /// the whole of this one.
     ///
     /// # Errors
     /// The folder has been removed, or the disk is full.

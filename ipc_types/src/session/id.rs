@@ -10,8 +10,8 @@ use super::{ANNOUNCEMENT_FILE, SessionError};
 
 /// A session's name: [`SessionId::LENGTH`] letters and digits from the system's random number generator.
 ///
-/// Nobody can guess it and plant files under the names a session will use. It also differs between two hubs with the same process number,
-/// in two containers that share `/dev/shm`.
+/// Nobody can guess it and plant files under the names a session will use. It also differs between two hubs
+/// with the same process number, in two containers that share `/dev/shm`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SessionId(String);
 
@@ -31,7 +31,8 @@ impl SessionId {
             let mut bytes = [0; 4 * SessionId::LENGTH];
             getrandom::fill(&mut bytes)
                 .map_err(|cause| SessionError::NoRandomness { cause: cause.to_string() })?;
-            // Six bits per digit. Values beyond the 62 digits are skipped, so that all digits are equally likely.
+            // Six bits per digit. Values beyond the 62 digits are skipped, so that all digits are equally
+            // likely.
             let digits = bytes.iter().filter_map(|byte| DIGITS.get(usize::from(byte & 63)));
             text.extend(digits.map(|digit| char::from(*digit)));
         }

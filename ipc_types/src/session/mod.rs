@@ -1,8 +1,9 @@
 //! A session: one hub's services in shared memory, isolated from those of every other hub on the machine.
 //!
-//! The launcher is the host. It creates every service before it announces the session in `session.json`, because a process killed while
-//! creating a service makes the name unusable for good (measured with iceoryx2 0.10). Clients only open services. The host removes the
-//! session's folder and shared memory when it ends; if it was killed, the next host to start removes them.
+//! The launcher is the host. It creates every service before it announces the session in
+//! `session.json`, because a process killed while creating a service makes the name unusable for good
+//! (measured with iceoryx2 0.10). Clients only open services. The host removes the session's folder
+//! and shared memory when it ends; if it was killed, the next host to start removes them.
 
 mod announcement;
 mod error;

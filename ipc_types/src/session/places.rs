@@ -1,7 +1,9 @@
-//! Where this user's sessions are: in one folder of their own below the user's run-time folder, or below `/tmp`.
+//! Where this user's sessions are: in one folder of their own below the user's run-time folder, or below
+//! `/tmp`.
 //!
-//! A host takes the first usable place, and reports which one it skipped and why; a problem with the sessions folder itself is an error. A
-//! client searches all places, because programs of one user (a desktop, an ssh connection, cron) do not all have the same environment.
+//! A host takes the first usable place, and reports which one it skipped and why; a problem with the sessions
+//! folder itself is an error. A client searches all places, because programs of one user (a desktop, an ssh
+//! connection, cron) do not all have the same environment.
 
 use std::ffi::{OsStr, OsString};
 use std::fmt::{self, Display, Formatter};
@@ -16,7 +18,8 @@ use super::SessionError;
 use super::folder::MAX_ROOT_PATH;
 use super::id::SessionId;
 
-/// Name of the folder that holds only sessions. No clone of this repository and no user's folder is called that.
+/// Name of the folder that holds only sessions. No clone of this repository and no user's folder is called
+/// that.
 const NAME: &str = "trabecula-hubs";
 const VARIABLE: &str = "XDG_RUNTIME_DIR";
 /// Default run-time folder, for programs started without the environment variable.
@@ -239,7 +242,8 @@ fn places_of(variable: Option<OsString>, user: u32) -> Vec<Place> {
 
 /// The place that a host takes, and a note about the one it skipped.
 ///
-/// Never takes a folder that the environment does not name: a run started by cron would lose it when the user's last login ends.
+/// Never takes a folder that the environment does not name: a run started by cron would lose it when the
+/// user's last login ends.
 pub(crate) fn choose(all: &[Place]) -> Option<(&Place, Option<String>)> {
     let chosen = all.iter().find(|place| place.kind != Kind::Usual && place.unfit.is_none())?;
     let passed = all.iter().find(|place| place.kind == Kind::Named).and_then(|place| {
@@ -352,7 +356,8 @@ mod tests {
         assert!(!own.join("n").exists(), "nothing is made on the way");
     }
 
-    /// A run from cron, `sudo` or ssh lacks the variable that a desktop has: each must be found where the other would create it.
+    /// A run from cron, `sudo` or ssh lacks the variable that a desktop has: each must be found where the
+    /// other would create it.
     #[test]
     fn every_place_is_looked_in_and_named() {
         let user = rustix::process::geteuid().as_raw();

@@ -159,8 +159,8 @@ fn a_sleeping_reader_is_woken() {
     assert_eq!(reader.join().unwrap(), (0..200).collect::<Vec<_>>());
 }
 
-/// A wait shorter than a microsecond must end: passed to the kernel as 0 µs it would mean no limit, and on a loaded machine the recorder
-/// would sleep through whole runs.
+/// A wait shorter than a microsecond must end: passed to the kernel as 0 µs it would mean no limit, and on a
+/// loaded machine the recorder would sleep through whole runs.
 #[test]
 fn a_wait_ends_however_near_its_deadline_is() {
     let host = SessionHost::create(&plan(&[])).unwrap();
@@ -303,8 +303,8 @@ fn a_killed_sleeping_reader_costs_its_writers_nothing() {
     assert!(waker.try_to_wake());
 }
 
-/// The launcher wrote where a run is recorded in two steps, and why it ended likewise: a viewer that looked in between waited for a log of no
-/// name, and a recorder could call a stopped run complete.
+/// The launcher wrote where a run is recorded in two steps, and why it ended likewise: a viewer that looked
+/// in between waited for a log of no name, and a recorder could call a stopped run complete.
 #[test]
 fn a_file_of_the_host_is_seen_whole_or_not_at_all() {
     const FILES: usize = 500;

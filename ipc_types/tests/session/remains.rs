@@ -17,8 +17,9 @@ fn sessions() -> (PathBuf, SessionHost) {
     (host.session.folder().parent().unwrap().to_owned(), host)
 }
 
-/// A private folder with a session's name, as a killed host leaves it, but changed by `change` before any host can see it: until then its
-/// name is none of a session's. The hosts of other tests, which run at the same time, would remove it.
+/// A private folder with a session's name, as a killed host leaves it, but changed by `change` before any
+/// host can see it: until then its name is none of a session's. The hosts of other tests, which run at the
+/// same time, would remove it.
 fn changed(sessions: &Path, change: impl FnOnce(&Path, &str)) -> Placed {
     let hidden = tempfile::Builder::new().prefix("hidden-").rand_bytes(11).tempdir_in(sessions).unwrap();
     let name = name_of(hidden.path()).replace("hidden-", "");
@@ -39,7 +40,8 @@ impl Drop for Placed {
     }
 }
 
-/// A private folder with a session's name and its lock: once the lock is dropped it is as a killed host leaves it.
+/// A private folder with a session's name and its lock: once the lock is dropped it is as a killed host
+/// leaves it.
 fn locked(sessions: &Path) -> (TempDir, File) {
     let folder = tempfile::Builder::new().prefix("").rand_bytes(11).tempdir_in(sessions).unwrap();
     let lock =
@@ -86,8 +88,8 @@ fn the_session_of_a_dead_host_is_wiped_by_the_next_host() {
     assert!(first.session.host_is_alive() && host_is_alive(first.session.folder()));
 }
 
-/// Whoever looks whether a host is alive holds a shared lock for a moment. A host that looked for dead sessions in that moment left this one
-/// behind.
+/// Whoever looks whether a host is alive holds a shared lock for a moment. A host that looked for dead
+/// sessions in that moment left this one behind.
 #[test]
 fn a_dead_session_that_somebody_looks_at_is_wiped_all_the_same() {
     let (sessions, _host) = sessions();
@@ -203,8 +205,8 @@ fn a_session_in_the_making_is_not_taken_for_a_dead_one() {
     });
 }
 
-/// A hub in a container with a `/dev/shm` of its own, and this one's `/tmp`, removed the folder of a killed hub's session. Nobody knew of its
-/// memory any more, and 130 MB stayed for good.
+/// A hub in a container with a `/dev/shm` of its own, and this one's `/tmp`, removed the folder of a killed
+/// hub's session. Nobody knew of its memory any more, and 130 MB stayed for good.
 #[test]
 fn a_dead_session_is_left_to_a_host_that_sees_its_memory() {
     let (sessions, host) = sessions();
@@ -235,7 +237,8 @@ fn gone(path: &Path) -> bool {
     !path.exists()
 }
 
-/// A client's node creates the folder of nodes and a segment. Where that was in the moment of the session's removal, they stayed for good.
+/// A client's node creates the folder of nodes and a segment. Where that was in the moment of the session's
+/// removal, they stayed for good.
 #[test]
 fn clients_that_join_while_a_session_is_removed_leave_nothing() {
     const CLIENTS: u64 = 3;

@@ -204,6 +204,7 @@ for size in given["sizes_mm"]:
     few, many = min(whole), max(whole)
     if many > few:
         per = {name: (whole[many][name] - whole[few][name]) / (many - few) for name in ORDER}
-        # A shear force bends the flexures away from the middle: no shear stiffness follows from the whole sample.
+        # A shear force bends the flexures away from the middle: no shear stiffness follows from the whole
+        # sample.
         per["shear_toward"] = per["shear_across"] = np.nan
         line("chain", many, size, 0, {name: metres(name, per[name]) for name in ORDER})

@@ -50,7 +50,8 @@ def chain(links, dt_s, ratio, tube_m2=TUBE_M2):
 
 def cable(links, dt_s, ratio, tube_m2=TUBE_M2):
     """The cable plugin; the beam lies along x, so that the world's x of the loads is turned to z."""
-    # A section whose rigidity and mass are the beam's; the radius only divides them, and gives the links' own inertia.
+    # A section whose rigidity and mass are the beam's; the radius only divides them, and gives the links' own
+    # inertia.
     r = math.sqrt(max(tube_m2, 1e-8))
     young, density = EI / (math.pi * r ** 4 / 4), RHO / (math.pi * r ** 2)
     c = 2.0 * ratio / OMEGA * EI / (L / links)

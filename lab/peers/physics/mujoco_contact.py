@@ -23,7 +23,8 @@ problem = json.loads((Path(sys.argv[1]) / "contact.json").read_text())
 IMPEDANCE = 0.9999
 # Share of 1 / dt² that a soft joint's stiffness over inertia may be, so that a step resolves it.
 SOFT_JOINT = 0.25
-# Share of 1 / dt that its damping over inertia may be: critical damping of the tool at 1 ms is more, and is not reached.
+# Share of 1 / dt that its damping over inertia may be: critical damping of the tool at 1 ms is more, and is
+# not reached.
 SOFT_DAMPER = 0.5
 HALF_TURN = math.pi
 

@@ -15,7 +15,8 @@ import numpy as np
 beam = json.loads((Path(sys.argv[1]) / "beam.json").read_text())
 L, EI, RHO = beam["length_m"], beam["rigidity_nm2"], beam["density_kg_per_m"]
 OMEGA = 1.875104068711961 ** 2 * math.sqrt(EI / RHO) / L ** 2
-# A section of EA = 2e4 N: it stretches by 20 um under the largest load, and its shear wave allows 2 us at most.
+# A section of EA = 2e4 N: it stretches by 20 um under the largest load, and its shear wave allows 2 us at
+# most.
 RADIUS = 2.0 * math.sqrt(EI / 2e4)
 YOUNG, DENSITY = 2e4 / (math.pi * RADIUS ** 2), RHO / (math.pi * RADIUS ** 2)
 

@@ -1,6 +1,6 @@
-//! Time of the contact query: 34 spheres of 3 mm in 0.5 mm voxels, in a tunnel, buried and in air; searched afresh, and
-//! tracked while they move on by 1.5 um a tick; in a small volume and in one of 512 x 512 x 400 voxels; with voxels as parts of
-//! a surface and as balls. And the time of a tick of drilling.
+//! Time of the contact query: 34 spheres of 3 mm in 0.5 mm voxels, in a tunnel, buried and in air; searched
+//! afresh, and tracked while they move on by 1.5 um a tick; in a small volume and in one of 512 x 512 x 400
+//! voxels; with voxels as parts of a surface and as balls. And the time of a tick of drilling.
 //!
 //! `cargo run --release -p physics_lab --example bone_query_time [-- SCENE fresh|tracked]`
 
@@ -54,7 +54,8 @@ fn time_volume(dims: [usize; 3], contact: ContactKind) -> Result<(), Box<dyn std
         ("buried 5 mm", along(Vector3::new(30e-3, 64e-3, 24.75e-3), Vector3::x() * 1.31e-3)),
         ("buried 30 mm", along(Vector3::new(30e-3, 64e-3, 50e-3), Vector3::x() * 1.31e-3)),
     ];
-    // Arguments: only the scenes whose name contains the first, only fresh or tracked queries, no drilling (for a profiler).
+    // Arguments: only the scenes whose name contains the first, only fresh or tracked queries, no drilling
+    // (for a profiler).
     let wanted: Vec<String> = std::env::args().skip(1).collect();
     let is_wanted =
         |place: usize, name: &str| wanted.get(place).is_none_or(|wanted| name.contains(wanted.as_str()));

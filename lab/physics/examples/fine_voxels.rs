@@ -1,8 +1,8 @@
-//! A straight feed into a block of 600 HU at several voxel sizes, coarsest first: where it ends, how far its path is from that of the
-//! first size, forces, volume, steps a second, memory.
+//! A straight feed into a block of 600 HU at several voxel sizes, coarsest first: where it ends, how far its
+//! path is from that of the first size, forces, volume, steps a second, memory.
 //!
-//! `cargo run --release -p physics_lab --example fine_voxels [-- INSERTION_MM VOXEL_MM...]`; 36 mm and 0.25, 0.12, 0.06, 0.03 mm if
-//! absent. The finest takes minutes and 2 GB.
+//! `cargo run --release -p physics_lab --example fine_voxels [-- INSERTION_MM VOXEL_MM...]`; 36 mm
+//! and 0.25, 0.12, 0.06, 0.03 mm if absent. The finest takes minutes and 2 GB.
 
 use std::time::Instant;
 

@@ -1,13 +1,14 @@
 //! Prints the time of one manipulator step in free motion and with contacts.
 //!
-//! `cargo run --release -p physics_lab --example manipulator_step_time [-- CASE [STEPS]]` runs all cases, or those whose name
-//! contains CASE.
+//! `cargo run --release -p physics_lab --example manipulator_step_time [-- CASE [STEPS]]` runs all cases, or
+//! those whose name contains CASE.
 //!
-//! `... manipulator_step_time -- --instructions [CASE]` also counts the instructions of a step, which no other program's load
-//! changes: every case runs again under `valgrind --tool=callgrind --toggle-collect='*one_step*'`.
+//! `... manipulator_step_time -- --instructions [CASE]` also counts the instructions of a step, which
+//! no other program's load changes: every case runs again under `valgrind --tool=callgrind
+//! --toggle-collect='*one_step*'`.
 //!
-//! The 27-flexure tool under a tendon that changes every 200 ms between 6 and 8 N swings freely, is pressed on a winding
-//! wall, or lies in a winding tunnel.
+//! The 27-flexure tool under a tendon that changes every 200 ms between 6 and 8 N swings freely, is pressed
+//! on a winding wall, or lies in a winding tunnel.
 
 use std::hint::black_box;
 use std::process::Command;
@@ -28,8 +29,8 @@ fn one_step(m: &mut AnyManipulator, input: &StepInput) -> Result<StepReport, Man
     m.step(1e-3, input)
 }
 
-/// A tunnel of `clearance_m` on both sides that winds with an amplitude of 0.3 mm and a wave length of 12 mm: each of
-/// the `spheres` nearest the tip is offered the walls on `sides`.
+/// A tunnel of `clearance_m` on both sides that winds with an amplitude of 0.3 mm and a wave length of 12 mm:
+/// each of the `spheres` nearest the tip is offered the walls on `sides`.
 fn tunnel(m: &AnyManipulator, spheres: usize, sides: &[f64], clearance_m: f64, out: &mut Vec<ContactPlane>) {
     let wave = 2.0 * std::f64::consts::PI / 12.0e-3;
     for (sphere_index, sphere) in m.proxy_spheres().iter().enumerate().rev().take(spheres) {

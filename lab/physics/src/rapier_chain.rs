@@ -42,7 +42,8 @@ const TOOL: Group = Group::GROUP_1;
 const WALLS: Group = Group::GROUP_2;
 
 impl RapierChain {
-    /// A straight tool on `t_world_base` in front of walls. `frequency_hz`, its first bending mode, sets the dampers.
+    /// A straight tool on `t_world_base` in front of walls. `frequency_hz`, its first bending mode, sets the
+    /// dampers.
     pub fn new(
         joints: RapierJoints,
         parameters: &ManipulatorParameters,
@@ -179,7 +180,8 @@ impl RapierChain {
 
     fn set_hinge_dampings(&mut self) {
         self.set_targets(&[0.0; 2]);
-        // Until the first step the root has six degrees of freedom; only afterwards do the damping entries belong to the hinges.
+        // Until the first step the root has six degrees of freedom; only afterwards do the damping entries
+        // belong to the hinges.
         self.world.integration_parameters.dt = 1e-7;
         self.world.step();
         if let Some(Joint::Hinge(handle)) = self.joints.first()
@@ -207,8 +209,8 @@ impl RapierChain {
         angles
     }
 
-    /// Applies the tendons as rest angles of the springs, which is exact at equilibrium: `T(d cos(q/2) + g/2 sin(q/2)) / k`, with the
-    /// tension reduced by the wrap of a tendon that slides inward.
+    /// Applies the tendons as rest angles of the springs, which is exact at equilibrium: `T(d cos(q/2) + g/2
+    /// sin(q/2)) / k`, with the tension reduced by the wrap of a tendon that slides inward.
     fn set_targets(&mut self, tension_n: &[f64; 2]) {
         let (tendon, angles) = (self.parameters.tendon, self.joint_positions_rad());
         let mut wrap = 0.0;
@@ -242,7 +244,8 @@ impl RapierChain {
         }
     }
 
-    /// Advances by `dt_s`. Uses Rapier's own contacts. Supports tendon tensions only (a displacement counts as 0).
+    /// Advances by `dt_s`. Uses Rapier's own contacts. Supports tendon tensions only (a displacement counts
+    /// as 0).
     pub fn step(&mut self, dt_s: f64, input: &StepInput) {
         let tension = match input.tendon {
             TendonCommand::Force(tension_n) => tension_n,

@@ -1,4 +1,5 @@
-//! What a bridge costs the physics: the same real-time run with and without it, alternating; with it, a peer takes all that it sends.
+//! What a bridge costs the physics: the same real-time run with and without it, alternating; with it, a peer
+//! takes all that it sends.
 
 use std::io::{self, BufRead, BufReader, Read};
 use std::net::TcpStream;
@@ -37,7 +38,8 @@ struct Kind {
     name: &'static str,
     /// Its arguments besides `--session`.
     arguments: &'static [&'static str],
-    /// Takes what it sends until the flag is set, and returns the number of bytes; gets the bridge's first line.
+    /// Takes what it sends until the flag is set, and returns the number of bytes; gets the bridge's first
+    /// line.
     peer: fn(&str, &AtomicBool) -> io::Result<u64>,
 }
 
@@ -115,7 +117,8 @@ impl Bridge {
         Ok(Bridge { process, over, peer })
     }
 
-    /// Waits for both. The bridge ends with its session, and its peer with the bridge; one that does not is killed.
+    /// Waits for both. The bridge ends with its session, and its peer with the bridge; one that does not is
+    /// killed.
     fn end(mut self) -> Result<u64, Failure> {
         let begin = Instant::now();
         let status = loop {

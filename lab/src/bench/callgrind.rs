@@ -1,4 +1,5 @@
-//! Runs one of this program's measurements under valgrind, which counts instructions: a figure that other load does not change.
+//! Runs one of this program's measurements under valgrind, which counts instructions: a figure that other
+//! load does not change.
 
 use std::ffi::OsStr;
 use std::path::Path;
@@ -17,7 +18,8 @@ pub fn failure(said: &Said) -> Failure {
     Failure::failed(format!("valgrind ended with {}: {}", said.status, said.report.trim()))
 }
 
-/// Runs this program with `arguments`; callgrind gets `options`, and writes `callgrind.out` and what it dumps into the folder.
+/// Runs this program with `arguments`; callgrind gets `options`, and writes `callgrind.out` and what it dumps
+/// into the folder.
 ///
 /// # Errors
 /// valgrind is not on the path, or has not ended within the limit.

@@ -22,8 +22,8 @@ use trabecula::machine::Machine;
 const POSES: [(&str, f64, f64); 3] = [("ap", 0.0, 0.0), ("oblique", 37.0, 18.0), ("lateral", 90.0, 5.0)];
 /// The error is sampled at every this many pixels in both directions, because Siddon's method is slow.
 const ERROR_STRIDE: u32 = 8;
-/// Voxel size up to 512 voxels along an edge; larger volumes get smaller voxels, so that the C-arm still fits around
-/// them.
+/// Voxel size up to 512 voxels along an edge; larger volumes get smaller voxels, so that the C-arm still fits
+/// around them.
 const SPACING_M: f64 = 0.5e-3;
 /// Field of view of the detector, m.
 const FIELD_M: f64 = 0.307;
@@ -71,7 +71,8 @@ pub(super) fn pose(primary: f64, secondary: f64, side: u32) -> Result<CArm, DrrE
     CArm::from_positioner_angles([0.0; 3], angles, 0.7, 1.0, format)
 }
 
-/// A thigh as wide as the volume: at size 1 it fills 240 x 200 x 320 mm; it extends beyond the ends of a shorter volume.
+/// A thigh as wide as the volume: at size 1 it fills 240 x 200 x 320 mm; it extends beyond the ends of a
+/// shorter volume.
 pub(super) fn thigh(grid: &Grid, dimensions: [usize; 3], spacing_m: f64) -> Vec<i16> {
     let size = dimensions[0].min(dimensions[1]) as f64 * spacing_m / 0.24;
     let solids = reference::thigh(size).into_iter().map(Solid::Ellipsoid).collect();
@@ -145,8 +146,8 @@ fn frames(
         let c_arm = pose(primary, secondary, 64).map_err(failed)?;
         pool(2)?.install(|| slices.prepare(view, &removed, &c_arm)).map_err(failed)?;
     }
-    // Times by pose, number of threads, side of the detector. The pose changes between frames, so each frame is a full
-    // one.
+    // Times by pose, number of threads, side of the detector. The pose changes between frames, so each frame
+    // is a full one.
     let cases = [(1, 512), (2, 512), (1, 1024), (2, 1024)];
     let mut times = vec![Times::default(); POSES.len() * cases.len()];
     let pools = [pool(1)?, pool(2)?];

@@ -34,10 +34,12 @@ struct Poses {
     c_arms: Vec<CArm>,
 }
 
-/// Renders `count` poses of a sweep and of a registration, in the thigh of these dimensions and in the real CT if it is there.
+/// Renders `count` poses of a sweep and of a registration, in the thigh of these dimensions and in the real
+/// CT if it is there.
 ///
 /// # Errors
-/// A volume that cannot be read or is too large for memory; a frame of a batch that is not the frame alone, bit by bit.
+/// A volume that cannot be read or is too large for memory; a frame of a batch that is not the frame alone,
+/// bit by bit.
 pub fn run(dimensions: [usize; 3], count: usize, rounds: usize, sheet: &mut Sheet) -> Result<(), Failure> {
     let machine = Machine::watch();
     sheet.line(&format!(
@@ -65,7 +67,8 @@ pub fn run(dimensions: [usize; 3], count: usize, rounds: usize, sheet: &mut Shee
     Ok(())
 }
 
-/// A C-arm turned through 180 degrees, and poses within 5 degrees and 10 mm of an oblique one, as a registration tries them.
+/// A C-arm turned through 180 degrees, and poses within 5 degrees and 10 mm of an oblique one, as a
+/// registration tries them.
 fn poses(centre_m: [f64; 3], count: usize) -> Result<[Poses; 2], Failure> {
     let format = DetectorFormat { columns: SIDE, rows: SIDE, pixel_pitch_m: [PITCH_M; 2] };
     let c_arm = |degrees: (f64, f64), shift_m: [f64; 3]| {

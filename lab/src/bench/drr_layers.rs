@@ -58,8 +58,8 @@ fn tool(ends: Ends) -> Tool {
     Tool { parts, arm: None }
 }
 
-/// Renders frames from a stationary C-arm with cached anatomy: alone, with the tool, with noise, and with a window
-/// computed from the image's own grey values.
+/// Renders frames from a stationary C-arm with cached anatomy: alone, with the tool, with noise, and with a
+/// window computed from the image's own grey values.
 pub(super) fn run(view: &VolumeView<'_>, rounds: usize, sheet: &mut Sheet) -> Result<(), Failure> {
     let c_arm = pose(37.0, 18.0, 512).map_err(failed)?;
     let (nothing, flat, mitred) = (Tool::default(), tool(Ends::Flat), tool(Ends::Mitred));
@@ -110,7 +110,8 @@ pub(super) fn run(view: &VolumeView<'_>, rounds: usize, sheet: &mut Sheet) -> Re
     labels(view, rounds.min(5), sheet)
 }
 
-/// Labels of a frame against the frame by Siddon's walk, which goes through the same voxels; both on one thread, in turn.
+/// Labels of a frame against the frame by Siddon's walk, which goes through the same voxels; both on one
+/// thread, in turn.
 fn labels(view: &VolumeView<'_>, rounds: usize, sheet: &mut Sheet) -> Result<(), Failure> {
     let c_arm = pose(37.0, 18.0, 256).map_err(failed)?;
     let parameters = DrrParameters { projector: Projector::Siddon, threads: 1, ..DrrParameters::default() };

@@ -1,5 +1,6 @@
-//! Times (ms) of X-ray line integrals from all sides, as multiples of the frontal frame's: a C-arm about a field of 500 mm, with the
-//! detector behind, in and before corners of the volume, and with the source inside its box.
+//! Times (ms) of X-ray line integrals from all sides, as multiples of the frontal frame's: a C-arm about a
+//! field of 500 mm, with the detector behind, in and before corners of the volume, and with the source inside
+//! its box.
 
 use drr_proc::ThisMachine;
 use rayon::prelude::*;
@@ -47,7 +48,8 @@ impl Pose {
     }
 }
 
-/// Times `count` poses in turn with the frontal one, in a volume of these dimensions, filled with tissue and with a thigh.
+/// Times `count` poses in turn with the frontal one, in a volume of these dimensions, filled with tissue and
+/// with a thigh.
 ///
 /// # Errors
 /// A volume too large for memory.

@@ -19,11 +19,11 @@ pub struct Growth(BTreeMap<String, Curve>);
 pub struct GrowthSummary {
     /// After a tenth of the run, in its middle, at its end; bytes.
     pub bytes: [u64; 3],
-    /// Median of the slopes between any two samples (Theil and Sen). A queue that once ran full, or one bad sample,
-    /// hardly moves it; steady growth shows in full.
+    /// Median of the slopes between any two samples (Theil and Sen). A queue that once ran full, or one bad
+    /// sample, hardly moves it; steady growth shows in full.
     pub bytes_per_minute: f64,
-    /// The smallest of this slope and those of the first and second half: a single step, wherever it is, leaves one
-    /// half flat.
+    /// The smallest of this slope and those of the first and second half: a single step, wherever it is,
+    /// leaves one half flat.
     pub steady_bytes_per_minute: f64,
     /// Time between the first and the last sample.
     pub minutes: f64,

@@ -1,4 +1,5 @@
-//! Counts the instructions of a physics step with valgrind: a figure that other load on the machine does not change.
+//! Counts the instructions of a physics step with valgrind: a figure that other load on the machine does not
+//! change.
 
 use std::ffi::OsString;
 
@@ -43,7 +44,8 @@ pub fn run(scene: &SceneSource, ticks: Option<u64>, sheet: &mut Sheet) -> Result
     }
 }
 
-/// The first whole number after a word; in the table of [`super::step`] the first bracket holds the number of steps.
+/// The first whole number after a word; in the table of [`super::step`] the first bracket holds the number of
+/// steps.
 fn number_after(text: &str, word: &str) -> Option<u64> {
     let behind = text.split_once(word)?.1;
     behind.split(|c: char| !c.is_ascii_digit()).find(|digits| !digits.is_empty())?.parse().ok()

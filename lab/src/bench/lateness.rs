@@ -1,8 +1,10 @@
-//! How late a real-time tick starts, beside `cyclictest` of the same period and priority on the same cores, in turn.
+//! How late a real-time tick starts, beside `cyclictest` of the same period and priority on the same cores,
+//! in turn.
 //!
-//! `cyclictest` (Debian package `rt-tests`) is the usual measure of what a machine gives: a thread that sleeps until a time and notes how late
-//! it wakes. It does not compute, read or publish anything, so what the hub is later than it is the hub's. Waiting `event` sleeps as it does;
-//! `hybrid` wakes early and looks at the clock.
+//! `cyclictest` (Debian package `rt-tests`) is the usual measure of what a machine gives: a thread that
+//! sleeps until a time and notes how late it wakes. It does not compute, read or publish anything, so what
+//! the hub is later than it is the hub's. Waiting `event` sleeps as it does; `hybrid` wakes early and looks
+//! at the clock.
 
 use std::path::Path;
 use std::process::Command;
@@ -158,7 +160,8 @@ fn ticks(scene: &Scene, end: &EndRequest) -> Result<Samples, Failure> {
 /// Lateness of as many wake-ups of `cyclictest`.
 fn cyclictest(scene: &Scene, folder: &Path) -> Result<Samples, Failure> {
     let priority = Role::Physics.priority(scene.run.policy);
-    // `--default-system`: without a request for the processor to stay awake, which the hub does not make either.
+    // `--default-system`: without a request for the processor to stay awake, which the hub does not make
+    // either.
     let mut command = Command::new("nice");
     command.args(["-n", &priority.nice.to_string(), "cyclictest", "--default-system", "--mlockall"]);
     command.args(["--nsecs", "--verbose", "--interval", &(scene.dt_ns() / 1000).to_string()]);

@@ -64,7 +64,8 @@ pub fn run(scene: &SceneSource, ticks: Option<u64>, sheet: &mut Sheet) -> Result
     Ok(())
 }
 
-/// Time of a replay as `trabecula replay` makes it, in seconds, with one thread per core; the final hash must match the log's.
+/// Time of a replay as `trabecula replay` makes it, in seconds, with one thread per core; the final hash must
+/// match the log's.
 ///
 /// # Errors
 /// A log that cannot be read, or another hash at its end.

@@ -1,5 +1,5 @@
-//! Measures the memory of each process with a large volume, to show that there is one CT in shared memory, not one per
-//! process.
+//! Measures the memory of each process with a large volume, to show that there is one CT in shared memory,
+//! not one per process.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -37,7 +37,8 @@ pub fn parse_dimensions(text: &str) -> Result<[usize; 3], String> {
     }
 }
 
-/// Runs the scene for `ticks` with its volume resampled to `dimensions`, and prints the memory of each process.
+/// Runs the scene for `ticks` with its volume resampled to `dimensions`, and prints the memory of each
+/// process.
 ///
 /// # Errors
 /// An invalid scene, or one without a volume (2); a run that fails.
@@ -116,8 +117,8 @@ fn shared_segments(session: &Path, ct_bytes: u64) -> Vec<u64> {
         .collect()
 }
 
-/// Writes the volume, resampled to other dimensions over the same space with the nearest voxel, as an uncompressed
-/// NRRD file.
+/// Writes the volume, resampled to other dimensions over the same space with the nearest voxel, as an
+/// uncompressed NRRD file.
 fn write_resampled(volume: &Volume, dims: [usize; 3], path: &Path) -> std::io::Result<()> {
     let (grid, had) = (&volume.grid, volume.grid.dims());
     let ratio = [0, 1, 2].map(|axis| had[axis] as f64 / dims[axis] as f64);

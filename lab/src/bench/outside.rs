@@ -24,8 +24,8 @@ pub struct Said {
     pub report: String,
 }
 
-/// Runs a program, which ends with this one; what it says goes through files in the folder, however much it is. `missing` follows the cause
-/// if it cannot be started.
+/// Runs a program, which ends with this one; what it says goes through files in the folder, however much it
+/// is. `missing` follows the cause if it cannot be started.
 ///
 /// # Errors
 /// It cannot be started, or has not ended within the limit and was killed.

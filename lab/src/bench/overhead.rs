@@ -1,4 +1,5 @@
-//! The hub's own overhead: a multi-process lockstep tick minus its physics step, alternating with a bare ping-pong.
+//! The hub's own overhead: a multi-process lockstep tick minus its physics step, alternating with a bare
+//! ping-pong.
 
 use ipc_types::messages::TickTiming;
 use ipc_types::process::EndRequest;
@@ -55,7 +56,8 @@ impl Ticks {
     }
 }
 
-/// Measures `rounds` times, alternating: `ticks` ticks of the scene, and as many round trips with each wait strategy.
+/// Measures `rounds` times, alternating: `ticks` ticks of the scene, and as many round trips with each wait
+/// strategy.
 ///
 /// # Errors
 /// An invalid scene (2); a run that fails.

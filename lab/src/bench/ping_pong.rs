@@ -1,5 +1,6 @@
-//! Bare iceoryx2 between two processes: a message of a state's size out, one of a command's size back. No layout
-//! check, no sequence numbers, no validation: the lower bound for a multi-process lockstep tick on this machine.
+//! Bare iceoryx2 between two processes: a message of a state's size out, one of a command's size back. No
+//! layout check, no sequence numbers, no validation: the lower bound for a multi-process lockstep tick on
+//! this machine.
 
 use std::path::Path;
 use std::process::{Child, Command as Program};

@@ -70,8 +70,8 @@ pub fn run(scene: &SceneSource, seconds: f64, rounds: usize, sheet: &mut Sheet) 
     Ok(())
 }
 
-/// Runs two scenes in real time, alternating, without and with something, and prints both and their ratios. `run_with`
-/// makes one run of the second and returns a count; returns the mean count of a run.
+/// Runs two scenes in real time, alternating, without and with something, and prints both and their ratios.
+/// `run_with` makes one run of the second and returns a count; returns the mean count of a run.
 ///
 /// # Errors
 /// A run that fails.

@@ -34,17 +34,17 @@ const SAMPLES_PER_LINE: usize = 4;
 const FEED_SHARE: f64 = 0.9;
 /// Slowest feed that a scene may have.
 const SLOWEST_MM_PER_S: f64 = 0.01;
-/// Smallest growth over the whole run, from its slope, that counts as growth; an allocator returning and reclaiming
-/// memory moves less.
+/// Smallest growth over the whole run, from its slope, that counts as growth; an allocator returning and
+/// reclaiming memory moves less.
 const FLAT_BYTES: f64 = MEBIBYTE;
 
-/// Runs the scene in real time for `minutes`, with its feed slowed so that it drills throughout. Then reports whether
-/// the log is whole, no message was lost, every tick replays to the same hash, every frame is present, and no
-/// process's memory has grown. Ctrl-C ends the run early; the part that ran is still checked.
+/// Runs the scene in real time for `minutes`, with its feed slowed so that it drills throughout. Then reports
+/// whether the log is whole, no message was lost, every tick replays to the same hash, every frame is
+/// present, and no process's memory has grown. Ctrl-C ends the run early; the part that ran is still checked.
 ///
 /// # Errors
-/// An invalid scene (2); a run that fails; a log that is not whole, lost messages, or replays differently; Ctrl-C
-/// (130).
+/// An invalid scene (2); a run that fails; a log that is not whole, lost messages, or replays differently;
+/// Ctrl-C (130).
 pub fn run(
     scene: &SceneSource,
     minutes: f64,
@@ -299,8 +299,8 @@ fn check(
     Ok(problems)
 }
 
-/// Reads a lane to its end; returns its messages and the simulated time of the last. The lane must have its end marker
-/// and no losses; the error says what is wrong.
+/// Reads a lane to its end; returns its messages and the simulated time of the last. The lane must have its
+/// end marker and no losses; the error says what is wrong.
 fn lane_end(path: &Path) -> Result<(u64, f64), String> {
     let wrong = |error: run_log::LogError| format!("{}: {error}", path.display());
     let mut stream = MessageStream::open(&LogFile::at(path), ReadOptions::default()).map_err(wrong)?;

@@ -1,5 +1,5 @@
-//! Runs physics step and DRR of a scene in one process, driven by the scene's own controllers: no other process, no
-//! log.
+//! Runs physics step and DRR of a scene in one process, driven by the scene's own controllers: no other
+//! process, no log.
 
 use std::time::Instant;
 
@@ -28,9 +28,9 @@ use trabecula::scenes::SceneSource;
 /// Number of final frames from a moved C-arm.
 const FULL_FRAMES: usize = 9;
 
-/// Runs the scene to its end, or for `ticks`, in lockstep in this process, then repeats the steps `rounds` times and
-/// keeps each tick's shortest time. The ticks are identical to the bit, so any difference comes from other load on the
-/// machine.
+/// Runs the scene to its end, or for `ticks`, in lockstep in this process, then repeats the steps `rounds`
+/// times and keeps each tick's shortest time. The ticks are identical to the bit, so any difference comes
+/// from other load on the machine.
 ///
 /// # Errors
 /// An invalid scene, or one whose controllers are not built in (2).

@@ -1,4 +1,5 @@
-//! What a step of each tool costs on each rung, at three step sizes: times in turn beside one reference, and instructions by valgrind.
+//! What a step of each tool costs on each rung, at three step sizes: times in turn beside one reference, and
+//! instructions by valgrind.
 
 use std::ffi::OsStr;
 use std::hint::black_box;
@@ -24,7 +25,8 @@ const DT_MS: [f64; 3] = [0.5, 1.0, 2.0];
 /// Steps before those that are measured, and those.
 const WARM_UP: usize = 100;
 const STEPS: usize = 400;
-/// Tension on tendon 0, N, and force across the burr as a share of what bends the tool by a radian, both of which come and go.
+/// Tension on tendon 0, N, and force across the burr as a share of what bends the tool by a radian, both of
+/// which come and go.
 const TENSION_N: f64 = 3.0;
 const ACROSS: f64 = 0.1;
 const PERIOD_S: f64 = 0.1;

@@ -17,7 +17,8 @@ const LIMIT: Duration = Duration::from_secs(20);
 /// How far the C-arm turns from frame to frame: at 60 Hz in 6 s about the patient.
 const STEP_DEG: f64 = 1.0;
 
-/// Asks for frames at this rate from the run of the session that comes first, until it ends; from the request to the frame, of each frame.
+/// Asks for frames at this rate from the run of the session that comes first, until it ends; from the request
+/// to the frame, of each frame.
 ///
 /// # Errors
 /// The run refuses a frame, or none comes.

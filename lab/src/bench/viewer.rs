@@ -1,5 +1,5 @@
-//! What the viewer costs the physics: the same real-time run with and without it, alternating; with it, a client
-//! receives every state, tick timing, frame and surface block.
+//! What the viewer costs the physics: the same real-time run with and without it, alternating; with it, a
+//! client receives every state, tick timing, frame and surface block.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};

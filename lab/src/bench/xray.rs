@@ -23,9 +23,9 @@ pub enum CArmMoves {
     Turns,
 }
 
-/// Runs the scene in real time for `seconds`, `rounds` times, alternately without and with its X-ray, at `rate_hz`
-/// frames per second if given. A controller that steers by frames steers by the measured shape in all runs, because
-/// without frames it could not.
+/// Runs the scene in real time for `seconds`, `rounds` times, alternately without and with its X-ray, at
+/// `rate_hz` frames per second if given. A controller that steers by frames steers by the measured shape in
+/// all runs, because without frames it could not.
 ///
 /// # Errors
 /// An invalid scene, or one without X-ray (2); a run that fails.
@@ -77,7 +77,8 @@ pub fn run(
     Ok(())
 }
 
-/// One run in which a program turns the C-arm; the number of frames, and how long each took from its request on.
+/// One run in which a program turns the C-arm; the number of frames, and how long each took from its request
+/// on.
 fn one_turned(
     scene: &Scene,
     rate_hz: f64,

@@ -1,4 +1,5 @@
-//! `trabecula-lab chart flexure`: the stiffness of a flexure by formula, beside finite elements of the notched tube.
+//! `trabecula-lab chart flexure`: the stiffness of a flexure by formula, beside finite elements of the
+//! notched tube.
 
 use std::path::Path;
 
@@ -25,7 +26,8 @@ struct Sample {
 /// Compares and prints.
 ///
 /// # Errors
-/// Bad input: a mesh size out of range, or no script. A script that cannot be run, or a formula that is off by more than 10 %.
+/// Bad input: a mesh size out of range, or no script. A script that cannot be run, or a formula that is off
+/// by more than 10 %.
 pub fn run(out: &Path, peers: &Path, size_mm: f64, sheet: &mut Sheet) -> Result<(), Failure> {
     if !(0.05..=0.5).contains(&size_mm) {
         return Err(Failure::bad_input(format!("--size-mm is {size_mm}, allowed is 0.05 to 0.5")));

@@ -108,7 +108,8 @@ pub enum BenchCommand {
         #[command(flatten)]
         figures: Figures,
     },
-    /// Time the physics step and the DRR in one process, then the log size and replay speed of a recorded lockstep run.
+    /// Time the physics step and the DRR in one process, then the log size and replay speed of a recorded
+    /// lockstep run.
     Step {
         /// Scene file with built-in controllers only; default: the built-in femur.
         scene: Option<PathBuf>,
@@ -127,7 +128,8 @@ pub enum BenchCommand {
         #[command(flatten)]
         figures: Figures,
     },
-    /// Time a step of each tool on each model at three step sizes, in turn, beside the standard tool on the planar model at 1 ms.
+    /// Time a step of each tool on each model at three step sizes, in turn, beside the standard tool on the
+    /// planar model at 1 ms.
     Tools {
         /// Scene or tool files; default: the shipped tools.
         files: Vec<PathBuf>,
@@ -183,7 +185,8 @@ pub enum BenchCommand {
         #[command(flatten)]
         figures: Figures,
     },
-    /// Measure the state-to-command round trip by language and wait strategy, next to bare iceoryx2 and sockets.
+    /// Measure the state-to-command round trip by language and wait strategy, next to bare iceoryx2 and
+    /// sockets.
     Latency {
         /// Round trips per turn, 10 to 1000000.
         #[arg(long, default_value_t = 3000, value_parser = clap::value_parser!(u64).range(10..=1_000_000))]
@@ -221,13 +224,15 @@ pub enum BenchCommand {
         #[command(flatten)]
         figures: Figures,
     },
-    /// Measure how late real-time ticks start, in turn with `cyclictest` of the same period and priority on the same cores.
+    /// Measure how late real-time ticks start, in turn with `cyclictest` of the same period and priority on
+    /// the same cores.
     Lateness(LatenessArguments),
     /// Measure how much the recorder slows the physics: real-time runs, alternating without and with it.
     Recorder(InTurn),
     /// Measure how much the viewer slows the physics: real-time runs, alternating without and with it.
     Viewer(InTurn),
-    /// Measure how much a bridge slows the physics: real-time runs, alternating without and with it and a peer that takes all it sends.
+    /// Measure how much a bridge slows the physics: real-time runs, alternating without and with it and a
+    /// peer that takes all it sends.
     Bridge {
         #[command(flatten)]
         in_turn: InTurn,
@@ -246,7 +251,8 @@ pub enum BenchCommand {
         #[arg(long)]
         turning: bool,
     },
-    /// Run in real time for long: missed ticks by cause, memory of each process over time, and a replay that verifies the log.
+    /// Run in real time for long: missed ticks by cause, memory of each process over time, and a replay that
+    /// verifies the log.
     Soak {
         /// Scene file; its feed is slowed so that it drills all the time. Default: the built-in femur.
         scene: Option<PathBuf>,

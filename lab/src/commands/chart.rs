@@ -35,13 +35,15 @@ pub struct DrrChartArguments {
     /// Finish in seconds: an eighth of the resolution, 128 x 128 pixels.
     #[arg(long)]
     quick: bool,
-    /// Also run other projectors on the same volume and poses, with this folder's scripts; each creates its own Python environment.
+    /// Also run other projectors on the same volume and poses, with this folder's scripts; each creates its
+    /// own Python environment.
     #[arg(long, value_name = "FOLDER", num_args = 0..=1, default_missing_value = "lab/peers")]
     peers: Option<PathBuf>,
     /// Timed frames per point, 1 to 100.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=100))]
     rounds: u32,
-    /// Instead of a chart, write the table that `tolerance.drr_rel` chooses from (`crates/xray/src/rungs.csv`).
+    /// Instead of a chart, write the table that `tolerance.drr_rel` chooses from
+    /// (`crates/xray/src/rungs.csv`).
     #[arg(long, value_name = "FILE", conflicts_with_all = ["quick", "peers"])]
     rungs: Option<PathBuf>,
 }
@@ -60,7 +62,8 @@ pub struct StabilityArguments {
     /// Seed of the first random scene; the others follow.
     #[arg(long, default_value_t = 1, requires = "random", value_parser = clap::value_parser!(u64).range(0..=1_000_000_000))]
     seed: u64,
-    /// In place of the map, run its cases with these scene or tool files, as they are; without a file with the shipped tools.
+    /// In place of the map, run its cases with these scene or tool files, as they are; without a file with
+    /// the shipped tools.
     #[arg(long, value_name = "FILE", num_args = 0.., conflicts_with = "random")]
     tools: Option<Vec<PathBuf>>,
     /// How the figures of random scenes, of tools or of the cases in bone are printed.
@@ -84,7 +87,8 @@ pub struct PhysicsChartArguments {
     /// Output folder and effort.
     #[command(flatten)]
     common: ChartArguments,
-    /// Also run other simulators on the same beam, with this folder's scripts; each creates its own Python environment.
+    /// Also run other simulators on the same beam, with this folder's scripts; each creates its own Python
+    /// environment.
     #[arg(long, value_name = "FOLDER", num_args = 0..=1, default_missing_value = "lab/peers/physics")]
     peers: Option<PathBuf>,
     /// Measure only the settings that `trabecula plan` chooses from, and the drilled path.

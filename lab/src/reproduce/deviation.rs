@@ -153,10 +153,11 @@ mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
 
-    /// Regression: `full` gave each flexure the axial stiffness of a tube as soft as its notches and ended 4 mm from the others. The walls
-    /// are hard here: 10 N is about where foam yields, and what is crushed first then decides where the tool goes by another 0.3 mm. Where
-    /// the voxels lie moves an end, too, by up to 0.17 mm over this length, and for each chain in another way: so each chain's
-    /// place is the mean of its ends in four grids, none of which has the tool's axis on a border of voxels.
+    /// Regression: `full` gave each flexure the axial stiffness of a tube as soft as its notches and ended 4
+    /// mm from the others. The walls are hard here: 10 N is about where foam yields, and what is crushed
+    /// first then decides where the tool goes by another 0.3 mm. Where the voxels lie moves an end, too, by
+    /// up to 0.17 mm over this length, and for each chain in another way: so each chain's place is the mean
+    /// of its ends in four grids, none of which has the tool's axis on a border of voxels.
     #[test]
     fn every_chain_ends_the_tunnel_of_10_newton_at_the_same_place() {
         const SHIFTS_MM: [[f64; 3]; 4] =

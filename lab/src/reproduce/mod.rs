@@ -1,4 +1,5 @@
-//! `trabecula-lab reproduce`: reproduces the published behaviours from low-level rules alone, as tables and figures.
+//! `trabecula-lab reproduce`: reproduces the published behaviours from low-level rules alone, as tables and
+//! figures.
 
 mod deviation;
 mod output;

@@ -18,8 +18,8 @@ const REST_S: f64 = 0.5;
 /// Bone threshold, HU: below the lightest foam.
 const THRESHOLD_HU: i16 = -100;
 
-/// The tool's motion and parameters. The tool points along +z, bends toward +x, and starts with its burr in the blind
-/// end of a pilot hole.
+/// The tool's motion and parameters. The tool points along +z, bends toward +x, and starts with its burr in
+/// the blind end of a pilot hole.
 #[derive(Debug, Clone)]
 pub struct Trial {
     /// Step, ms.
@@ -42,9 +42,11 @@ pub struct Trial {
     pub insertion_mm: f64,
     /// Burr speed, rpm.
     pub burr_rpm: f64,
-    /// Specific cutting energy in J/mm³ at 1900 kg/m³, and the exponent of the density, instead of the standard law's.
+    /// Specific cutting energy in J/mm³ at 1900 kg/m³, and the exponent of the density, instead of the
+    /// standard law's.
     pub cutting_law: Option<[f64; 2]>,
-    /// Edge force in N per mm of the hole's diameter at 1900 kg/m³, and the exponent of the density; none: no edge force.
+    /// Edge force in N per mm of the hole's diameter at 1900 kg/m³, and the exponent of the density; none: no
+    /// edge force.
     pub edge_law: Option<[f64; 2]>,
     /// Compressive strength of cortical bone, MPa, instead of the standard law's.
     pub strength_mpa: Option<f64>,

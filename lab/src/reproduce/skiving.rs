@@ -23,7 +23,8 @@ const MEETS_MM: f64 = 7.0;
 const NORMAL: [f64; 3] = [0.866_025_403_784_438_6, 0.0, 0.5];
 /// Edge force, N/mm, and exponent of the density: fitted by length in part 5.
 const EDGE: [f64; 2] = [7.0, 1.5];
-/// With an edge force the tool is to leave its line by so much into 1:10 at the experiment's feed, and to keep to it into 1:1, mm.
+/// With an edge force the tool is to leave its line by so much into 1:10 at the experiment's feed, and to
+/// keep to it into 1:1, mm.
 const SKIVES_MM: f64 = 2.0;
 const STRAIGHT_MM: f64 = 0.02;
 /// Ticks that the decrement takes for a voxel of the dense side at most, at the burr's speed.
@@ -129,7 +130,8 @@ fn edge(plan: &Plan) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Repeats the insertion with the published removal rules, the paper's own also at feeds at and above its clearance rate.
+/// Repeats the insertion with the published removal rules, the paper's own also at feeds at and above its
+/// clearance rate.
 fn rules(plan: &Plan) -> Result<(), Failure> {
     let at_1_mm_per_s = ["energy", "naive", "capped", "decrement"].map(|removal| (removal, 1.0));
     let clearance = clearance_mm_per_s(plan.effort);
@@ -160,7 +162,8 @@ fn rules(plan: &Plan) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The feed at which the decrement removes the densest voxels in time: one voxel in as many ticks as it takes at most.
+/// The feed at which the decrement removes the densest voxels in time: one voxel in as many ticks as it takes
+/// at most.
 fn clearance_mm_per_s(effort: Effort) -> f64 {
     voxel_mm(effort) / (DECREMENT_TICKS * trial(1.0).dt_ms * 1e-3)
 }

@@ -129,8 +129,8 @@ fn draw(loops: &[Loop]) -> Result<Figure, FigureError> {
 mod tests {
     use super::*;
 
-    /// k_i q_i = T_i d, T_{i+1} = T_i exp(-mu q_i) (Euler's and Eytelwein's capstan) for this table of stiffnesses: 10
-    /// N bends the tool by 86.5, 80.4, 75.2, 70.9 degrees.
+    /// k_i q_i = T_i d, T_{i+1} = T_i exp(-mu q_i) (Euler's and Eytelwein's capstan) for this table of
+    /// stiffnesses: 10 N bends the tool by 86.5, 80.4, 75.2, 70.9 degrees.
     #[test]
     fn loading_follows_the_capstan_and_unloading_stays_behind() -> Result<(), ManipulatorError> {
         for (friction, exact) in FRICTIONS.into_iter().zip([86.5, 80.4, 75.2, 70.9]) {

@@ -1,9 +1,10 @@
 //! Thrust of drills and burrs in closed form, and of the simulated burr, compared with published ranges.
 //!
-//! A cutter of radius r that advances by v in bone of density rho needs `F = E (rho/1900)^a + K (rho/1900)^b A v / (w r_eff)`, A being the
-//! cross-section of its hole: what its edges plough with, and what it cuts with (K is specific energy over cutting coefficient). The
-//! edges plough in proportion to the hole's area, `E = p0 A`, or to its diameter, `E = e D`, as edges have a length. A drill is a disc,
-//! whose mean lever by area is 2r/3; the end of a ball has the same lever, and its hole is wider by the reach.
+//! A cutter of radius r that advances by v in bone of density rho needs `F = E (rho/1900)^a + K (rho/1900)^b
+//! A v / (w r_eff)`, A being the cross-section of its hole: what its edges plough with, and what it cuts with
+//! (K is specific energy over cutting coefficient). The edges plough in proportion to the hole's area, `E =
+//! p0 A`, or to its diameter, `E = e D`, as edges have a length. A drill is a disc, whose mean lever by area
+//! is 2r/3; the end of a ball has the same lever, and its hole is wider by the reach.
 
 use core::f64::consts::{PI, TAU};
 
@@ -189,7 +190,8 @@ impl Law {
         row.rpm.iter().map(outside).sum()
     }
 
-    /// The constants of a grid that bring most of some rows into range, and of those the ones that miss the others least.
+    /// The constants of a grid that bring most of some rows into range, and of those the ones that miss the
+    /// others least.
     fn fitted_on(rows: &[&Row], by: Edge) -> Law {
         let steps = |low: f64, high: f64, count: i32| {
             (0..=count).map(move |k| low * (high / low).powf(f64::from(k) / f64::from(count)))

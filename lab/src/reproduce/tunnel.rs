@@ -17,7 +17,8 @@ const FEEDS_MM_PER_S: [f64; 3] = [0.05, 0.10, 0.15];
 pub const FOAM_KG_PER_M3: f64 = 160.0;
 /// Length of the feed beyond the pilot hole, mm.
 pub const INSERTION_MM: f64 = 30.0;
-/// A tunnel in foam that is to follow the tool's own bend does so within this share of the bend in air at the same tension.
+/// A tunnel in foam that is to follow the tool's own bend does so within this share of the bend in air at the
+/// same tension.
 const OF_AIR: f64 = 0.25;
 /// What is shown of the pilot hole before its end, mm along the feed.
 const PILOT_SHOWN_MM: f64 = -6.0;
@@ -166,7 +167,8 @@ fn plot_width(columns: usize) -> f64 {
     WIDTH / columns as f64 - EDGES.0
 }
 
-/// What the panels show along the feed and the bend, each from and to, mm: every drilled voxel and path, and the pilot hole's end.
+/// What the panels show along the feed and the bend, each from and to, mm: every drilled voxel and path, and
+/// the pilot hole's end.
 fn shown_mm(cases: &[Case]) -> [[f64; 2]; 2] {
     let drilled = cases.iter().flat_map(|case| case.slice.iter().chain(&case.path));
     let points: Vec<(f64, f64)> = drilled.copied().chain([(PILOT_SHOWN_MM, 0.0)]).collect();

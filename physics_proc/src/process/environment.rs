@@ -1,4 +1,5 @@
-//! The hub's environment in a running session: ports in shared memory, the machine's clock, the kernel's counters.
+//! The hub's environment in a running session: ports in shared memory, the machine's clock, the kernel's
+//! counters.
 
 use std::time::{Duration, Instant};
 
@@ -43,7 +44,8 @@ pub(super) struct SharedMemory<'s> {
     sleeper: Sleeper,
     disturbances: Disturbances,
     end: EndRequest,
-    /// A moment on our clock and then on the standard library's, which is the same one: it turns times of one into those of the other.
+    /// A moment on our clock and then on the standard library's, which is the same one: it turns times of one
+    /// into those of the other.
     began: (u64, Instant),
 }
 

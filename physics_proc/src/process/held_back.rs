@@ -1,7 +1,7 @@
 //! Detects what suspended the whole process: a cgroup quota, a freezer, a stop signal.
 //!
-//! The files are opened once and read only after a long gap, so that ticks that are on time or slightly late pay
-//! nothing.
+//! The files are opened once and read only after a long gap, so that ticks that are on time or slightly late
+//! pay nothing.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -94,7 +94,8 @@ impl Counter {
     }
 }
 
-/// Folders of a process's cgroups and their ancestors: of version 2, and of the `cpu` controller of version 1.
+/// Folders of a process's cgroups and their ancestors: of version 2, and of the `cpu` controller of
+/// version 1.
 fn groups(mounts: &str, own: &str) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for line in mounts.lines() {

@@ -94,9 +94,9 @@ fn drive(
     }
 }
 
-/// Locks all memory of this process, where the system permits it. In real time all of it is brought in before the first tick. In lockstep
-/// nothing has a deadline: the rest, mostly queues that fill only while a reader is seconds behind, is 150 MB to clear, so each page is
-/// locked at its first use.
+/// Locks all memory of this process, where the system permits it. In real time all of it is brought in before
+/// the first tick. In lockstep nothing has a deadline: the rest, mostly queues that fill only while a reader
+/// is seconds behind, is 150 MB to clear, so each page is locked at its first use.
 fn lock_memory(memory: &mut SharedMemory<'_>, scene: &Scene) -> Result<(), PortError> {
     let all = MlockAllFlags::CURRENT | MlockAllFlags::FUTURE;
     let flags = match scene.run.mode {

@@ -41,8 +41,8 @@ pub struct CatArguments {
 /// Runs the command.
 ///
 /// # Errors
-/// Not a log, no such field or topic (2); a damaged log (1), after printing the messages before the damage; a log that
-/// has a gap, is cut or was not ended (3).
+/// Not a log, no such field or topic (2); a damaged log (1), after printing the messages before the damage; a
+/// log that has a gap, is cut or was not ended (3).
 pub fn run(arguments: &CatArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let options = CatOptions {
         topics: arguments.topics.clone(),

@@ -1,4 +1,5 @@
-//! `trabecula log export --dataset`: renders the frames of a log again, with labels, as a data set for training.
+//! `trabecula log export --dataset`: renders the frames of a log again, with labels, as a data set for
+//! training.
 
 use std::fs;
 use std::path::Path;
@@ -24,8 +25,9 @@ const NO_X_RAY: &str = "the scene has no X-ray";
 /// Exports it.
 ///
 /// # Errors
-/// Not a log of this build, no frames for these ticks, runs that do not go together, a folder that holds something (2); a frame that this
-/// build renders differently, a damaged log, a full disk (1); a log that has a gap, is cut or was not ended (3).
+/// Not a log of this build, no frames for these ticks, runs that do not go together, a folder that holds
+/// something (2); a frame that this build renders differently, a damaged log, a full disk (1); a log that has
+/// a gap, is cut or was not ended (3).
 pub fn export(format: Format, arguments: &ExportArguments) -> Result<(), Failure> {
     refuse_used(&arguments.output)?;
     let bone_from_hu = checked(arguments)?;
@@ -97,8 +99,8 @@ impl Export<'_> {
     }
 }
 
-/// Opens every log once before the first file is written: one that cannot be taken refuses the export, and nothing is left of it. Returns
-/// from which HU on voxels are bone.
+/// Opens every log once before the first file is written: one that cannot be taken refuses the export, and
+/// nothing is left of it. Returns from which HU on voxels are bone.
 fn checked(arguments: &ExportArguments) -> Result<i16, Failure> {
     let mut common = None;
     for log in &arguments.logs {

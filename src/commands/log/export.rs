@@ -32,7 +32,8 @@ pub struct ExportArguments {
     /// Log file, or the folder of a run; with `--dataset`, one or more.
     #[arg(required = true)]
     pub(super) logs: Vec<PathBuf>,
-    /// New `.csv` or `.parquet` file; with `--frames`, a folder for the images; with `--dataset`, a new or empty folder; with `--geometry`, a file of a format that it has.
+    /// New `.csv` or `.parquet` file; with `--frames`, a folder for the images; with `--dataset`, a new or
+    /// empty folder; with `--geometry`, a file of a format that it has.
     #[arg(short, long)]
     pub(super) output: PathBuf,
     /// Topic to export.
@@ -53,22 +54,23 @@ pub struct ExportArguments {
     /// Export geometry instead of a table, in the patient frame (LPS) and mm, as of the last tick (`--to`).
     #[arg(long, value_enum, value_name = "WHAT", conflicts_with_all = ["fields", "frames", "topic", "from"])]
     pub(super) geometry: Option<Geometry>,
-    /// Export a `.mcap` file that Lichtblick and Foxglove open as it is: `/tf`, the tool, its contacts and paths for the 3D panel, X-ray
-    /// frames, states and commands for plots.
+    /// Export a `.mcap` file that Lichtblick and Foxglove open as it is: `/tf`, the tool, its contacts and
+    /// paths for the 3D panel, X-ray frames, states and commands for plots.
     #[arg(long, conflicts_with_all = ["fields", "frames", "topic", "geometry"])]
     foxglove: bool,
     /// With `--foxglove`: states a second of simulated time, 1 to 1000.
     #[arg(long, value_name = "HZ", default_value_t = 30.0, requires = "foxglove")]
     pub(super) rate: f64,
-    /// Export a data set for training instead of a table: every frame is rendered again, with masks of bone, tool, burr and tunnel, keypoints
-    /// of the tool, camera and pose.
+    /// Export a data set for training instead of a table: every frame is rendered again, with masks of bone,
+    /// tool, burr and tunnel, keypoints of the tool, camera and pose.
     #[arg(long, value_enum, value_name = "FORMAT", conflicts_with_all = ["fields", "frames", "topic", "geometry", "foxglove"])]
     dataset: Option<Format>,
-    /// With `--dataset`: voxels at or above this are bone; default: `drr.labels.bone_from_hu` of the scene, or else its `volume.bone_threshold_hu`.
+    /// With `--dataset`: voxels at or above this are bone; default: `drr.labels.bone_from_hu` of the scene,
+    /// or else its `volume.bone_threshold_hu`.
     #[arg(long, value_name = "HU", requires = "dataset", allow_negative_numbers = true)]
     pub(super) bone_from_hu: Option<i16>,
-    /// With `--dataset`: parts of the data set and their shares of the runs, of `train`, `val` and `test`; the frames of a run, and of all
-    /// with its scene and volume, are in one part.
+    /// With `--dataset`: parts of the data set and their shares of the runs, of `train`, `val` and `test`;
+    /// the frames of a run, and of all with its scene and volume, are in one part.
     #[arg(long, value_name = "NAME=SHARE,...", requires = "dataset", conflicts_with_all = ["frames", "geometry", "foxglove"], value_parser = Split::parse)]
     pub(super) split: Option<Split>,
     /// With `--split`: another seed gives the runs other parts.
@@ -117,8 +119,9 @@ impl ExportArguments {
 /// Runs the command.
 ///
 /// # Errors
-/// Not a log, no such topic or field, an unknown file extension, an output that already exists (2); a damaged log,
-/// after writing the rows before the damage, or a full disk (1); a log that has a gap, is cut or was not ended (3).
+/// Not a log, no such topic or field, an unknown file extension, an output that already exists (2); a damaged
+/// log, after writing the rows before the damage, or a full disk (1); a log that has a gap, is cut or was not
+/// ended (3).
 pub fn run(arguments: &ExportArguments) -> Result<(), Failure> {
     arguments.check()?;
     if let Some(format) = arguments.dataset {
@@ -169,7 +172,8 @@ fn table(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), F
     Ok((format!("{count} rows and {columns} columns of {topic}"), verdict))
 }
 
-/// Writes a `.csv` file, or else a Parquet file. The rows before the damage of a log still make a valid table.
+/// Writes a `.csv` file, or else a Parquet file. The rows before the damage of a log still make a valid
+/// table.
 pub(super) fn write_table<T>(
     output: &Path,
     columns: &[Column],
@@ -235,8 +239,8 @@ fn name(sequence: u64, tick: u64) -> String {
     format!("frame_{sequence:06}_tick_{tick:08}.png")
 }
 
-/// The image paths, checked so that an export is refused before its first image. The frames' geometry is in chunks of
-/// its own, so this is quick; faults of the log are reported when its images are read.
+/// The image paths, checked so that an export is refused before its first image. The frames' geometry is in
+/// chunks of its own, so this is quick; faults of the log are reported when its images are read.
 fn names(log: &Path, arguments: &ExportArguments) -> Vec<PathBuf> {
     let mut paths = Vec::new();
     let mut path = |tick: Tick, _: u64, values: &[Scalar]| -> Result<(), LogError> {

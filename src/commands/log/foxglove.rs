@@ -1,4 +1,5 @@
-//! `trabecula log export --foxglove`: a log as one file that Lichtblick and Foxglove open with their 3D panel, image and plots filled.
+//! `trabecula log export --foxglove`: a log as one file that Lichtblick and Foxglove open with their 3D
+//! panel, image and plots filled.
 
 use std::io::BufWriter;
 
@@ -31,8 +32,8 @@ const DRILLED: [f64; 3] = [0.84, 0.37, 0.0];
 /// Exports it.
 ///
 /// # Errors
-/// Not a log, an output that exists or does not end in `.mcap`, a rate out of its range (2); a damaged log, a full disk (1); a log that
-/// has a gap, is cut or was not ended (3).
+/// Not a log, an output that exists or does not end in `.mcap`, a rate out of its range (2); a damaged log, a
+/// full disk (1); a log that has a gap, is cut or was not ended (3).
 pub fn export(arguments: &ExportArguments) -> Result<(), Failure> {
     let output = &arguments.output;
     if ending_of(output) != "mcap" {
@@ -107,7 +108,8 @@ impl<'a, W: std::io::Write> Made<'a, W> {
                     }
                 }
                 Some(Topic::Latched) if !tick.0.is_multiple_of(self.every) => {}
-                // The physics' own format, of no use to a viewer; and indices of voxels of a CT that is not there.
+                // The physics' own format, of no use to a viewer; and indices of voxels of a CT that is not
+                // there.
                 Some(Topic::Keyframe | Topic::Removed) => {}
                 known => {
                     self.frames += u64::from(known == Some(Topic::DrrImage));

@@ -68,8 +68,8 @@ impl Geometry {
 /// Exports it.
 ///
 /// # Errors
-/// Not a log, an ending that says no format, an output that exists, nothing to export (2); a log that cannot be read to its end, a full
-/// disk (1); a log that is cut or was not ended (3).
+/// Not a log, an ending that says no format, an output that exists, nothing to export (2); a log that cannot
+/// be read to its end, a full disk (1); a log that is cut or was not ended (3).
 pub fn export(what: Geometry, arguments: &ExportArguments) -> Result<(), Failure> {
     let format = what.format(&arguments.output)?;
     refuse_existing(&[&arguments.output])?;
@@ -174,8 +174,8 @@ fn of_deviation(format: &str, arguments: &ExportArguments) -> Result<Exported, F
     Ok((said, figures, seen.verdict))
 }
 
-/// The states of a log up to the tick asked for: its scene, the burr's path, the last state, and what is wrong with the log if no tick
-/// was asked for.
+/// The states of a log up to the tick asked for: its scene, the burr's path, the last state, and what is
+/// wrong with the log if no tick was asked for.
 struct Seen {
     scene: Scene,
     places: Vec<Place>,

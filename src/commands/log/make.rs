@@ -29,8 +29,8 @@ pub struct RepairArguments {
 /// Repairs a log and reports what is lost.
 ///
 /// # Errors
-/// Not a log, no header, or an output that already exists (2); a disk error (1); the log had faults, which the report
-/// lists (3).
+/// Not a log, no header, or an output that already exists (2); a disk error (1); the log had faults, which
+/// the report lists (3).
 pub fn repair_log(arguments: &RepairArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let report = repair(&log_path(&arguments.log), &arguments.output)?;
     if arguments.figures.json {
@@ -71,7 +71,8 @@ pub struct CompressArguments {
 /// Recompresses a log.
 ///
 /// # Errors
-/// A level that the method does not have, not a log, an output that already exists (2); a log that is not whole (1).
+/// A level that the method does not have, not a log, an output that already exists (2); a log that is not
+/// whole (1).
 pub fn compress_log(arguments: &CompressArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let (lowest, highest, usual, packing) = arguments.method;
     let level = arguments.level.unwrap_or(usual);

@@ -45,7 +45,8 @@ pub enum LogCommand {
     Repair(make::RepairArguments),
     /// Recompress a log, or store it uncompressed; the messages stay the same.
     Compress(make::CompressArguments),
-    /// Export a topic as a table (.csv, .parquet), the X-ray frames as PNG files, or tunnel, tool and path as geometry (.stl, .obj, .vtp, .mrk.json).
+    /// Export a topic as a table (.csv, .parquet), the X-ray frames as PNG files, or tunnel, tool and path as
+    /// geometry (.stl, .obj, .vtp, .mrk.json).
     Export(export::ExportArguments),
     /// Join several complete logs into one file.
     CatFiles(make::CatFilesArguments),
@@ -56,8 +57,8 @@ pub enum LogCommand {
 /// Runs the command.
 ///
 /// # Errors
-/// Not a log, or an output that already exists (2); two logs that differ, a damaged log, a full disk (1); the work is
-/// done, but the log has a gap, is cut or was not ended (3).
+/// Not a log, or an output that already exists (2); two logs that differ, a damaged log, a full disk (1); the
+/// work is done, but the log has a gap, is cut or was not ended (3).
 pub fn run(command: &LogCommand) -> Result<(), Failure> {
     let mut out = say::out();
     match command {
@@ -123,14 +124,15 @@ fn worse(first: u8, second: u8) -> u8 {
     }
 }
 
-/// Ends a command that has finished its work, with the exit code of the log's verdict. The faults have already been
-/// printed.
+/// Ends a command that has finished its work, with the exit code of the log's verdict. The faults have
+/// already been printed.
 fn concluded(out: &mut Out<'_>, code: u8) -> Result<(), Failure> {
     let _ = out.flush();
     ended_with(code)
 }
 
-/// Ends a command that has done its work with what is wrong with the log, for standard error and as exit code.
+/// Ends a command that has done its work with what is wrong with the log, for standard error and as exit
+/// code.
 ///
 /// # Errors
 /// The log is not intact: damaged (1), has a gap, is cut or was not ended (3).
@@ -148,8 +150,8 @@ fn ended_with(code: u8) -> Result<(), Failure> {
     }
 }
 
-/// Ignores an answer that could not be written: a closed pipe is fine, and any other output error is reported when the
-/// command ends.
+/// Ignores an answer that could not be written: a closed pipe is fine, and any other output error is reported
+/// when the command ends.
 fn answered(result: Result<(), LogError>) -> Result<(), Failure> {
     match result {
         Err(LogError::Output { .. }) => Ok(()),

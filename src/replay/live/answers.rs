@@ -19,8 +19,8 @@ pub(super) struct Answers {
 }
 
 impl Answers {
-    /// Reads the commands as sent, if the timing lane lies beside the log: in real time not every command was latched,
-    /// and a controller must see the same states as in the run. Otherwise reads the latched ones.
+    /// Reads the commands as sent, if the timing lane lies beside the log: in real time not every command was
+    /// latched, and a controller must see the same states as in the run. Otherwise reads the latched ones.
     pub(super) fn read(log: &OpenedLog, indices: &[ControllerIndex]) -> Result<Answers, Failure> {
         let mut expected = vec![BTreeMap::new(); indices.len()];
         let mut replies = BTreeMap::new();

@@ -1,9 +1,9 @@
-//! Runs live controllers against a log: they receive its states, and their answers are compared with the latched
-//! commands.
+//! Runs live controllers against a log: they receive its states, and their answers are compared with the
+//! latched commands.
 //!
-//! Open loop: the states and frames come from the log. Closed loop: the physics is stepped in lockstep with the live
-//! controllers' answers, and the frames are rendered. Both stop at the first difference; up to there, both show the
-//! controllers the same states.
+//! Open loop: the states and frames come from the log. Closed loop: the physics is stepped in lockstep with
+//! the live controllers' answers, and the frames are rendered. Both stop at the first difference; up to
+//! there, both show the controllers the same states.
 
 mod answers;
 mod stage;
@@ -53,7 +53,8 @@ pub struct LivePlan {
 /// Runs the plan; returns how many commands of each controller were identical.
 ///
 /// # Errors
-/// The first difference; a controller that ends or does not answer; bad input, reported before anything is started.
+/// The first difference; a controller that ends or does not answer; bad input, reported before anything is
+/// started.
 pub fn run(log: &OpenedLog, plan: &LivePlan) -> Result<Vec<(String, u64)>, Failure> {
     let indices = indices(log, plan)?;
     let mode = log.reader()?.header().mode;

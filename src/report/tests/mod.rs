@@ -180,8 +180,8 @@ fn the_middle_frame_is_the_one_nearest_the_middle() {
     let folder = tempfile::tempdir().unwrap();
     synthetic::write_run(folder.path(), TICKS);
     write(folder.path(), &facts()).unwrap();
-    // Frame n lies at tick 1 + 100 (n - 1); frame 11 is nearest to the middle of 2000 ticks. A frame's first pixel is
-    // its number.
+    // Frame n lies at tick 1 + 100 (n - 1); frame 11 is nearest to the middle of 2000 ticks. A frame's first
+    // pixel is its number.
     assert_eq!(FRAME_TICKS, 100);
     for (name, number) in [("before", 1), ("half", 11), ("after", 20)] {
         let (columns, rows, pixels) = picture(&folder.path().join(format!("drr_{name}.png")));
@@ -270,8 +270,8 @@ fn a_folder_that_is_not_there_costs_the_files_and_no_number() {
     assert!(report.missing.iter().all(named), "{:?}", report.missing);
 }
 
-/// Regression: one image that could not be written lost the table and the summary, and a report overwrote another file
-/// with the same name.
+/// Regression: one image that could not be written lost the table and the summary, and a report overwrote
+/// another file with the same name.
 #[test]
 fn a_picture_that_cannot_be_written_costs_nothing_else_and_replaces_nothing() {
     let folder = tempfile::tempdir().unwrap();

@@ -68,7 +68,8 @@ impl Client {
 
     /// Asks for an action and waits for the answer.
     pub fn ask(&self, action: u32, ticks: u64) -> RunControlReply {
-        // A look connects this client to a physics that came after it. Without one the physics may answer and go before the first.
+        // A look connects this client to a physics that came after it. Without one the physics may answer and
+        // go before the first.
         while self.replies.receive().unwrap().is_some() {}
         let request_id = self.requests.get();
         self.requests.set(request_id + 1);

@@ -116,7 +116,8 @@ pub fn rewrite_as(
     log.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
 }
 
-/// Writes a log again, every message at its place, as `edit` leaves its bytes; what it returns false of is left out.
+/// Writes a log again, every message at its place, as `edit` leaves its bytes; what it returns false of is
+/// left out.
 pub fn edited(from: &Path, to: &Path, mut edit: impl FnMut(&str, &mut Vec<u8>) -> bool) {
     let mut stream = MessageStream::open(&LogFile::at(from), ReadOptions::default()).unwrap();
     let mut log = create_run(to, stream.header()).unwrap();
@@ -147,8 +148,8 @@ pub fn edited(from: &Path, to: &Path, mut edit: impl FnMut(&str, &mut Vec<u8>) -
     log.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
 }
 
-/// Writes a log again with other names of its attachments, of the same length, as a stranger's tool could: every checksum is
-/// right or, where MCAP permits it, absent (0). Returns how many there were.
+/// Writes a log again with other names of its attachments, of the same length, as a stranger's tool could:
+/// every checksum is right or, where MCAP permits it, absent (0). Returns how many there were.
 pub fn rename_attachments(from: &Path, to: &Path, names: &[(&str, &str)]) -> usize {
     const MAGIC_BYTES: usize = 8;
     const FOOTER: u8 = 0x02;

@@ -234,8 +234,8 @@ impl Drop for Run {
 /// Sessions by their launchers.
 static SEEN: Mutex<BTreeMap<u32, PathBuf>> = Mutex::new(BTreeMap::new());
 
-/// The session of a launcher, which its announcement names. It is remembered: what is left behind is looked for under its
-/// name.
+/// The session of a launcher, which its announcement names. It is remembered: what is left behind is looked
+/// for under its name.
 fn session_of(launcher: u32) -> Option<PathBuf> {
     let mut seen = SEEN.lock().unwrap_or_else(PoisonError::into_inner);
     if let Entry::Vacant(place) = seen.entry(launcher) {
@@ -297,11 +297,12 @@ fn names_in_shared_memory() -> impl Iterator<Item = String> {
     fs::read_dir("/dev/shm").unwrap().flatten().map(|entry| entry.file_name().to_string_lossy().into_owned())
 }
 
-/// What lay in /dev/shm before the first run of these tests. A new process may get the number of one that left something there.
+/// What lay in /dev/shm before the first run of these tests. A new process may get the number of one that
+/// left something there.
 static BEFORE: LazyLock<BTreeSet<String>> = LazyLock::new(|| names_in_shared_memory().collect());
 
-/// Names in /dev/shm that belong to the sessions of a launcher. The transport numbers what it makes, and bits 64 to 95 of
-/// each number are the process that has made it.
+/// Names in /dev/shm that belong to the sessions of a launcher. The transport numbers what it makes, and bits
+/// 64 to 95 of each number are the process that has made it.
 pub fn shared_memory_of(launcher: u32) -> Vec<String> {
     let made_by = |number: &str| number.parse::<u128>().map(|number| (number >> 64) as u32);
     let is_its = |name: &String| {

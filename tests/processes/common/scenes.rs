@@ -40,7 +40,8 @@ ramp_end_mm = 15.0
 burr_speed_rpm = 8000.0
 ";
 
-/// A plan in the ball of `phantom sphere`, which is 10 mm in radius and lies at the origin: straight to its centre.
+/// A plan in the ball of `phantom sphere`, which is 10 mm in radius and lies at the origin: straight to its
+/// centre.
 pub const PLAN_OF_THE_BALL: &str =
     "# CoordinateSystem = LPS\n1,0,0,-12,0,0,0,1,1,1,0,entry,,\n2,0,0,0,0,0,0,1,1,1,0,target,,\n";
 

@@ -26,8 +26,8 @@ impl Act {
     }
 }
 
-/// Starts its arguments in a new terminal (Python's standard library has one), says their process, reads what they write, acts at a line
-/// from standard input, and then says how they ended.
+/// Starts its arguments in a new terminal (Python's standard library has one), says their process, reads what
+/// they write, acts at a line from standard input, and then says how they ended.
 fn script(act: Act) -> String {
     format!(
         "

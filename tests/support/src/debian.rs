@@ -7,8 +7,8 @@ use std::process::Command;
 use crate::limited::Limited;
 use crate::python::downloads;
 
-/// A program of this name on the `PATH` or in a Debian package that is fetched and unpacked once; where there is none, the reason is said,
-/// loudly.
+/// A program of this name on the `PATH` or in a Debian package that is fetched and unpacked once; where there
+/// is none, the reason is said, loudly.
 pub fn program_or_skip(package: &str, program: &str) -> Option<PathBuf> {
     let on_path = std::env::var_os("PATH").and_then(|folders| {
         std::env::split_paths(&folders).map(|folder| folder.join(program)).find(|file| file.is_file())
@@ -23,8 +23,8 @@ pub fn program_or_skip(package: &str, program: &str) -> Option<PathBuf> {
         .ok()
 }
 
-/// A library's headers and objects: the folder below which the packages lie as they would below `/`. `probe` is a file of theirs. Where
-/// there is none, the reason is said, loudly.
+/// A library's headers and objects: the folder below which the packages lie as they would below `/`. `probe`
+/// is a file of theirs. Where there is none, the reason is said, loudly.
 pub fn library_or_skip(packages: &[&str], probe: &str) -> Option<PathBuf> {
     unpacked(packages.first()?, packages, Path::new(probe))
         .inspect_err(|reason| println!("\n*** SKIPPED: no Debian packages {packages:?}: {reason} ***\n"))

@@ -2,8 +2,8 @@
 
 use clap::Command;
 
-/// Calls `look` with each command that does something, and its path such as `log export`; hidden ones, the parts of a session (`proc`)
-/// and those that only pass their words on are left out.
+/// Calls `look` with each command that does something, and its path such as `log export`; hidden ones, the
+/// parts of a session (`proc`) and those that only pass their words on are left out.
 fn each(command: &Command, path: &str, forwarded: &[&str], look: &mut dyn FnMut(&str, &Command)) {
     let below: Vec<&Command> =
         command.get_subcommands().filter(|command| command.get_name() != "help").collect();

@@ -50,7 +50,8 @@ impl Limited for Command {
     }
 }
 
-/// The output of a child whose standard output and error are pipes; it leads a process group of its own or has started nothing.
+/// The output of a child whose standard output and error are pipes; it leads a process group of its own or
+/// has started nothing.
 ///
 /// # Panics
 /// It has not ended within the limit: it is killed.
@@ -100,7 +101,8 @@ fn poll(child: &mut Child, limit: Duration) -> Option<ExitStatus> {
     }
 }
 
-/// Kills a program when a limit is exceeded, so that whoever reads its output line by line waits no longer than that.
+/// Kills a program when a limit is exceeded, so that whoever reads its output line by line waits no longer
+/// than that.
 #[derive(Debug)]
 pub struct Watchdog(Sender<()>);
 

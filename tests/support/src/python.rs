@@ -32,7 +32,8 @@ pub fn downloads() -> PathBuf {
     folder
 }
 
-/// A virtual environment with exactly these packages in [`downloads`]: made once, and again when they change. The error is the reason.
+/// A virtual environment with exactly these packages in [`downloads`]: made once, and again when they change.
+/// The error is the reason.
 ///
 /// # Errors
 /// Why there is none, in the words of the program that failed.
@@ -59,7 +60,8 @@ pub fn environment(name: &str, packages: &[&str], probe: &str) -> Result<PathBuf
     Ok(python)
 }
 
-/// The pip that installs into an environment: its own, or else the machine's. A pip for each environment takes as long as many packages.
+/// The pip that installs into an environment: its own, or else the machine's. A pip for each environment
+/// takes as long as many packages.
 pub fn pip(python: &Path) -> Command {
     let own = said(Command::new(python).args(["-c", "import pip"])).is_ok();
     let mut pip = Command::new(if own { python } else { Path::new("python3") });

@@ -25,7 +25,8 @@ from ._view import ArrayField, ElementsField, View, field, nested
 
 ";
 
-/// Arrays of which a message uses only the beginning, and the field that says how much: message, array, count.
+/// Arrays of which a message uses only the beginning, and the field that says how much: message, array,
+/// count.
 const COUNTS: [(&str, &str, &str); 13] = [
     ("State", "joint_position_rad", "joint_count"),
     ("State", "joint_velocity_rad_per_s", "joint_count"),
@@ -42,7 +43,8 @@ const COUNTS: [(&str, &str, &str); 13] = [
     ("Latched", "commands", "controller_count"),
 ];
 
-/// Arrays of which a program sets as many entries as the tool has tendons, or the arm joints; the others become 0.
+/// Arrays of which a program sets as many entries as the tool has tendons, or the arm joints; the others
+/// become 0.
 const ROOMS: [(&str, &str); 4] = [
     ("Command", "tendon_force_n"),
     ("Command", "tendon_displacement_m"),

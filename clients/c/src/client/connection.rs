@@ -17,10 +17,11 @@ const RETRY_TIME: Duration = Duration::from_millis(10);
 /// Which session to join, and as which controller.
 #[derive(Debug, Clone)]
 pub struct Connection {
-    /// The session's folder or name. `None` uses the folder in `TRABECULA_SESSION`, or else this user's only running session.
+    /// The session's folder or name. `None` uses the folder in `TRABECULA_SESSION`, or else this user's only
+    /// running session.
     pub session: Option<String>,
-    /// The controller's name in the scene, or empty for an observer, which sends no commands. `None` uses the name in
-    /// `TRABECULA_CONTROLLER`, or else the scene's only external controller.
+    /// The controller's name in the scene, or empty for an observer, which sends no commands. `None` uses the
+    /// name in `TRABECULA_CONTROLLER`, or else the scene's only external controller.
     pub controller: Option<String>,
     /// How long to wait for the session.
     pub limit: Duration,

@@ -20,7 +20,8 @@ pub(super) struct Control {
 }
 
 impl Client {
-    /// Sends a run-control request (one of the `CONTROL_` constants; `ticks` is for a step) and waits for the reply.
+    /// Sends a run-control request (one of the `CONTROL_` constants; `ticks` is for a step) and waits for the
+    /// reply.
     ///
     /// # Errors
     /// [`ClientError::ControlRefused`], [`ClientError::TimedOut`], [`ClientError::Ended`]; the transport's.

@@ -9,8 +9,8 @@ use super::{Client, put};
 use crate::error::ClientError;
 
 impl Client {
-    /// The oldest event not yet taken. Events are queued from this client's first call on. The event stays in shared memory until the next
-    /// one is returned.
+    /// The oldest event not yet taken. Events are queued from this client's first call on. The event stays in
+    /// shared memory until the next one is returned.
     ///
     /// # Errors
     /// [`ClientError::Forked`]; the transport's.
@@ -50,8 +50,9 @@ impl Client {
         Ok(())
     }
 
-    /// The oldest message about removed voxels not yet taken, with the voxels' indices in place. Messages are queued from this client's
-    /// first call on. The message stays in shared memory until the next one is returned.
+    /// The oldest message about removed voxels not yet taken, with the voxels' indices in place. Messages are
+    /// queued from this client's first call on. The message stays in shared memory until the next one is
+    /// returned.
     ///
     /// # Errors
     /// [`ClientError::Forked`]; the transport's.
@@ -68,8 +69,9 @@ impl Client {
         Ok(None)
     }
 
-    /// The oldest reading of any sensor not yet taken, if the scene has sensors. Readings are queued from the connection on, at most 1024;
-    /// those that arrive with a state are there when the state is. The reading stays in shared memory until the next one is returned.
+    /// The oldest reading of any sensor not yet taken, if the scene has sensors. Readings are queued from the
+    /// connection on, at most 1024; those that arrive with a state are there when the state is. The reading
+    /// stays in shared memory until the next one is returned.
     ///
     /// # Errors
     /// [`ClientError::Forked`]; the transport's.

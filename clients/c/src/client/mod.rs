@@ -35,8 +35,8 @@ const OBSERVER_POLL_PERIOD: Duration = Duration::from_micros(200);
 /// Longest wait a caller may request; longer ones overflow clocks.
 const LONGEST_WAIT_S: f64 = 1e9;
 
-/// A connection. It belongs to the thread and process that made it: in a `fork` child every call fails with [`ClientError::Forked`], and
-/// dropping it there disconnects nobody.
+/// A connection. It belongs to the thread and process that made it: in a `fork` child every call fails with
+/// [`ClientError::Forked`], and dropping it there disconnects nobody.
 #[derive(Debug)]
 pub struct Client {
     pub(crate) session: Own<Session>,
@@ -48,8 +48,8 @@ pub struct Client {
     physics: Waker,
     commands: Option<Publisher<Command>>,
     state: Option<Received<State>>,
-    /// Filled in by the caller and copied when sent, so later writes have no effect. Boxed, because callers of the C interface hold its
-    /// address.
+    /// Filled in by the caller and copied when sent, so later writes have no effect. Boxed, because callers
+    /// of the C interface hold its address.
     command: Box<Command>,
     /// Whether a command has been requested and not yet sent.
     is_begun: bool,
@@ -99,8 +99,8 @@ impl Client {
     /// Joins a session.
     ///
     /// # Errors
-    /// No session within the limit, several and none named, another layout or transport version (by name), a controller that the scene does
-    /// not name or that is already connected.
+    /// No session within the limit, several and none named, another layout or transport version (by name), a
+    /// controller that the scene does not name or that is already connected.
     pub fn connect(connection: &Connection) -> Result<Client, ClientError> {
         let folder = await_folder(connection)?;
         let named = folder.clone();
@@ -185,8 +185,8 @@ impl Client {
         &self.scene
     }
 
-    /// The newest state, if one has arrived since the last call. Skips older ones and counts them ([`Client::states_missed`]). The state
-    /// stays in shared memory, unchanged, until the next one is taken.
+    /// The newest state, if one has arrived since the last call. Skips older ones and counts them
+    /// ([`Client::states_missed`]). The state stays in shared memory, unchanged, until the next one is taken.
     ///
     /// # Errors
     /// [`ClientError::Ended`] after the last state; the transport's.
@@ -204,10 +204,12 @@ impl Client {
         Ok(self.state.as_ref().filter(|_| came).map(Received::message))
     }
 
-    /// Waits for the newest state, as [`Client::poll_state`] returns it: yields for 20 µs, then sleeps until woken.
+    /// Waits for the newest state, as [`Client::poll_state`] returns it: yields for 20 µs, then sleeps until
+    /// woken.
     ///
     /// # Errors
-    /// [`ClientError::TimedOut`], [`ClientError::Ended`] after the last state, [`ClientError::HubGone`]; the transport's.
+    /// [`ClientError::TimedOut`], [`ClientError::Ended`] after the last state, [`ClientError::HubGone`]; the
+    /// transport's.
     pub fn wait_state(&mut self, limit: Duration) -> Result<&State, ClientError> {
         self.await_state(limit)?;
         while self.take_state()? {}
@@ -306,8 +308,8 @@ impl Client {
         self.session.name()
     }
 
-    /// Why the run is over, once [`ClientError::Ended`] has been returned: a controller that did not join or was late, by name; a stop;
-    /// or its last tick.
+    /// Why the run is over, once [`ClientError::Ended`] has been returned: a controller that did not join or
+    /// was late, by name; a stop; or its last tick.
     pub fn end_reason(&self) -> String {
         let name = self.session_name();
         let tick = self.newest_status.map_or(0, |status| status.tick);
@@ -332,8 +334,8 @@ impl Client {
         Ok(self.newest_status)
     }
 
-    /// The next command to send: every mode at "none", `sequence` and `state_tick` filled in. Returns the same one until it is sent or
-    /// discarded.
+    /// The next command to send: every mode at "none", `sequence` and `state_tick` filled in. Returns the
+    /// same one until it is sent or discarded.
     ///
     /// # Errors
     /// [`ClientError::Observer`], [`ClientError::Forked`].
@@ -350,7 +352,8 @@ impl Client {
         Ok(&mut self.command)
     }
 
-    /// Sends the command from [`Client::command`] as it is now, and wakes the physics. After an error it can be sent again.
+    /// Sends the command from [`Client::command`] as it is now, and wakes the physics. After an error it can
+    /// be sent again.
     ///
     /// # Errors
     /// [`ClientError::Misuse`] without a command, [`ClientError::Forked`]; the transport's.
@@ -400,7 +403,8 @@ impl Client {
     }
 }
 
-/// The last message of each kind given to the caller, and its port: the memory is not reused before these are dropped.
+/// The last message of each kind given to the caller, and its port: the memory is not reused before these are
+/// dropped.
 #[derive(Debug)]
 pub(crate) struct Kept {
     _state: Option<(Received<State>, Subscriber<State>)>,
@@ -412,11 +416,11 @@ pub(crate) struct Kept {
     _command: Box<Command>,
 }
 
-/// Replaces the held message with a new one. Only now is the old one released: the caller may still be reading it, and the memory of a
-/// departed sender is unmapped with its last message.
+/// Replaces the held message with a new one. Only now is the old one released: the caller may still be
+/// reading it, and the memory of a departed sender is unmapped with its last message.
 ///
-/// Returns false and skips the message if it has another sender. A session has one sender of each held kind, and a stranger in its place
-/// must not unmap what the caller is reading.
+/// Returns false and skips the message if it has another sender. A session has one sender of each held kind,
+/// and a stranger in its place must not unmap what the caller is reading.
 pub(crate) fn put<M: Message>(held: &mut Option<Received<M>>, new: Received<M>) -> bool {
     let is_foreign = held.as_ref().is_some_and(|held| held.sender() != new.sender());
     if !is_foreign {

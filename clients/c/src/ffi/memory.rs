@@ -1,5 +1,5 @@
-//! Keeps the messages that a client gave to its caller mapped after the client's end, for languages in which memory lives as long as
-//! anything refers to it.
+//! Keeps the messages that a client gave to its caller mapped after the client's end, for languages in which
+//! memory lives as long as anything refers to it.
 
 use std::sync::atomic::{AtomicPtr, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -17,10 +17,11 @@ struct Left {
     _texts: Texts,
 }
 
-// SAFETY: the only obstacle to another thread is the transport's non-atomic reference count, which a port and its samples share.
-// `Client::leave` took each port together with its only sample, so both owners of each count are in here and the previous thread has none;
-// the lock below orders its counting before ours. Everything else in a port is `Send`, declared by the transport (`SubscriberSharedState`,
-// `Node`) or as a value of ours.
+// SAFETY: the only obstacle to another thread is the transport's non-atomic reference count, which a port and
+// its samples share. `Client::leave` took each port together with its only sample, so both owners of each
+// count are in here and the previous thread has none; the lock below orders its counting before ours.
+// Everything else in a port is `Send`, declared by the transport (`SubscriberSharedState`, `Node`) or as a
+// value of ours.
 unsafe impl Send for Left {}
 
 /// A client whose memory is held.
@@ -38,7 +39,8 @@ struct Registry {
     held: Mutex<Vec<Held>>,
 }
 
-/// This process's registry. A `fork` child makes its own, because another thread may have held the lock of its parent's.
+/// This process's registry. A `fork` child makes its own, because another thread may have held the lock of
+/// its parent's.
 fn registry() -> &'static Registry {
     static CURRENT: AtomicPtr<Registry> = AtomicPtr::new(core::ptr::null_mut());
     let known = CURRENT.load(Ordering::Acquire);

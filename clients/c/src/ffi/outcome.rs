@@ -124,7 +124,8 @@ thread_local! {
 
 /// Runs a function's body; a failure becomes a status and this thread's last error.
 pub(super) fn outcome(body: impl FnOnce() -> Result<(), Failure>) -> i32 {
-    // What a panic leaves half done stays inside this library, because the client's fields are plain values and ports.
+    // What a panic leaves half done stays inside this library, because the client's fields are plain values
+    // and ports.
     let (status, text) = match catch_unwind(AssertUnwindSafe(body)) {
         Ok(Ok(())) => return OK,
         // A signal handler must not allocate.

@@ -49,8 +49,8 @@ pub(crate) fn commands(py: Python<'_>, bytes: &[u8]) -> PyResult<Vec<Command>> {
     Ok(bytes.chunks_exact(size).filter_map(|bytes| Command::read_from_bytes(bytes).ok()).collect())
 }
 
-/// Makes ticks while other Python threads run. A signal handler that raises, as that of Ctrl-C does, ends it at the tick to which it has
-/// come.
+/// Makes ticks while other Python threads run. A signal handler that raises, as that of Ctrl-C does, ends it
+/// at the tick to which it has come.
 pub(crate) fn stepped(
     py: Python<'_>,
     batch: &Batch,
@@ -60,7 +60,8 @@ pub(crate) fn stepped(
     watched(py, |is_raised| batch.step_watched(given, ticks, is_raised))
 }
 
-/// Works while other Python threads run. The work asks now and then whether a signal handler has raised, which is then the result.
+/// Works while other Python threads run. The work asks now and then whether a signal handler has raised,
+/// which is then the result.
 fn watched<R: Send>(
     py: Python<'_>,
     work: impl FnOnce(&mut dyn FnMut() -> bool) -> Result<R, SimError> + Send,
@@ -226,8 +227,8 @@ impl Sim {
         Ok(rendered.iter().map(|one| (bytes(one.frame.as_bytes()), bytes(one.pixels.as_bytes()))).collect())
     }
 
-    /// As `render`; then of its labels the mask, six images of float32 one after the other in the order of `xray::Labels`, and column, row,
-    /// depth and visibility of each keypoint as float64.
+    /// As `render`; then of its labels the mask, six images of float32 one after the other in the order of
+    /// `xray::Labels`, and column, row, depth and visibility of each keypoint as float64.
     #[pyo3(signature = (geometry, angles_deg, bone_from_hu))]
     fn labels<'py>(
         &self,

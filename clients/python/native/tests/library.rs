@@ -1,4 +1,5 @@
-//! The library is where `tests/processes/python.rs` installs it from, and is the module that Python looks for.
+//! The library is where `tests/processes/python.rs` installs it from, and is the module that Python looks
+//! for.
 
 #![allow(clippy::unwrap_used, reason = "a test fails")]
 

@@ -102,8 +102,8 @@ impl Connection {
         Ok(())
     }
 
-    /// Whether nothing is sent to the peer any more: its threads have ended, or it was given the write limit after it was given up. To
-    /// drop this then waits for nobody.
+    /// Whether nothing is sent to the peer any more: its threads have ended, or it was given the write limit
+    /// after it was given up. To drop this then waits for nobody.
     pub(crate) fn is_over(&self) -> bool {
         self.threads.iter().all(JoinHandle::is_finished)
             || self.peer.outbox.closed().is_some_and(|closed| closed.elapsed() >= WRITE_LIMIT)
@@ -233,7 +233,8 @@ mod tests {
         (connection, peer)
     }
 
-    /// Bug: the bridge's loop, which answers the physics, waited for the writer of a peer that was given up and read nothing.
+    /// Bug: the bridge's loop, which answers the physics, waited for the writer of a peer that was given up
+    /// and read nothing.
     #[test]
     fn a_peer_that_is_given_up_and_does_not_read_is_over_only_when_its_writer_is() {
         let (connection, peer) = given_up();

@@ -75,7 +75,8 @@ pub struct Summary {
     pub refused: u64,
 }
 
-/// Runs the bridge until the session ends or an end is requested. `ready` hears the address that is listened at.
+/// Runs the bridge until the session ends or an end is requested. `ready` hears the address that is listened
+/// at.
 ///
 /// # Errors
 /// No session, a port in use; the session's loss.

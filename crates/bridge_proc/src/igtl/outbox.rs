@@ -9,8 +9,8 @@ use openigtlink::{Body, Message};
 /// Most messages of different names that wait; the oldest goes first.
 const MOST_WAITING: usize = 256;
 
-/// A queue that holds the newest message of each device and type, so a peer that reads slowly gets fewer messages and none that are old.
-/// Answers to requests (STATUS) are not replaced: each is said.
+/// A queue that holds the newest message of each device and type, so a peer that reads slowly gets fewer
+/// messages and none that are old. Answers to requests (STATUS) are not replaced: each is said.
 #[derive(Debug, Default)]
 pub(crate) struct Outbox {
     state: Mutex<Waiting>,
@@ -50,7 +50,8 @@ impl Outbox {
         self.changed.notify_one();
     }
 
-    /// The next message; waits for one. `None` once the outbox is closed and empty, or nothing came within the limit.
+    /// The next message; waits for one. `None` once the outbox is closed and empty, or nothing came within
+    /// the limit.
     pub(crate) fn take(&self, limit: Duration) -> Option<Message> {
         let idle = |waiting: &mut Waiting| waiting.messages.is_empty() && waiting.closed.is_none();
         let waited = self.changed.wait_timeout_while(self.lock(), limit, idle);

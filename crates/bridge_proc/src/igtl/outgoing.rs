@@ -6,7 +6,8 @@ use openigtlink::{Body, Coordinates, Image, Message, Point, PolyData, Timestamp}
 
 use crate::ras;
 
-/// Device names of messages that a peer receives, and what they hold. A test compares `docs/slicer.md` with it.
+/// Device names of messages that a peer receives, and what they hold. A test compares `docs/slicer.md` with
+/// it.
 pub const SENT: [(&str, &str, &str); 11] = [
     ("TRANSFORM", "BurrToRAS", "the burr's centre, axes of the last link"),
     ("TRANSFORM", "TipToRAS", "the front of the burr"),
@@ -75,8 +76,8 @@ pub(crate) fn figures(state: &State, status: Option<&RunStatus>, timestamp: Time
 /// A circle across a pose's z axis: radius, and how far behind the pose, m.
 type Ring<'p> = (&'p Pose, f64, f64);
 
-/// The tool as a surface: a tube through base, links and burr, closed by the widest circle of the burr, or of its balls, and its tip; and the
-/// outer tube about it if there is one.
+/// The tool as a surface: a tube through base, links and burr, closed by the widest circle of the burr, or of
+/// its balls, and its tip; and the outer tube about it if there is one.
 pub(crate) fn tool(state: &State, radii: &ToolRadii, timestamp: Timestamp) -> Message {
     let tube_m = radii.tube_outer_m;
     let mut rings: Vec<Ring> = vec![(&state.t_world_base, tube_m, 0.0)];
@@ -118,7 +119,8 @@ fn add_tube(surface: &mut PolyData, rings: &[Ring]) {
     }
 }
 
-/// An X-ray at its detector: axis i along the rows, j down the columns, k from the detector toward the source.
+/// An X-ray at its detector: axis i along the rows, j down the columns, k from the detector toward the
+/// source.
 pub(crate) fn x_ray(frame: &Frame, pixels: &[u16], timestamp: Timestamp) -> Option<Message> {
     let geometry = &frame.geometry;
     let size = [u16::try_from(geometry.columns).ok()?, u16::try_from(geometry.rows).ok()?, 1];

@@ -61,7 +61,8 @@ impl Follower {
         self.stage = Stage::Halt;
     }
 
-    /// Takes a plan. The tip's way to the target is straight, so the tool must be straight: what bends it is not this bridge's.
+    /// Takes a plan. The tip's way to the target is straight, so the tool must be straight: what bends it is
+    /// not this bridge's.
     ///
     /// # Errors
     /// Entry (or tip) and target are the same place.
@@ -139,7 +140,8 @@ fn is_near(base: &Pose, goal: &Pose) -> bool {
     (Vector3::from(base.position_m) - Vector3::from(goal.position_m)).norm() < 1e-3
 }
 
-/// The base's pose with the tip at a point and the tool's +z along an axis, turned from today's pose the shortest way.
+/// The base's pose with the tip at a point and the tool's +z along an axis, turned from today's pose the
+/// shortest way.
 fn base_at(state: &State, tip_m: Vector3<f64>, axis: Vector3<f64>) -> Pose {
     let (base, tip) = (isometry(&state.t_world_base), isometry(&state.t_world_tip));
     let z = base.rotation * Vector3::z();

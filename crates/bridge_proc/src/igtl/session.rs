@@ -93,8 +93,8 @@ impl Joined {
         messages
     }
 
-    /// The newest scheduled frame and the newest one that was asked for. A scheduled frame never takes the place of the other: it
-    /// shows another pose.
+    /// The newest scheduled frame and the newest one that was asked for. A scheduled frame never takes the
+    /// place of the other: it shows another pose.
     fn frames(&mut self, now: Timestamp) -> impl Iterator<Item = Message> + use<> {
         let (mut scheduled, mut asked_for) = (None, None);
         // Older ones that wait too are of no use to a peer.

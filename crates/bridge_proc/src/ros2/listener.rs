@@ -16,7 +16,8 @@ pub struct Listener {
 }
 
 impl Listener {
-    /// Subscribes to the topics with these names in a domain, on this machine. `rate_hz`: of the bridge's states.
+    /// Subscribes to the topics with these names in a domain, on this machine. `rate_hz`: of the bridge's
+    /// states.
     ///
     /// # Errors
     /// No place on the domain.

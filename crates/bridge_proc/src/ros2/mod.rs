@@ -66,14 +66,15 @@ pub struct Summary {
 /// What the bridge says when it is ready.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Ready {
-    /// Whether the operating system keeps everybody but this machine's programs out; `None` where that was not asked for.
+    /// Whether the operating system keeps everybody but this machine's programs out; `None` where that was
+    /// not asked for.
     pub is_closed: Option<bool>,
     /// Topics that it listens to.
     pub listens: usize,
 }
 
-/// Runs the bridge until the session ends or an end is requested. `ready` hears when its topics are there; `note` gets lines on what was
-/// refused, at most one a second.
+/// Runs the bridge until the session ends or an end is requested. `ready` hears when its topics are there;
+/// `note` gets lines on what was refused, at most one a second.
 ///
 /// # Errors
 /// No session, no place on the domain; the session's loss.
@@ -100,7 +101,8 @@ pub fn serve(
         joined.obey(&mut node, &mut notices);
         let now = Instant::now();
         if now >= due {
-            // The mean rate is kept, but what was missed for longer is not made up for: subscribers want what is newest.
+            // The mean rate is kept, but what was missed for longer is not made up for: subscribers want what
+            // is newest.
             due = (due + period).max(now);
             joined.publish(&mut node);
         }

@@ -18,8 +18,9 @@ use super::{Reach, Ros2Error, Ros2Options, Summary, loopback};
 
 /// The node's name, as `ros2 node list` shows it.
 pub(crate) const NODE: &str = "trabecula_bridge";
-/// Seconds of states that wait for a subscriber that acknowledges none: longer than the lease after which Fast DDS and Cyclone DDS hold a
-/// silent participant for dead (20 s and 10 s), so that one that was stopped costs the others nothing.
+/// Seconds of states that wait for a subscriber that acknowledges none: longer than the lease after which
+/// Fast DDS and Cyclone DDS hold a silent participant for dead (20 s and 10 s), so that one that was stopped
+/// costs the others nothing.
 const STATE_WINDOW_S: f64 = 30.0;
 /// Images that wait.
 const IMAGE_WINDOW: i32 = 16;
@@ -213,7 +214,8 @@ impl Place {
         made.map_err(|cause| self.failed(name, &cause.to_string()))
     }
 
-    /// Says which publishers and subscriptions make up the node, as ROS 2's middleware does (rmw_dds_common, from Iron on).
+    /// Says which publishers and subscriptions make up the node, as ROS 2's middleware does (rmw_dds_common,
+    /// from Iron on).
     fn make_known(
         &self,
         writers: &BTreeMap<Output, Writer>,

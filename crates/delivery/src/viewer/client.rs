@@ -119,12 +119,14 @@ impl Client {
         self.subscriptions.values().copied()
     }
 
-    /// Takes the next messages: of streams up to a number of bytes, then one of the others. Empty only if nothing waits.
+    /// Takes the next messages: of streams up to a number of bytes, then one of the others. Empty only if
+    /// nothing waits.
     pub fn take(&mut self, bytes: usize) -> Vec<Outgoing> {
         self.queue.take(bytes)
     }
 
-    /// The number of messages that were dropped and are to be told to the client now, which happens twice a second at most.
+    /// The number of messages that were dropped and are to be told to the client now, which happens twice a
+    /// second at most.
     pub fn drops_to_tell(&mut self, now_ns: u64) -> Option<u64> {
         if now_ns.saturating_sub(self.told_ns) <= TELL_PERIOD_NS || !self.queue.has_dropped() {
             return None;

@@ -54,8 +54,8 @@ impl Wanted {
     }
 }
 
-/// Which of the messages that a look at a queue finds are handed on: all if somebody subscribes, otherwise the newest, which is kept for
-/// those that subscribe later.
+/// Which of the messages that a look at a queue finds are handed on: all if somebody subscribes, otherwise
+/// the newest, which is kept for those that subscribe later.
 #[derive(Debug)]
 pub struct Decimation<M> {
     is_wanted: bool,

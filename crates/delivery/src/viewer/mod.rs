@@ -1,11 +1,12 @@
-//! What the clients of a viewer get: what is kept for those that subscribe later, what a slow one misses, and what it is told of that.
+//! What the clients of a viewer get: what is kept for those that subscribe later, what a slow one misses, and
+//! what it is told of that.
 //!
-//! **Boundary:** as in the rest of this crate, it only decides; the viewer's process takes the session's messages, owns sockets, locks and
-//! clock, and sends what [`Client::take`] returns.
+//! **Boundary:** as in the rest of this crate, it only decides; the viewer's process takes the session's
+//! messages, owns sockets, locks and clock, and sends what [`Client::take`] returns.
 //!
-//! **Invariants**, held against every schedule of `hub_simulator`: what waits for one client is bounded; each message of a stream is
-//! delivered once and in order, or counted as dropped and told as such; a client that reads on gets the newest message of each of its
-//! channels; no channel waits for ever behind another.
+//! **Invariants**, held against every schedule of `hub_simulator`: what waits for one client is bounded; each
+//! message of a stream is delivered once and in order, or counted as dropped and told as such; a client that
+//! reads on gets the newest message of each of its channels; no channel waits for ever behind another.
 //!
 //! ```
 //! use delivery::viewer::{Client, Kept, Limits, Policy, Published};
@@ -51,7 +52,8 @@ pub enum Policy {
 pub struct Published {
     /// Number of the channel.
     pub channel: u32,
-    /// Which of the channel's things it shows: a surface has a slot for each block, most channels have one slot.
+    /// Which of the channel's things it shows: a surface has a slot for each block, most channels have one
+    /// slot.
     pub slot: u32,
     /// Simulated time, ns.
     pub time_ns: u64,

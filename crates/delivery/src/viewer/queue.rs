@@ -147,7 +147,8 @@ mod tests {
         assert!(queue.take(usize::MAX).is_empty());
     }
 
-    /// A stalled client never learned that the run was paused: states, a thousand a second, pushed the one message out that says so.
+    /// A stalled client never learned that the run was paused: states, a thousand a second, pushed the one
+    /// message out that says so.
     #[test]
     fn a_busy_stream_does_not_push_out_the_newest_message_of_a_quiet_one() {
         let mut queue = Queue::new(Limits { stream_bytes: 100 });

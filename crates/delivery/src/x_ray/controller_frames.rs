@@ -49,8 +49,8 @@ pub struct NoFrame {
     pub tick: Tick,
 }
 
-/// The frames of one controller: in real time whatever has arrived, in lockstep the scheduled frame that is due
-/// ([`Scene::frame_seen_at`](scene::Scene::frame_seen_at)), so that a run repeats bit for bit.
+/// The frames of one controller: in real time whatever has arrived, in lockstep the scheduled frame that is
+/// due ([`Scene::frame_seen_at`](scene::Scene::frame_seen_at)), so that a run repeats bit for bit.
 ///
 /// ```
 /// use delivery::x_ray::{ControllerFrames, FrameMark, FrameStep};
@@ -90,7 +90,8 @@ impl ControllerFrames {
     /// The controller has taken a state, at which in lockstep it is to see the frame of tick `due`. Then call
     /// [`step`](ControllerFrames::step) until it answers.
     pub fn begin(&mut self, due: Option<Tick>, now_ns: u64) {
-        // Frames come in the order of their ticks, the scheduled one of a tick first. Who connects late waits for none that has passed.
+        // Frames come in the order of their ticks, the scheduled one of a tick first. Who connects late waits
+        // for none that has passed.
         let is_to_come = |due: &Tick| self.skipped_tick.is_none_or(|skipped| skipped < *due);
         self.due = due.filter(is_to_come).filter(|_| self.mode == Mode::Lockstep);
         self.patience = Patience::new(FRAME_LIMIT_NS, now_ns);
@@ -163,7 +164,8 @@ mod tests {
         assert_eq!((frames.take_lost(), frames.take_lost()), (2, 0));
     }
 
-    /// Requested frames filled the queue between two scheduled ones and pushed out the one that was due: the controller waited for it.
+    /// Requested frames filled the queue between two scheduled ones and pushed out the one that was due: the
+    /// controller waited for it.
     #[test]
     fn in_lockstep_requested_frames_do_not_pile_up_before_the_one_that_is_due() {
         let mut frames = ControllerFrames::new(Mode::Lockstep);

@@ -139,8 +139,9 @@ impl Schedule {
         self.settings.period_ticks.is_some()
     }
 
-    /// Queues a request. `sender` is the controller that sent it, or `None` for any other program; `geometry` says whether the requested
-    /// C-arm is valid. A request for another choice of C-arm than the two is one for the scene's.
+    /// Queues a request. `sender` is the controller that sent it, or `None` for any other program; `geometry`
+    /// says whether the requested C-arm is valid. A request for another choice of C-arm than the two is one
+    /// for the scene's.
     ///
     /// # Errors
     /// Why the request is refused; nothing has changed then.
@@ -174,8 +175,9 @@ impl Schedule {
         Ok(())
     }
 
-    /// Returns a frame due at the state of this tick; the caller renders it and calls again until there is none. In lockstep every
-    /// scheduled tick counts and the caller waits for the renderer; in real time a scheduled frame is due only when the renderer is idle.
+    /// Returns a frame due at the state of this tick; the caller renders it and calls again until there is
+    /// none. In lockstep every scheduled tick counts and the caller waits for the renderer; in real time a
+    /// scheduled frame is due only when the renderer is idle.
     pub fn due(&mut self, tick: Tick, renderer: Renderer) -> Option<Due> {
         if self.settings.mode == Mode::Realtime && renderer == Renderer::Busy {
             return None;
@@ -185,16 +187,16 @@ impl Schedule {
         Some(due)
     }
 
-    /// Returns a frame due at the run's last state, whether or not the renderer is busy; the caller calls again until there is none. The
-    /// last is that of the state itself, unless a frame already shows it.
+    /// Returns a frame due at the run's last state, whether or not the renderer is busy; the caller calls
+    /// again until there is none. The last is that of the state itself, unless a frame already shows it.
     pub fn last(&mut self, tick: Tick) -> Option<Due> {
         let due = self.scheduled(tick).or_else(|| self.requested(tick));
         let is_shown = self.shown_tick.replace(tick) == Some(tick);
         due.or_else(|| (!is_shown).then_some(Due::Scheduled))
     }
 
-    /// The run has ended with the state of this tick: returns the requests that can have no frame any more, each to be answered with the
-    /// refusal. Requests that come later are refused by it too.
+    /// The run has ended with the state of this tick: returns the requests that can have no frame any more,
+    /// each to be answered with the refusal. Requests that come later are refused by it too.
     pub fn end(&mut self, last_tick: Tick) -> Vec<(DrrRequest, Refusal)> {
         self.ended_at = Some(last_tick);
         let refused = |waiting: Waiting| (waiting.request, Refusal::RunEnded { last_tick });

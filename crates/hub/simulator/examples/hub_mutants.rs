@@ -1,6 +1,7 @@
 //! Builds each deliberately broken version of the hub and lets the schedules find it.
 //!
-//! `cargo run --release -p hub_simulator --example hub_mutants [-- PART OF A NAME]`: ends with 1 if one survives ten thousand seeds.
+//! `cargo run --release -p hub_simulator --example hub_mutants [-- PART OF A NAME]`: ends with 1 if one
+//! survives ten thousand seeds.
 
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -138,7 +139,8 @@ fn try_one(mutant: &Mutant, root: &Path, place: &Path) -> Result<Option<String>,
     let built = Command::new(cargo())
         .args(["build", "--release", "--offline", "--quiet", "-p", "hub_simulator", "--bin", "hub_simulator"])
         .env("RUSTFLAGS", "-Awarnings")
-        // Most are found within a hundred seeds, so that a build which takes seconds saves more than a fast program.
+        // Most are found within a hundred seeds, so that a build which takes seconds saves more than a fast
+        // program.
         .env("CARGO_INCREMENTAL", "1")
         .env("CARGO_PROFILE_RELEASE_OPT_LEVEL", "1")
         .env("CARGO_PROFILE_RELEASE_DEBUG", "0")

@@ -64,7 +64,8 @@ impl Sight {
         self.queue.is_empty() && self.kept.is_none()
     }
 
-    /// Looks at the frames before the controller answers the state of this tick; returns whether it waits for another.
+    /// Looks at the frames before the controller answers the state of this tick; returns whether it waits for
+    /// another.
     pub fn look(&mut self, index: ControllerIndex, tick: u64, now_ns: u64, account: &mut SeenFrames) -> bool {
         if self.waits_at != Some(tick) {
             self.decide.begin(account.due_at(tick).map(Tick), now_ns);

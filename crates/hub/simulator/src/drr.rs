@@ -155,7 +155,8 @@ impl DrrProcess {
         }
     }
 
-    /// Takes the requests that have come, after what is left of the newest state, and serves those that are due.
+    /// Takes the requests that have come, after what is left of the newest state, and serves those that are
+    /// due.
     pub fn take_requests(&mut self, now_ns: u64, account: &mut FrameAccount) -> Option<Looked> {
         self.publish_finished(now_ns, account);
         if self.is_blocked() {
@@ -200,7 +201,8 @@ impl DrrProcess {
         self.jobs.front().map(|job| Looked::Blocked { until_ns: job.finished_ns })
     }
 
-    /// Renders what is due at the last state and all that waits, and refuses the other requests; `late` comes meanwhile.
+    /// Renders what is due at the last state and all that waits, and refuses the other requests; `late` comes
+    /// meanwhile.
     pub fn finish(&mut self, now_ns: u64, late: Vec<Asked>, account: &mut FrameAccount) {
         if let Some(Seen { tick, .. }) = self.newest {
             while let Some(due) = self.schedule.last(Tick(tick)) {

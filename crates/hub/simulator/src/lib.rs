@@ -1,19 +1,23 @@
 //! The hub under seeded schedules.
 //!
-//! [`Plan::of`] decides everything from a seed: the scene, how quick everybody is, and what goes wrong when. [`run`] plays the plan
-//! against a [`hub::Hub`] with a clock and queues in memory, and holds every step against an [`oracle`] that knows nothing of
-//! the hub but what passes between it and its surroundings. Among these are a DRR process and controllers that decide with [`delivery::x_ray`],
-//! and a viewer that decides with [`delivery::viewer`], as the real ones do. [`shrink`] takes from a plan that fails what it fails without.
+//! [`Plan::of`] decides everything from a seed: the scene, how quick everybody is, and what goes wrong when.
+//! [`run`] plays the plan against a [`hub::Hub`] with a clock and queues in memory, and holds every step
+//! against an [`oracle`] that knows nothing of the hub but what passes between it and its surroundings. Among
+//! these are a DRR process and controllers that decide with [`delivery::x_ray`], and a viewer that decides
+//! with [`delivery::viewer`], as the real ones do. [`shrink`] takes from a plan that fails what it fails
+//! without.
 //!
-//! What holds is in [`oracle`]: what is published when; that a replay of it gives the same hashes; the latch's rules; that nothing is made
-//! while the run rests, is stopped or is to end; that no consumer is left too far behind; deadlines and misses; every request
-//! answered; every ending with a reason; nobody asleep beside a message; no wait without a limit; bounded warnings. Of
-//! X-ray frames ([`oracle::x_ray`]): which are due at which state, that each request is refused for its reason or has its one frame, that
-//! each frame lacks exactly the voxels that are gone at its tick, that the last state is shown, and that no request is left without an
-//! answer. Of controllers ([`oracle::seen_frames`]): which frames each sees before it answers which state, and that it waits for none that
-//! has passed. Of a viewer's clients ([`oracle::viewer`]): what waits for each is bounded, what it gets is in order, what it misses is
-//! counted and told, and the newest message of each channel reaches it. Of one schedule in
-//! 64, if it has a recorder, the log is written and cut at any byte; the ticks read from it are a prefix of those published.
+//! What holds is in [`oracle`]: what is published when; that a replay of it gives the same hashes; the
+//! latch's rules; that nothing is made while the run rests, is stopped or is to end; that no consumer is left
+//! too far behind; deadlines and misses; every request answered; every ending with a reason; nobody asleep
+//! beside a message; no wait without a limit; bounded warnings. Of X-ray frames ([`oracle::x_ray`]): which
+//! are due at which state, that each request is refused for its reason or has its one frame, that each frame
+//! lacks exactly the voxels that are gone at its tick, that the last state is shown, and that no request is
+//! left without an answer. Of controllers ([`oracle::seen_frames`]): which frames each sees before it answers
+//! which state, and that it waits for none that has passed. Of a viewer's clients ([`oracle::viewer`]): what
+//! waits for each is bounded, what it gets is in order, what it misses is counted and told, and the newest
+//! message of each channel reaches it. Of one schedule in 64, if it has a recorder, the log is written and
+//! cut at any byte; the ticks read from it are a prefix of those published.
 //!
 //! ```
 //! let plan = hub_simulator::Plan::of(7);
@@ -175,7 +179,8 @@ fn scene(plan: &Plan) -> (Scene, Vec<Vec<Drives>>) {
     (scene, drives)
 }
 
-/// The least of a failing plan that still fails, by taking away faults, controllers' delays and ticks; and how it fails.
+/// The least of a failing plan that still fails, by taking away faults, controllers' delays and ticks; and
+/// how it fails.
 pub fn shrink(plan: &Plan) -> (Plan, String) {
     let mut least = plan.clone();
     let mut failure = run(&least).err().unwrap_or_default();
@@ -241,7 +246,8 @@ pub struct Summary {
     pub failure: Option<(u64, String)>,
 }
 
-/// Plays the schedules of `count` seeds from `first` on, on `threads` threads, up to the first failure of each thread.
+/// Plays the schedules of `count` seeds from `first` on, on `threads` threads, up to the first failure of
+/// each thread.
 pub fn play(first: u64, count: u64, threads: u64) -> Summary {
     let threads = threads.max(1);
     let worker = |offset: u64| {

@@ -251,8 +251,8 @@ fn controller(random: &mut Rng) -> ControllerPlan {
     }
 }
 
-/// Somebody pauses, asks for steps, pauses again in the middle of them, and goes on a while later. Four requests that are drawn one by one
-/// hardly ever come in this order.
+/// Somebody pauses, asks for steps, pauses again in the middle of them, and goes on a while later. Four
+/// requests that are drawn one by one hardly ever come in this order.
 fn stepping(plan: &Plan, random: &mut Rng) -> [Fault; 4] {
     let mut at_ns = random.u64(..plan.nominal_ns());
     let asked = [

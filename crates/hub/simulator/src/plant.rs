@@ -1,4 +1,5 @@
-//! A stand-in for the physics: nothing but a chain of hashes, so that one wrong bit changes everything after it.
+//! A stand-in for the physics: nothing but a chain of hashes, so that one wrong bit changes everything after
+//! it.
 
 use std::cell::Cell;
 use std::rc::Rc;

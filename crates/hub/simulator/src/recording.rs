@@ -1,4 +1,5 @@
-//! What a recorder writes of a schedule, in memory; the log is then cut at any byte, as by a crash, and read again.
+//! What a recorder writes of a schedule, in memory; the log is then cut at any byte, as by a crash, and read
+//! again.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -118,7 +119,8 @@ impl Recording {
         self.keyframes.push_back([keyframe.as_bytes(), part].concat());
     }
 
-    /// Takes some states, and before each, as the recorder's process does, all that waits of what is published before states.
+    /// Takes some states, and before each, as the recorder's process does, all that waits of what is
+    /// published before states.
     fn take(&mut self, states: usize) -> Result<(), LogError> {
         for _ in 0..states {
             self.take_inputs()?;
@@ -134,8 +136,8 @@ impl Recording {
         self.removed.drain(..).try_for_each(|message| self.log.removed(&message))
     }
 
-    /// Ends the log, cuts it and reads what is left: the ticks of its whole chunks as they were published, none after them, and
-    /// intact only if nothing was cut off.
+    /// Ends the log, cuts it and reads what is left: the ticks of its whole chunks as they were published,
+    /// none after them, and intact only if nothing was cut off.
     ///
     /// # Errors
     /// What does not hold.

@@ -1,4 +1,5 @@
-//! The viewer in memory: decides with [`delivery::viewer`] as `viewer_proc` does, and its clients read at their own pace.
+//! The viewer in memory: decides with [`delivery::viewer`] as `viewer_proc` does, and its clients read at
+//! their own pace.
 
 use std::collections::VecDeque;
 

@@ -53,8 +53,8 @@ pub struct SubscriptionChange {
 pub const CHANNELS: u32 = 4;
 
 impl ViewerPlan {
-    /// Of a plan's seed and length; none in a third of the plans. Draws from a stream of its own, so that the rest of the plan does not
-    /// depend on it.
+    /// Of a plan's seed and length; none in a third of the plans. Draws from a stream of its own, so that the
+    /// rest of the plan does not depend on it.
     pub fn of(plan: &Plan) -> Option<ViewerPlan> {
         let mut random = Rng::with_seed(plan.seed ^ 0x6c8e_9cf5_7093_2bd5);
         let clients = [0, 1, 1, 2, 3, 0][random.usize(..6)];

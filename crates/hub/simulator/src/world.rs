@@ -1,4 +1,5 @@
-//! The hub's surroundings in memory: a clock that events turn, queues, and everybody at the other end of them.
+//! The hub's surroundings in memory: a clock that events turn, queues, and everybody at the other end of
+//! them.
 
 use std::cell::Cell;
 use std::cmp::Reverse;

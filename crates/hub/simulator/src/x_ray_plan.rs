@@ -75,18 +75,20 @@ pub struct Asked {
 }
 
 impl XRayPlan {
-    /// Of a plan's seed, mode, length and controllers. Draws from a stream of its own, so that the rest of the plan does not depend on it.
+    /// Of a plan's seed, mode, length and controllers. Draws from a stream of its own, so that the rest of
+    /// the plan does not depend on it.
     pub fn of(plan: &Plan) -> XRayPlan {
         let mut random = Rng::with_seed(plan.seed ^ 0xd1b5_4a32_d192_ed03);
         let period_ticks = (random.u8(..4) > 0).then(|| random.u64(1..15));
-        // A real queue holds more ticks than a schedule has. In lockstep the hub's lead keeps it from running over.
+        // A real queue holds more ticks than a schedule has. In lockstep the hub's lead keeps it from running
+        // over.
         let is_short = plan.mode == Mode::Realtime && random.u8(..4) == 0;
         let queue = |random: &mut Rng| if is_short { random.usize(1..12) } else { 512 };
         let asks = [0, 0, 1, 3, 6][random.usize(..5)];
         let seed = random.u64(..);
         let render_ns = [50 * US, 800 * US, 4 * MS, 30 * MS][random.usize(..4)];
-        // A stream of its own, so that the rest of the plan does not depend on it. In lockstep a controller that waits for slow frames would
-        // be given up.
+        // A stream of its own, so that the rest of the plan does not depend on it. In lockstep a controller
+        // that waits for slow frames would be given up.
         let mut looks = Rng::with_seed(plan.seed ^ 0x1f83_d9ab_fb41_bd6b);
         let may_watch = plan.drr_ns.is_some() && (plan.mode == Mode::Realtime || render_ns <= MS);
         let watching = plan.controllers.iter().map(|_| looks.u8(..3) > 0 && may_watch).collect();

@@ -45,8 +45,9 @@ impl Controller {
 }
 
 impl<P: Plant> Hub<P> {
-    /// Takes the commands that have arrived. Invalid ones are refused, reported, and change nothing. Each call reads at most one queue
-    /// length per controller and reports refusals together, so a flooding controller cannot stall the tick.
+    /// Takes the commands that have arrived. Invalid ones are refused, reported, and change nothing. Each
+    /// call reads at most one queue length per controller and reports refusals together, so a flooding
+    /// controller cannot stall the tick.
     pub(super) fn collect_commands<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
         for index in ControllerIndex::first(self.controllers.len()) {
             for _ in 0..COMMAND.queue_length {
@@ -113,7 +114,8 @@ impl<P: Plant> Hub<P> {
     }
 }
 
-/// Commands between the newest one seen and this one. Clients number their commands without gaps, so these were overwritten.
+/// Commands between the newest one seen and this one. Clients number their commands without gaps, so these
+/// were overwritten.
 fn overwritten(seen: &mut u64, sequence: u64) -> u64 {
     let gap = sequence.saturating_sub(seen.saturating_add(1));
     *seen = sequence.max(*seen);

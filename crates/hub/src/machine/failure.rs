@@ -108,8 +108,8 @@ impl<E, P> From<E> for HubError<E, P> {
     }
 }
 
-/// What every client is told of before the run ends: a controller or the plant has failed. Parts and the transport fail by themselves, and
-/// the launcher sees it.
+/// What every client is told of before the run ends: a controller or the plant has failed. Parts and the
+/// transport fail by themselves, and the launcher sees it.
 #[derive(Debug)]
 pub(super) enum Failure<C> {
     Plant { tick: Tick, cause: C },

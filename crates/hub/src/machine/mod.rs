@@ -38,7 +38,8 @@ const CONNECT_LIMIT_NS: u64 = 60_000 * MS;
 const CONSUMER_LIMIT_NS: u64 = 120_000 * MS;
 /// As above, when a signal has ended the run; whatever the consumers have not taken stays in their queues.
 const ABANDONED_LIMIT_NS: u64 = 500 * MS;
-/// How long a run that has failed waits for its recorder, which reads nothing more of a publisher that it has not seen alive.
+/// How long a run that has failed waits for its recorder, which reads nothing more of a publisher that it has
+/// not seen alive.
 const FAILED_LIMIT_NS: u64 = 2_000 * MS;
 const STATUS_PERIOD_NS: u64 = 100 * MS;
 /// How long the run waits for a controller before it says so.
@@ -266,7 +267,8 @@ impl<P: Plant> Hub<P> {
     /// Does everything that can be done now, up to the next wait.
     ///
     /// # Errors
-    /// Any [`HubError`]; the run is over then. If a controller or the plant is to blame, every client has been told.
+    /// Any [`HubError`]; the run is over then. If a controller or the plant is to blame, every client has
+    /// been told.
     pub fn advance<E: Environment>(&mut self, env: &mut E) -> Outcome<Next, P, E> {
         if let Some((failure, patience)) = self.failing.take() {
             return self.fail(env, failure, patience);

@@ -60,7 +60,8 @@ impl<P: Plant> Hub<P> {
         Ok((Stage::TickDue, None))
     }
 
-    /// After publishing a state: starts the round-trip clocks at `published_ns` and wakes sleeping controllers.
+    /// After publishing a state: starts the round-trip clocks at `published_ns` and wakes sleeping
+    /// controllers.
     pub(super) fn after_state_published<E: Environment>(&mut self, env: &mut E, published_ns: u64) {
         self.published_ns = published_ns;
         env.wake_controllers();
@@ -123,7 +124,8 @@ impl<P: Plant> Hub<P> {
         Ok(())
     }
 
-    /// Reports a part of the arm that has entered bone. A plant looks at each part a few times a second, so there is no limit here.
+    /// Reports a part of the arm that has entered bone. A plant looks at each part a few times a second, so
+    /// there is no limit here.
     fn report_arm_entry<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
         let Some(entry) = self.plant.arm_entry() else { return Ok(()) };
         let depth_mm = entry.depth_m * 1e3;
@@ -132,7 +134,8 @@ impl<P: Plant> Hub<P> {
         Ok(env.send_event(&Note { tick: self.tick, severity, code, text: &text })?)
     }
 
-    /// Reports the first tick after which the tool's model is not valid. `State.stop_excess_rad` says how it goes on.
+    /// Reports the first tick after which the tool's model is not valid. `State.stop_excess_rad` says how it
+    /// goes on.
     fn report_invalid_model<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
         if self.invalid_told {
             return Ok(());

@@ -1,5 +1,5 @@
-//! What a tick waits for: its deadline, the controllers' answers, the consumers. Every wait has a limit, does not count time spent stopped
-//! against it, and checks for the request to end.
+//! What a tick waits for: its deadline, the controllers' answers, the consumers. Every wait has a limit, does
+//! not count time spent stopped against it, and checks for the request to end.
 
 use messages::{ControllerIndex, EventCode, Phase, Plant, Severity, Tick};
 use scene::Mode;
@@ -31,8 +31,8 @@ impl<P: Plant> Hub<P> {
         self.make_tick(env, start)
     }
 
-    /// Keeps every consumer within the capacity of its queues: in lockstep all consumers; in real time the recorder, if `recording.on_full
-    /// = "wait"`.
+    /// Keeps every consumer within the capacity of its queues: in lockstep all consumers; in real time the
+    /// recorder, if `recording.on_full = "wait"`.
     pub(super) fn await_consumers<E: Environment>(
         &mut self,
         env: &mut E,
@@ -82,7 +82,8 @@ impl<P: Plant> Hub<P> {
         silent: Option<ControllerIndex>,
         mut notice: Option<Patience>,
     ) -> Outcome<Step, P, E> {
-        // The wait begins with the reading of the clock that its patience began with, and with run control just obeyed.
+        // The wait begins with the reading of the clock that its patience began with, and with run control
+        // just obeyed.
         let mut begun_ns = silent.is_none().then(|| patience.looked_ns());
         loop {
             self.collect_commands(env)?;
@@ -102,7 +103,8 @@ impl<P: Plant> Hub<P> {
                 env.deliver_state_history()?;
             }
             let now_ns = began_ns.unwrap_or_else(|| env.now_ns());
-            // Checked every time round, so that a stream of messages that answer nothing cannot put the limit off.
+            // Checked every time round, so that a stream of messages that answer nothing cannot put the limit
+            // off.
             if patience.is_over(now_ns) {
                 self.give_up(env, silent)?;
                 continue;
@@ -206,7 +208,8 @@ impl<P: Plant> Hub<P> {
             return Ok((Stage::Over, Some(Next::Ended)));
         };
         let now_ns = env.now_ns();
-        // After a signal the wait is short: the user is in a hurry, or a consumer has died and will never take the last state.
+        // After a signal the wait is short: the user is in a hurry, or a consumer has died and will never
+        // take the last state.
         if env.end_requested() && (!self.shown || abandoned.is_over(now_ns)) {
             return Ok((Stage::Over, Some(Next::Ended)));
         }

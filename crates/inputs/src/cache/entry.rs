@@ -11,8 +11,9 @@
 //!           the voxels, 16 bits each, i fastest
 //! ```
 //!
-//! Numbers are little-endian. The volume's own SHA-256 is computed when it is made. It need not be computed again: both checksums together cover
-//! it, the geometry and every voxel, and only this user can write the folder.
+//! Numbers are little-endian. The volume's own SHA-256 is computed when it is made. It need not be computed
+//! again: both checksums together cover it, the geometry and every voxel, and only this user can write the
+//! folder.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -32,7 +33,8 @@ use crate::volume_source::Loaded;
 const MAGIC: &[u8; 16] = b"trabecula cache2";
 /// Most bytes of notes: a reader makes a few lines.
 const MAX_NOTES_BYTES: u64 = 1 << 20;
-/// Voxels that have a checksum of their own, so that several threads can read and check them, while they are in the cache of a core.
+/// Voxels that have a checksum of their own, so that several threads can read and check them, while they are
+/// in the cache of a core.
 const PIECE_VOXELS: usize = 1 << 17;
 const HEAD_BYTES: usize = 16 + 32 + 16 + 8 + 16;
 
@@ -147,8 +149,8 @@ fn write_pieces(file: &File, start: u64, hu: &[i16]) -> io::Result<u128> {
     }))
 }
 
-/// Has the file of a volume written by `write`, which takes its length, and hashes the volume in a second thread meanwhile. Returns what is
-/// kept, whether it could be written or not.
+/// Has the file of a volume written by `write`, which takes its length, and hashes the volume in a second
+/// thread meanwhile. Returns what is kept, whether it could be written or not.
 pub fn write_and_hash(
     key: &Key,
     volume: Volume,

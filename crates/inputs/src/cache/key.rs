@@ -16,9 +16,10 @@ use super::shared_work::on_all_cores;
 /// Bytes of a file that are hashed by one thread.
 const PIECE_BYTES: u64 = 1 << 20;
 
-/// The hash of all that a volume is made of. Files are hashed whole: a file's time, size and number can stay the same while its content
-/// changes, and a file that was moved or downloaded again is still the same CT. SHA-256, because files come from anywhere: with a weaker hash
-/// somebody could make two that share their place in the cache.
+/// The hash of all that a volume is made of. Files are hashed whole: a file's time, size and number can stay
+/// the same while its content changes, and a file that was moved or downloaded again is still the same CT.
+/// SHA-256, because files come from anywhere: with a weaker hash somebody could make two that share their
+/// place in the cache.
 #[derive(Debug, Clone)]
 pub struct Key {
     hash: [u8; 32],
@@ -73,8 +74,9 @@ impl Key {
         Key { hash: hasher.finalize().into(), files: Vec::new() }
     }
 
-    /// A volume of files: their content, how they are read, and what is done to them then. None for a file that is read as fast as it is
-    /// hashed, one that cannot be read (the reader says why), and one that names others.
+    /// A volume of files: their content, how they are read, and what is done to them then. None for a file
+    /// that is read as fast as it is hashed, one that cannot be read (the reader says why), and one that
+    /// names others.
     pub fn of_file(path: &Path, options: &ReadOptions, treatment: &str) -> Option<Key> {
         let found = sources(path, options).ok().flatten()?;
         if !found.are_encoded && treatment.is_empty() {
@@ -110,8 +112,9 @@ impl Key {
     }
 }
 
-/// The SHA-256 of the SHA-256 of each [`PIECE_BYTES`] of a file, which all cores can compute, and of its length. None for what is no file, and
-/// for one that says no length, as those of `/proc`: its end shows only while it is read.
+/// The SHA-256 of the SHA-256 of each [`PIECE_BYTES`] of a file, which all cores can compute, and of its
+/// length. None for what is no file, and for one that says no length, as those of `/proc`: its end shows only
+/// while it is read.
 fn content(path: &Path) -> Option<([u8; 32], Stamp)> {
     let file = File::open(path).ok()?;
     let found = file.metadata().ok()?;

@@ -1,13 +1,14 @@
-//! Volumes that take long to make or to decode, and measured tables of tools, kept in the user's cache folder for the next command that
-//! needs them.
+//! Volumes that take long to make or to decode, and measured tables of tools, kept in the user's cache folder
+//! for the next command that needs them.
 //!
-//! The folder is `trabecula` in `$XDG_CACHE_HOME`, or in `$HOME/.cache`. It is used only if it belongs to this user and is closed to others
-//! (mode 700), and each of its files ([`mod@entry`]) only after a check of all that it holds: a damaged one is said, removed and made anew.
-//! A file has a name only when it is whole and on the disk, so nobody sees half of one. Without such a folder, on a full disk, or in a folder
-//! that cannot be written, everything works as it would without a cache.
+//! The folder is `trabecula` in `$XDG_CACHE_HOME`, or in `$HOME/.cache`. It is used only if it belongs to
+//! this user and is closed to others (mode 700), and each of its files ([`mod@entry`]) only after a check of
+//! all that it holds: a damaged one is said, removed and made anew. A file has a name only when it is whole
+//! and on the disk, so nobody sees half of one. Without such a folder, on a full disk, or in a folder that
+//! cannot be written, everything works as it would without a cache.
 //!
-//! **Invariant:** a volume from the cache is to the bit the one that would be made: its name is a hash of all that it is made of
-//! ([`mod@key`]), this build included. A table ([`mod@text`]) likewise.
+//! **Invariant:** a volume from the cache is to the bit the one that would be made: its name is a hash of all
+//! that it is made of ([`mod@key`]), this build included. A table ([`mod@text`]) likewise.
 
 pub mod entry;
 pub mod key;
@@ -43,7 +44,8 @@ const ENDING: &str = ".volume";
 /// Where remarks go: they are about this machine, not about a volume, so no result carries them.
 static REMARKS: OnceLock<fn(&str)> = OnceLock::new();
 
-/// Has what is wrong with the cache told by this function; a program without it says nothing. The first call counts.
+/// Has what is wrong with the cache told by this function; a program without it says nothing. The first call
+/// counts.
 pub fn tell_remarks_by(tell: fn(&str)) {
     let _ = REMARKS.set(tell);
 }
@@ -205,8 +207,8 @@ impl Cache {
         let _ = rustix::fs::futimens(file, &Timestamps { last_access: now, last_modification: now });
     }
 
-    /// Keeps a volume, and removes others if the folder would become too large. Returns it with its hash, also where it cannot be kept; then the
-    /// folder holds what it held before, less what was removed.
+    /// Keeps a volume, and removes others if the folder would become too large. Returns it with its hash,
+    /// also where it cannot be kept; then the folder holds what it held before, less what was removed.
     fn keep(&self, key: &Key, volume: Volume, notes: Vec<String>) -> Loaded {
         entry::write_and_hash(key, volume, notes, |bytes, write| {
             self.write(&key.name(), bytes, |file| write(&file.handle().map_err(io::Error::other)?))
@@ -265,7 +267,8 @@ impl Cache {
         })
     }
 
-    /// Removes every volume and table of the cache, and nothing else. Returns how many files and bytes that were.
+    /// Removes every volume and table of the cache, and nothing else. Returns how many files and bytes that
+    /// were.
     pub fn clear(&self) -> (usize, u64) {
         let removed: Vec<CachedFile> =
             self.files().into_iter().filter(|file| self.remove(&file.name)).collect();

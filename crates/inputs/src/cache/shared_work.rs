@@ -7,7 +7,8 @@ use std::thread::{Builder, available_parallelism, scope};
 /// More threads than this wait for the memory and not for each other.
 const MOST_THREADS: usize = 4;
 
-/// `work` for each item, in the items' order. Where the system gives no further thread, this one does all of it.
+/// `work` for each item, in the items' order. Where the system gives no further thread, this one does all of
+/// it.
 pub(super) fn on_all_cores<T, R: Send>(
     items: impl Iterator<Item = T> + Send,
     work: impl Fn(T) -> R + Sync,

@@ -25,8 +25,8 @@ pub struct Given {
 }
 
 impl Given {
-    /// The settings that a scene fixes; `text` is the scene file's text, needed to tell a step that was written from
-    /// the default.
+    /// The settings that a scene fixes; `text` is the scene file's text, needed to tell a step that was
+    /// written from the default.
     pub fn of(scene: &Scene, text: &str) -> Given {
         let table: toml::Table = toml::from_str(text).unwrap_or_default();
         let names_dt = table.get("run").is_some_and(|run| run.get("dt_ms").is_some());
@@ -40,8 +40,8 @@ impl Given {
         }
     }
 
-    /// Balls are allowed only if the scene names them: their drilled path is off by up to 12 mm, which a bound on the
-    /// position at rest does not reveal.
+    /// Balls are allowed only if the scene names them: their drilled path is off by up to 12 mm, which a
+    /// bound on the position at rest does not reveal.
     fn allows(&self, settings: &Settings) -> bool {
         self.rung.is_none_or(|rung| rung == settings.rung)
             && self.links.is_none_or(|links| links == settings.links)
@@ -128,12 +128,12 @@ impl Choice {
     }
 }
 
-/// Writes the cheapest settings within the scene's tolerance into the scene; `None` if the scene states no tip or path
-/// error. The errors of a tool of its own are measured, unless they are kept from an earlier use.
+/// Writes the cheapest settings within the scene's tolerance into the scene; `None` if the scene states no
+/// tip or path error. The errors of a tool of its own are measured, unless they are kept from an earlier use.
 ///
 /// # Errors
-/// Bad input: no measured settings meet the tolerance, or none of those that also match what the scene fixes; or nothing can be measured
-/// for the scene's tool.
+/// Bad input: no measured settings meet the tolerance, or none of those that also match what the scene fixes;
+/// or nothing can be measured for the scene's tool.
 pub fn resolve(scene: &mut Scene, text: &str) -> Result<Option<Choice>, Failure> {
     if !asks(scene) {
         return Ok(None);
@@ -188,8 +188,8 @@ fn choose(scene: &Scene, given: Given, table: &Table) -> Result<Option<Choice>, 
     }
 }
 
-/// Gravity or a tendon across the bending plane, or bodies, which push from any direction: the planar rungs were not
-/// measured under those loads.
+/// Gravity or a tendon across the bending plane, or bodies, which push from any direction: the planar rungs
+/// were not measured under those loads.
 fn leaves_the_plane(scene: &Scene) -> bool {
     let (along, toward) = (scene.tool.direction, scene.tool.bend_toward);
     let across = cross(&along, &toward);
@@ -271,8 +271,8 @@ bend_toward = [1.0, 0.0, 0.0]
         (Scene::parse(&text, Path::new("planned.toml")).unwrap(), text)
     }
 
-    /// Errors and costs in the expected order: fewer links, larger steps and simpler rungs are cheaper and less
-    /// accurate.
+    /// Errors and costs in the expected order: fewer links, larger steps and simpler rungs are cheaper and
+    /// less accurate.
     fn rows() -> Vec<Row> {
         let mut rows = Vec::new();
         // Nobody measures the modes.
@@ -356,8 +356,8 @@ bend_toward = [1.0, 0.0, 0.0]
         assert!(bone.text().contains("drilled") && !free.text().contains("drilled"));
     }
 
-    /// Regression: balls are cheaper in this table and good enough for a tip tolerance; without `path_mm` they were
-    /// chosen.
+    /// Regression: balls are cheaper in this table and good enough for a tip tolerance; without `path_mm`
+    /// they were chosen.
     #[test]
     fn a_tolerance_never_chooses_balls() {
         let bone = |more: &str| planned(&format!("volume = {{ phantom = \"block\" }}\n{more}"));
@@ -394,7 +394,8 @@ bend_toward = [1.0, 0.0, 0.0]
         assert!(refused.code == 2 && refused.message.contains(said), "{refused}");
     }
 
-    /// Nothing says beforehand whether single flexures will stand on their stops, where the moment modes are not valid.
+    /// Nothing says beforehand whether single flexures will stand on their stops, where the moment modes are
+    /// not valid.
     #[test]
     fn no_table_offers_moment_modes() {
         let built_in = crate::plan::table::read(crate::plan::TABLE).unwrap();

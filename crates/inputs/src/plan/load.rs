@@ -16,7 +16,8 @@ pub struct Load {
 /// How hard the tendons may be pulled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Pull {
-    /// At most [`GENTLE_N`] at once, or [`RAMPED_N`] on the ramp of a feed: no flexure is thrown against its stop.
+    /// At most [`GENTLE_N`] at once, or [`RAMPED_N`] on the ramp of a feed: no flexure is thrown against its
+    /// stop.
     Gentle,
     /// Up to the 60 N that a built-in controller may ask for, at once, or unknown.
     Hard,
@@ -52,7 +53,8 @@ pub(super) fn tendons_leave_the_plane(tendons: &[Tendon], tool: Option<&ToolDesc
         || of_tool.iter().any(|it| leaves(it.across_mm, it.twist_deg_per_mm))
 }
 
-/// The most tension that a controller may ask for, over that of a gentle pull; infinite if the scene does not say.
+/// The most tension that a controller may ask for, over that of a gentle pull; infinite if the scene does not
+/// say.
 fn share_of_gentle(entry: &Controller) -> f64 {
     let drilling = entry.curved_drilling.as_ref().filter(|drilling| drilling.feedback == Feedback::None);
     let ramped = drilling.and_then(|drilling| drilling.tension_n).map(|most_n| most_n / RAMPED_N);
@@ -63,7 +65,8 @@ fn share_of_gentle(entry: &Controller) -> f64 {
     ramped.or(at_once).unwrap_or(f64::INFINITY)
 }
 
-/// Whether a scene's tool is, to the bit, the one whose errors the built-in table holds; with up to [`MOST_TENDON_FRICTION`], too.
+/// Whether a scene's tool is, to the bit, the one whose errors the built-in table holds; with up to
+/// [`MOST_TENDON_FRICTION`], too.
 pub fn is_standard_tool(scene: &Scene) -> bool {
     let mut own = scene.as_it_is();
     own.gravity_m_per_s2 = [0.0; 3];

@@ -15,8 +15,8 @@ use super::table::{OWN_LINKS, Row, Settings, read};
 pub struct ModelError {
     /// Name of the rung.
     pub model: String,
-    /// R.m.s. error of the worst drilled path: for exactly these settings, or the range over all settings measured with the same rung and
-    /// contact.
+    /// R.m.s. error of the worst drilled path: for exactly these settings, or the range over all settings
+    /// measured with the same rung and contact.
     pub path_mm: [f64; 2],
 }
 

@@ -1,7 +1,9 @@
-//! The reference that errors are measured against: by the table that plans choose from, and by `plan --check`.
+//! The reference that errors are measured against: by the table that plans choose from, and by `plan
+//! --check`.
 //!
-//! It is the tool with its own flexures, six degrees of freedom each, `hybrid`, at half the step of the run. It starts where the run
-//! starts and gets every u_k of the run, so that the error includes everything that drilling accumulates.
+//! It is the tool with its own flexures, six degrees of freedom each, `hybrid`, at half the step of the run.
+//! It starts where the run starts and gets every u_k of the run, so that the error includes everything that
+//! drilling accumulates.
 
 use ipc_types::messages::{Latched, SOURCE_FRESH, SOURCE_HELD, State};
 use ipc_types::scene::{Integrator, ManipulatorRung, Scene};

@@ -97,7 +97,8 @@ impl Beam {
     }
 }
 
-/// Measured errors (mm; infinite where the tool was lost or nothing was measured) and costs (microseconds per simulated millisecond).
+/// Measured errors (mm; infinite where the tool was lost or nothing was measured) and costs (microseconds per
+/// simulated millisecond).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Row {
     /// The settings measured.
@@ -174,8 +175,8 @@ impl Row {
         worst(&[self.beam.map_or(0.0, |beam| beam.tip_mm()), voxel_wall_mm, rest_mm])
     }
 
-    /// Path error of the burr: the worst problem. With bone, what the drilled paths were off and how far the place of the voxels moves
-    /// them add up.
+    /// Path error of the burr: the worst problem. With bone, what the drilled paths were off and how far the
+    /// place of the voxels moves them add up.
     pub fn path_mm(&self, load: Load) -> f64 {
         let pulled = match load.pull {
             Pull::Gentle => self.free_path_mm,
@@ -309,7 +310,8 @@ mod tests {
         assert_eq!(read("rung,links\nplanar,4\n"), None);
     }
 
-    /// A tool of a scene's own has no closed forms: their columns stay empty and count for nothing; half of them is no table.
+    /// A tool of a scene's own has no closed forms: their columns stay empty and count for nothing; half of
+    /// them is no table.
     #[test]
     fn what_is_not_of_a_tool_is_left_out() {
         let row = Row { beam: None, ..read(TABLE).unwrap()[0] };

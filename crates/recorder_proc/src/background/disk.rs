@@ -22,8 +22,8 @@ pub(super) fn open(path: &Path, wanted: BackgroundOptions) -> io::Result<(File, 
     if wanted.direct {
         let flags = OFlags::DIRECT.bits() as i32;
         match options.clone().custom_flags(flags).open(path) {
-            // File systems without `O_DIRECT` refuse here or at the first write. Some have created the file by then;
-            // it is ours.
+            // File systems without `O_DIRECT` refuse here or at the first write. Some have created the file
+            // by then; it is ours.
             Err(cause) if is_invalid(&cause) => {
                 options.create_new(false).create(true).truncate(true);
             }

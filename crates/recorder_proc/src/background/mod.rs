@@ -1,14 +1,14 @@
 //! A file written by its own thread, so that a stalled disk does not stall the recorder.
 //!
-//! Bytes go into preallocated, page-aligned buffers that are reused. The thread writes them with `O_DIRECT` where the
-//! file system supports it. That skips the copy into the page cache, which takes a fraction of the processor time
-//! and avoids long, non-preemptible copies in the kernel. Elsewhere (tmpfs,
-//! FUSE) it uses ordinary writes. The finished file is the same either way.
+//! Bytes go into preallocated, page-aligned buffers that are reused. The thread writes them with `O_DIRECT`
+//! where the file system supports it. That skips the copy into the page cache, which takes a fraction of the
+//! processor time and avoids long, non-preemptible copies in the kernel. Elsewhere (tmpfs, FUSE) it uses
+//! ordinary writes. The finished file is the same either way.
 //!
 //! During direct writes the file may end in up to one block of zeros, which pad its last block.
 //!
-//! The thread syncs to disk once a second (`fdatasync`) and before the file is closed, so a power failure loses about
-//! the last second. The recorder does not wait for the sync either.
+//! The thread syncs to disk once a second (`fdatasync`) and before the file is closed, so a power failure
+//! loses about the last second. The recorder does not wait for the sync either.
 
 use std::collections::VecDeque;
 use std::io::{self, Write};
@@ -45,8 +45,8 @@ pub struct BackgroundOptions {
 }
 
 impl BackgroundOptions {
-    /// 32 MiB, in buffers small enough that a flush every 10 ms does not use up the pool: half a second of 2 MiB
-    /// images at 30 Hz. Only buffers that are used become resident.
+    /// 32 MiB, in buffers small enough that a flush every 10 ms does not use up the pool: half a second of 2
+    /// MiB images at 30 Hz. Only buffers that are used become resident.
     pub const RUN: BackgroundOptions =
         BackgroundOptions { buffers: 64, buffer_bytes: 512 << 10, direct: true, fresh: true };
     /// 2 MiB: more than half a second of the timing lane.
@@ -111,8 +111,9 @@ impl Shared {
 
 /// A file being written by its own thread.
 ///
-/// `write` copies; it blocks only when all buffers are full. `flush` hands the data to the thread and does not wait
-/// for the disk. An error of the thread is returned by the next call and by [`close`](BackgroundFile::close).
+/// `write` copies; it blocks only when all buffers are full. `flush` hands the data to the thread and does
+/// not wait for the disk. An error of the thread is returned by the next call and by
+/// [`close`](BackgroundFile::close).
 pub struct BackgroundFile {
     shared: Arc<Shared>,
     current: Option<Buffer>,
@@ -203,7 +204,8 @@ impl Written {
     /// Waits until everything that was flushed is in the file: there even if this process is killed.
     ///
     /// # Errors
-    /// The first error of the disk; [`io::ErrorKind::TimedOut`] if it has not written everything within the limit.
+    /// The first error of the disk; [`io::ErrorKind::TimedOut`] if it has not written everything within the
+    /// limit.
     pub fn wait(&self, limit: Duration) -> io::Result<()> {
         let end = Instant::now() + limit;
         let mut state = self.0.lock();
@@ -321,7 +323,8 @@ mod tests {
         }
     }
 
-    /// Regression: nothing was ever synced, so a machine that crashed right after "completed" had an empty log.
+    /// Regression: nothing was ever synced, so a machine that crashed right after "completed" had an empty
+    /// log.
     #[test]
     fn a_closed_file_survives_a_crash_of_the_machine() {
         let (disk, mut file) = file();

@@ -1,10 +1,11 @@
 //! The recorder process: receives every message of every service and writes the two logs.
 //!
-//! It polls: nobody has to wake it, so it costs the physics nothing. Its queues hold [`RECORDER_QUEUE_TICKS`]. One
-//! thread drains them and assembles the log, another writes the files ([`background`](crate::background)). The physics
-//! waits for its `Progress` in lockstep, and in real time with `recording.on_full = "wait"`. Otherwise a recorder that
-//! falls behind by more than its queues leaves a gap: it reports the gap at once in an event, counts it in the log's
-//! end, and returns it as the exit code ([`RecorderError::Gap`]).
+//! It polls: nobody has to wake it, so it costs the physics nothing. Its queues hold
+//! [`RECORDER_QUEUE_TICKS`]. One thread drains them and assembles the log, another writes the files
+//! ([`background`](crate::background)). The physics waits for its `Progress` in lockstep, and in real time
+//! with `recording.on_full = "wait"`. Otherwise a recorder that falls behind by more than its queues leaves a
+//! gap: it reports the gap at once in an event, counts it in the log's end, and returns it as the exit code
+//! ([`RecorderError::Gap`]).
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -83,13 +84,14 @@ impl RecorderError {
     }
 }
 
-/// How long the disk may take for the logs' headers: less than the hub gives this part to connect (60 s), so that the disk is named.
+/// How long the disk may take for the logs' headers: less than the hub gives this part to connect (60 s), so
+/// that the disk is named.
 const HEADER_LIMIT: Duration = Duration::from_secs(30);
 /// Name of the session-folder file that says where the run is recorded.
 pub const OUTPUT_FILE: &str = "output";
 
-/// Records a session into `run.mcap` and `timing.mcap` of a folder until it is asked to end (SIGTERM); then drains its
-/// queues and finishes both logs.
+/// Records a session into `run.mcap` and `timing.mcap` of a folder until it is asked to end (SIGTERM); then
+/// drains its queues and finishes both logs.
 ///
 /// # Errors
 /// Any [`RecorderError`].

@@ -27,8 +27,8 @@ const POLL_PERIOD: Duration = Duration::from_millis(2);
 const PROGRESS_TICKS: u64 = 64;
 /// Number of states to read before the other queues are polled again.
 const TICKS_PER_ROUND: usize = 16;
-/// Number of messages to read from a client service before the other queues are polled again, so that a flooding
-/// client cannot keep the recorder from the ticks.
+/// Number of messages to read from a client service before the other queues are polled again, so that a
+/// flooding client cannot keep the recorder from the ticks.
 const CLIENT_MESSAGES_PER_ROUND: usize = 256;
 /// Rounds after the run's end, enough to drain the longest client queue (2048 events).
 const LAST_ROUNDS: usize = 8;
@@ -96,9 +96,9 @@ impl Recorder {
         Ok(())
     }
 
-    /// Waits for the physics to end. A launcher stops the recorder only when nobody publishes any more, but if the
-    /// launcher was killed, all parts are asked to end at once. Everything that the physics publishes until its end
-    /// must reach the log.
+    /// Waits for the physics to end. A launcher stops the recorder only when nobody publishes any more, but
+    /// if the launcher was killed, all parts are asked to end at once. Everything that the physics publishes
+    /// until its end must reach the log.
     fn wait_for_physics(&mut self) -> Result<(), RecorderError> {
         let limit = Instant::now() + ORPHANED_LIMIT;
         while !self.run_has_ended && Instant::now() < limit {
@@ -108,9 +108,9 @@ impl Recorder {
         Ok(())
     }
 
-    /// Reads some ticks, and everything else that waits. In lockstep the physics runs as fast as states are read: a
-    /// recorder that kept reading states would starve the other queues, and they would overflow. Returns whether a
-    /// state arrived.
+    /// Reads some ticks, and everything else that waits. In lockstep the physics runs as fast as states are
+    /// read: a recorder that kept reading states would starve the other queues, and they would overflow.
+    /// Returns whether a state arrived.
     fn take_round(&mut self) -> Result<bool, RecorderError> {
         let came = self.take_ticks()?;
         self.take_frames()?;
@@ -223,7 +223,8 @@ impl Recorder {
         Ok(self.ports.events_sent.warn(Tick(self.newest_tick), EventCode::MessagesLost, &text)?)
     }
 
-    /// Reports when programs have sent messages on a service that they do not own; the log does not record these.
+    /// Reports when programs have sent messages on a service that they do not own; the log does not record
+    /// these.
     fn report_foreign_messages(&mut self) -> Result<(), RecorderError> {
         let foreign_messages = self.ports.foreign_messages();
         let new = foreign_messages - self.foreign_messages;
@@ -259,8 +260,8 @@ impl Recorder {
     }
 
     pub fn finish(self, output: &Path, recorded: Recorded) -> Result<(), RecorderError> {
-        // Another signal may arrive before the launcher's reason. If the run is over, the launcher is about to write
-        // it.
+        // Another signal may arrive before the launcher's reason. If the run is over, the launcher is about
+        // to write it.
         let limit = Instant::now() + ORPHANED_LIMIT;
         let launcher_lives = || host_is_alive(&self.session_folder);
         while self.run_has_ended && self.reason_path().is_none() && launcher_lives() && Instant::now() < limit
@@ -307,8 +308,8 @@ fn finish_file(
     Ok(marker)
 }
 
-/// Copies a service's waiting messages into the timing lane through `write`. A client message of the wrong size is not a valid message
-/// and is not logged; its recipient has already reported it in an event.
+/// Copies a service's waiting messages into the timing lane through `write`. A client message of the wrong
+/// size is not a valid message and is not logged; its recipient has already reported it in an event.
 fn copy_all<M: Message>(
     subscriber: &Subscriber<M>,
     mut write: impl FnMut(&[u8]) -> Result<(), LogError>,

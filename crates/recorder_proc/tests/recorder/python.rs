@@ -14,7 +14,8 @@ use ipc_types::messages::*;
 use run_log::*;
 use zerocopy::{FromBytes, IntoBytes};
 
-/// The scalars of a message as the Python script prints them, read from the struct's bytes using its description.
+/// The scalars of a message as the Python script prints them, read from the struct's bytes using its
+/// description.
 fn expected(description: &'static Description, bytes: &[u8], prefix: &str, out: &mut BTreeSet<String>) {
     for field in description.schema_fields() {
         let size = field.size / field.array_length.unwrap_or(1);

@@ -67,8 +67,8 @@ fn said(folder: &Path, bytes: &[u8]) -> [Option<Verdict>; 3] {
     [info, replayed, repaired.map(|report| report.before)]
 }
 
-/// Regression: 12 of 300 flipped bits gave "nothing was wrong with it", exit code 0; one in the header made a whole
-/// log unreadable.
+/// Regression: 12 of 300 flipped bits gave "nothing was wrong with it", exit code 0; one in the header made a
+/// whole log unreadable.
 #[test]
 fn every_flipped_bit_that_changes_what_a_reader_gets_is_named_by_all() {
     let folder = tempfile::tempdir().unwrap();
@@ -136,8 +136,8 @@ fn every_cut_is_named_by_all() {
     assert!(named > 3 * 20, "{named}");
 }
 
-/// Regression: the header was a single point of failure. Any flipped bit in it, or a lost block, made a whole log
-/// unreadable.
+/// Regression: the header was a single point of failure. Any flipped bit in it, or a lost block, made a whole
+/// log unreadable.
 #[test]
 fn a_log_whose_first_or_second_header_is_destroyed_reads_as_before() {
     let folder = tempfile::tempdir().unwrap();
@@ -179,8 +179,8 @@ fn a_log_whose_first_or_second_header_is_destroyed_reads_as_before() {
     assert!(content(&folder.path().join("out.mcap")).unwrap() == whole);
 }
 
-/// A gap costs only the ticks up to the next keyframe: the full replay, partial replays and the repaired log all
-/// resume there.
+/// A gap costs only the ticks up to the next keyframe: the full replay, partial replays and the repaired log
+/// all resume there.
 #[test]
 fn a_replay_goes_on_behind_each_gap_at_the_next_keyframe() {
     let folder = tempfile::tempdir().unwrap();

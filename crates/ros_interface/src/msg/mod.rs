@@ -1,5 +1,5 @@
-//! The ROS 2 messages that the bridge exchanges, field by field as their `.msg` files have them (Jazzy), so that their CDR bytes are
-//! those of every ROS 2 from Humble on.
+//! The ROS 2 messages that the bridge exchanges, field by field as their `.msg` files have them (Jazzy), so
+//! that their CDR bytes are those of every ROS 2 from Humble on.
 
 mod control;
 mod geometry;

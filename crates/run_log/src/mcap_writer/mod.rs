@@ -1,8 +1,9 @@
 //! An MCAP writer whose memory use does not grow with the file.
 //!
-//! The `mcap` crate's writer holds the index of every chunk in memory until the end: 0.7 MiB per minute for a run with
-//! its timing lane. This one stores it in an [`IndexStore`] and copies it into the log's summary at the end. Record
-//! layouts come from the crate, and every byte of the file matches the crate's own output (a test compares the two).
+//! The `mcap` crate's writer holds the index of every chunk in memory until the end: 0.7 MiB per minute for a
+//! run with its timing lane. This one stores it in an [`IndexStore`] and copies it into the log's summary at
+//! the end. Record layouts come from the crate, and every byte of the file matches the crate's own output (a
+//! test compares the two).
 
 use std::collections::BTreeMap;
 use std::io::{Read, Result, Seek, SeekFrom, Write};

@@ -1,13 +1,14 @@
-//! Parallel verification: a segment is the ticks between two keyframes, and every segment is replayed from its own
-//! keyframe.
+//! Parallel verification: a segment is the ticks between two keyframes, and every segment is replayed from
+//! its own keyframe.
 //!
-//! A segment that begins at the recorded keyframe, reproduces every recorded tick and ends in the bytes of the next
-//! recorded keyframe proves that stretch. All segments together prove the run, just as one pass from the start would.
-//! A segment that fails names its first differing tick and field; the earliest of these is the log's first difference.
-//! Segments after a known difference are skipped.
+//! A segment that begins at the recorded keyframe, reproduces every recorded tick and ends in the bytes of
+//! the next recorded keyframe proves that stretch. All segments together prove the run, just as one pass from
+//! the start would. A segment that fails names its first differing tick and field; the earliest of these is
+//! the log's first difference. Segments after a known difference are skipped.
 //!
-//! [`step_segments`] only steps the ticks, with the same proof in larger pieces: a segment that ends in the bytes of the next keyframe has
-//! come to the state in which the next segment began, as one pass from the start would have.
+//! [`step_segments`] only steps the ticks, with the same proof in larger pieces: a segment that ends in the
+//! bytes of the next keyframe has come to the state in which the next segment began, as one pass from the
+//! start would have.
 
 mod work;
 
@@ -79,8 +80,8 @@ impl std::fmt::Display for Passed {
     }
 }
 
-/// The last keyframe of a log at or before a tick. Consumes the reader. If the log cannot be read beyond that point, the replay
-/// reports why.
+/// The last keyframe of a log at or before a tick. Consumes the reader. If the log cannot be read beyond that
+/// point, the replay reports why.
 pub fn keyframe_before(mut reader: LogReader, tick: Tick) -> Option<SavedState> {
     let mut found = None;
     loop {
@@ -151,9 +152,9 @@ struct Read {
     gaps: Vec<Passed>,
 }
 
-/// Replays a log from its start or a keyframe on several threads. Compares the hash, every byte of the state and the
-/// removed voxels at every tick, and every byte of each keyframe. `make` builds the simulation of the log's scene;
-/// each thread gets its own.
+/// Replays a log from its start or a keyframe on several threads. Compares the hash, every byte of the state
+/// and the removed voxels at every tick, and every byte of each keyframe. `make` builds the simulation of the
+/// log's scene; each thread gets its own.
 pub fn verify_segments<S: Plant>(
     reader: &mut LogReader,
     make: &(impl Fn() -> Result<S, String> + Sync),
@@ -162,9 +163,10 @@ pub fn verify_segments<S: Plant>(
     replay_segments(reader, make, options, Compared::Ticks)
 }
 
-/// Steps a log on several threads without comparing its ticks, and returns what stepping it in one pass comes to. None if that cannot be
-/// said: the log has a gap or damage, the simulation fails otherwise than in the run, or a segment does not end in the keyframe that the
-/// next one began with. The caller then steps it in one pass.
+/// Steps a log on several threads without comparing its ticks, and returns what stepping it in one pass comes
+/// to. None if that cannot be said: the log has a gap or damage, the simulation fails otherwise than in the
+/// run, or a segment does not end in the keyframe that the next one began with. The caller then steps it in
+/// one pass.
 pub fn step_segments<S: Plant>(
     reader: &mut LogReader,
     make: &(impl Fn() -> Result<S, String> + Sync),

@@ -62,7 +62,8 @@ pub(super) fn work<S: Plant>(
     // A panicking worker would leave its segments waiting forever.
     let make =
         || std::panic::catch_unwind(AssertUnwindSafe(make)).unwrap_or_else(|_| Err(PANICKED.to_owned()));
-    // Not before there is something to replay: a log without keyframes needs one simulation on any number of threads.
+    // Not before there is something to replay: a log without keyframes needs one simulation on any number of
+    // threads.
     let mut built = None;
     let mut outcomes = Vec::new();
     loop {

@@ -128,7 +128,8 @@ impl MessageStream {
                 format!("a message of {} of {} bytes, expected {expected}", channel.topic, body.len());
             return Err(self.damaged(cause));
         }
-        // A tick's voxels are held until its state arrives, so refuse any message larger than the service can publish.
+        // A tick's voxels are held until its state arrives, so refuse any message larger than the service can
+        // publish.
         if channel.known == Some(Topic::Removed) && body.len() > MAX_REMOVED_BYTES {
             let cause = format!(
                 "a message of {} of {} bytes, at most {MAX_REMOVED_BYTES}",

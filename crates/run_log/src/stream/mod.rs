@@ -66,8 +66,8 @@ pub struct TopicCount {
     pub messages: u64,
     /// Bytes of these messages, without framing, before compression.
     pub bytes: u64,
-    /// Messages lost to damage in between. Nonzero only for a repaired log, because reading any other log stops at a
-    /// gap.
+    /// Messages lost to damage in between. Nonzero only for a repaired log, because reading any other log
+    /// stops at a gap.
     pub missing: u64,
 }
 
@@ -105,9 +105,9 @@ impl MessageStream {
         MessageStream::from_reader(log.open()?, log.path(), options)
     }
 
-    /// Opens a log for some topics only. If the log has an index, chunks without these topics are skipped, so reading
-    /// states costs the same with or without images beside them; the whole-file checksum is then not checked, those of
-    /// the chunks read are.
+    /// Opens a log for some topics only. If the log has an index, chunks without these topics are skipped, so
+    /// reading states costs the same with or without images beside them; the whole-file checksum is then not
+    /// checked, those of the chunks read are.
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -182,8 +182,9 @@ impl MessageStream {
         &self.ending
     }
 
-    /// What is wrong with the log, as far as it has been read: complete once [`next_message`](Self::next_message) has
-    /// returned none or an error. When reading only some topics, covers the chunks read.
+    /// What is wrong with the log, as far as it has been read: complete once
+    /// [`next_message`](Self::next_message) has returned none or an error. When reading only some topics,
+    /// covers the chunks read.
     pub fn verdict(&self) -> Verdict {
         let mut faults = Vec::new();
         if let Some((copy, cause)) = &self.header_fault {
@@ -315,7 +316,8 @@ impl MessageStream {
         }
     }
 
-    /// Whether a record that has its place behind messages stands before all of them, since another program wrote the file again.
+    /// Whether a record that has its place behind messages stands before all of them, since another program
+    /// wrote the file again.
     fn is_moved_before_messages(&self) -> bool {
         self.chunks == 0 && self.records.is_written_by_another()
     }

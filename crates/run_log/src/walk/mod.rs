@@ -1,8 +1,9 @@
 //! Walks the records of a file that may be damaged anywhere: what can be trusted, and what lies between.
 //!
-//! [`Records`](crate::records::Records) stops at the first damage, because its readers promise ticks without a gap.
-//! This walk continues: if a chunk's checksum is wrong but its length leads to a record, it resumes at that record; if
-//! a length is wrong, at the next byte that begins a chunk, header or end marker with a correct checksum.
+//! [`Records`](crate::records::Records) stops at the first damage, because its readers promise ticks without
+//! a gap. This walk continues: if a chunk's checksum is wrong but its length leads to a record, it resumes at
+//! that record; if a length is wrong, at the next byte that begins a chunk, header or end marker with a
+//! correct checksum.
 
 use std::collections::BTreeMap;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
@@ -25,8 +26,8 @@ mod signs;
 
 /// Window of a search for the next chunk, in bytes.
 const WINDOW: usize = 1 << 20;
-/// Budget for unpacking and copying over all searches: a multiple of the file's length plus a constant. Without it, a
-/// file full of fake chunk starts would be read again for each of them.
+/// Budget for unpacking and copying over all searches: a multiple of the file's length plus a constant.
+/// Without it, a file full of fake chunk starts would be read again for each of them.
 const SEARCH_BUDGET_FACTOR: u64 = 8;
 const SEARCH_BUDGET_BYTES: u64 = 1 << 28;
 /// A file still counts as a log with up to this many wrong bytes in its magic number.
@@ -59,8 +60,8 @@ pub(crate) enum Piece<'a> {
     DataEnd(u64),
     /// Not a record, or a record whose checksum is wrong.
     Lost(Lost),
-    /// The file stops here, inside a record or before the end that the format requires; bytes of the incomplete
-    /// record.
+    /// The file stops here, inside a record or before the end that the format requires; bytes of the
+    /// incomplete record.
     Cut {
         offset: u64,
         incomplete_bytes: u64,
@@ -164,7 +165,8 @@ struct Walker<R> {
     /// Before the end of the data section; behind it schemas and channels are repeated.
     in_data: bool,
     bare: BareRecords,
-    /// Bytes of the records outside of chunks that were passed on as one chunk so far; none while there is no such chunk.
+    /// Bytes of the records outside of chunks that were passed on as one chunk so far; none while there is no
+    /// such chunk.
     bare_bytes: Option<u64>,
 }
 
@@ -253,7 +255,8 @@ impl<R: Read + Seek> Walker<R> {
         }))
     }
 
-    /// Whether a length that leads here is plausible: here is a record, part of one, or the tail of a truncated log.
+    /// Whether a length that leads here is plausible: here is a record, part of one, or the tail of a
+    /// truncated log.
     fn leads_on(&mut self, at: u64) -> io::Result<bool> {
         Ok(self
             .header(at)?

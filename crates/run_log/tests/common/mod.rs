@@ -59,7 +59,8 @@ pub fn latched(tick: u64) -> Latched {
 /// Voxels that are missing from the start, enough for two messages.
 pub const PREDRILLED: [u32; 4] = [4_000_000_000, 2, 9, 1];
 
-/// A simulation that only feeds commands back into the state, so that one wrong bit changes everything after it.
+/// A simulation that only feeds commands back into the state, so that one wrong bit changes everything after
+/// it.
 pub struct Toy {
     pub state: State,
     pub removed: Vec<u32>,
@@ -264,8 +265,8 @@ pub fn open_bytes(bytes: &[u8]) -> Result<LogReader, LogError> {
     )?)
 }
 
-/// Removes the checksums inside the metadata records, as in logs of earlier builds, so that a test can edit them
-/// without causing damage.
+/// Removes the checksums inside the metadata records, as in logs of earlier builds, so that a test can edit
+/// them without causing damage.
 pub fn unsealed(mut bytes: Vec<u8>) -> Vec<u8> {
     let key = b"\x05\0\0\0crc32";
     let places: Vec<usize> =

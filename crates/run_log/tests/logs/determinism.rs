@@ -84,8 +84,8 @@ fn delayed(steps: &[Step], mut ticks: impl FnMut() -> u64) -> Vec<Step> {
     out
 }
 
-/// Rendering times of up to 300 ms do not show in the file; with longer ones the file differs, but the run is the
-/// same.
+/// Rendering times of up to 300 ms do not show in the file; with longer ones the file differs, but the run is
+/// the same.
 #[test]
 fn the_speed_of_the_renderer_does_not_matter() {
     let steps = run_messages(2000, None);

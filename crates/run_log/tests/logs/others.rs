@@ -1,5 +1,6 @@
-//! Logs that another program has written again: valid MCAP, with chunks without checksums, without chunks, with metadata behind the messages.
-//! Regression: each was called damaged. A file that is no log of ours was sent to `repair`, which sent it away.
+//! Logs that another program has written again: valid MCAP, with chunks without checksums, without chunks,
+//! with metadata behind the messages. Regression: each was called damaged. A file that is no log of ours was
+//! sent to `repair`, which sent it away.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use std::io::Cursor;
@@ -145,7 +146,8 @@ fn variants(log: &[u8]) -> Vec<(&'static str, Vec<u8>)> {
     use Beside::{AtTheEnd, AtTheStart, OnceAtTheStart, WhereTheyStood};
     vec![
         ("as it was", written_again(log, plain(), WhereTheyStood)),
-        // The crate's checksum of the data section is wrong without those of chunks (mcap 0.26, `ChunkWriter::finish`).
+        // The crate's checksum of the data section is wrong without those of chunks (mcap 0.26,
+        // `ChunkWriter::finish`).
         (
             "chunk CRC 0",
             written_again(

@@ -97,7 +97,8 @@ fn steps_between_keyframes_come_to_what_one_pass_comes_to_or_to_nothing() {
         assert_ne!(own.2, hash);
         assert_eq!(stepped(&bytes, &late, &all), Some(own));
 
-        // At a keyframe, the segment does not end where the next one begins. (A toy's own state forgets a fault in the next tick.)
+        // At a keyframe, the segment does not end where the next one begins. (A toy's own state forgets a
+        // fault in the next tick.)
         let early = || Ok(Toy { fault_tick: Some(600), ..Toy::new() });
         assert_eq!(stepped(&bytes, &early, &all), None);
         let fails = || Ok(Toy { fail_tick: Some(777), ..Toy::new() });

@@ -60,7 +60,8 @@ pub(super) fn check(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
     let lower = arm.lower_joints_deg.as_ref().unwrap_or(&lower);
     let upper = arm.upper_joints_deg.as_ref().unwrap_or(&upper);
     for i in 0..count {
-        // The ends of an arm's own ranges may lie beyond those that the keys take: 2 pi in a file is a little more than 360 degrees.
+        // The ends of an arm's own ranges may lie beyond those that the keys take: 2 pi in a file is a little
+        // more than 360 degrees.
         let above = Range { lowest: lower[i] + 1e-3, highest: upper[i].max(360.0), or_zero: false };
         checker.range("arm.upper_joints_deg", upper[i], above)?;
         if let Some(start) = &arm.initial_joints_deg {

@@ -55,7 +55,8 @@ impl Checker<'_> {
     }
 }
 
-/// Checks a scene: first every value against its range, in the order of the declarations, then what relates keys to each other.
+/// Checks a scene: first every value against its range, in the order of the declarations, then what relates
+/// keys to each other.
 pub(crate) fn check(scene: &Scene, given: &toml::Table, file: &Path) -> Result<(), SceneError> {
     let checker = Checker { file };
     ranges::check(&SCENE, given, "", &checker)?;

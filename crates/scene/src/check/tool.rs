@@ -13,7 +13,8 @@ use crate::tool::FlexurePlace;
 const TOUCH_MM: f64 = 1e-6;
 /// Least distance between the last two corners of a cutter, mm: a shorter one is another shape.
 const SHORTEST_MM: f64 = 0.1;
-/// Most that a tendon winds about the tool from one flexure to the next, degrees: the model lets it run straight there.
+/// Most that a tendon winds about the tool from one flexure to the next, degrees: the model lets it run
+/// straight there.
 const MOST_TWIST_DEG: f64 = 45.0;
 /// Rest curvatures that differ by less than this share of the largest are one.
 const SAME_CURVATURE: f64 = 0.01;
@@ -140,7 +141,8 @@ impl Check<'_> {
         self.range("shaft.contact_from_mm", shaft.contact_from_mm.unwrap_or(0.0), 0.0, to_mm)
     }
 
-    /// The centre of the cutter's last ball is ahead of the tube's end, half a pitch behind which the last flexure sits.
+    /// The centre of the cutter's last ball is ahead of the tube's end, half a pitch behind which the last
+    /// flexure sits.
     fn burr(&self, places: &[FlexurePlace]) -> Result<(), SceneError> {
         self.shape()?;
         let length_mm = ToolDescription::length_mm(places, places.len() - 1);
@@ -155,7 +157,8 @@ impl Check<'_> {
         Ok(())
     }
 
-    /// A shaft bends over a length, runs in a lumen, and turns a cutter that has mass. What rubs can be overcome.
+    /// A shaft bends over a length, runs in a lumen, and turns a cutter that has mass. What rubs can be
+    /// overcome.
     fn drive_shaft(&self, places: &[FlexurePlace]) -> Result<(), SceneError> {
         let Some(shaft) = &self.tool.drive_shaft else { return Ok(()) };
         if self.tool.tube.inner_diameter_mm == 0.0 {
@@ -182,7 +185,8 @@ impl Check<'_> {
         }
     }
 
-    /// It covers a part that bends and not the burr, has a wall and room for the tube, and no tendon slides with the tube.
+    /// It covers a part that bends and not the burr, has a wall and room for the tube, and no tendon slides
+    /// with the tube.
     fn outer_tube(&self, places: &[FlexurePlace]) -> Result<(), SceneError> {
         let Some(outer) = &self.tool.outer_tube else { return Ok(()) };
         let burr_mm = places[places.len() - 1].at_mm + self.tool.burr.offset_mm;
@@ -229,7 +233,8 @@ impl Check<'_> {
             // A step so small is a cylinder's.
             self.range("burr.tip_diameter_mm", tip_mm, 0.1, burr.diameter_mm - 0.05)?;
         }
-        // The corners before the last one keep their place: what is left is the last piece, and balls that lie in each other are no shape.
+        // The corners before the last one keep their place: what is left is the last piece, and balls that
+        // lie in each other are no shape.
         let before_mm = 1e3 * burr.corners().iter().rev().nth(1).map_or(0.0, |corner| corner.behind_m);
         let ends_mm = 0.5 * (tip_mm + burr.diameter_mm);
         let cone_mm = if is_cone { 0.5 * (burr.diameter_mm - tip_mm) } else { 0.0 };

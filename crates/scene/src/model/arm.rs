@@ -10,21 +10,23 @@ use serde::{Deserialize, Serialize};
 #[serde(deny_unknown_fields, default)]
 #[schemars(extend("x-absent" = "standard"))]
 pub struct Arm {
-    /// An arm of Universal Robots by its name; `gantry`: three linear axes that do not turn the tool; or `fixed`: no arm, the tool's base is
-    /// held where `[tool]` says. Absent: `ur5`.
+    /// An arm of Universal Robots by its name; `gantry`: three linear axes that do not turn the tool; or
+    /// `fixed`: no arm, the tool's base is held where `[tool]` says. Absent: `ur5`.
     pub model: Option<ArmModel>,
-    /// URDF file of another serial arm with six or seven turning joints, from the scene file's folder; in place of `model`. The joints between its
-    /// base and its tip become `[[arm.joint]]`, so a log needs no file.
+    /// URDF file of another serial arm with six or seven turning joints, from the scene file's folder; in
+    /// place of `model`. The joints between its base and its tip become `[[arm.joint]]`, so a log needs no
+    /// file.
     #[schemars(extend("x-kind" = "path", "x-absent" = "none"))]
     pub urdf: Option<PathBuf>,
     /// Link of the URDF file where the arm begins. Absent: the one link that hangs on no other.
     #[schemars(extend("x-absent" = "none"))]
     pub base_link: Option<String>,
-    /// Link of the URDF file that is the flange, +z along the tool. Absent: the one link on which no other hangs.
+    /// Link of the URDF file that is the flange, +z along the tool. Absent: the one link on which no other
+    /// hangs.
     #[schemars(extend("x-absent" = "none"))]
     pub tip_link: Option<String>,
-    /// Whether the arm is drawn with the meshes of the URDF file; absent: yes. `false`: tubes between its joints, and no mesh has to be
-    /// there.
+    /// Whether the arm is drawn with the meshes of the URDF file; absent: yes. `false`: tubes between its
+    /// joints, and no mesh has to be there.
     #[schemars(extend("x-absent" = "true"))]
     pub meshes: Option<bool>,
     /// Fastest motion of the tool's base on a path.
@@ -45,7 +47,8 @@ pub struct Arm {
     /// Largest angular jerk of it; 25 rad/s³ by default.
     #[schemars(range(min = 1.0, max = 1e6))]
     pub max_turn_deg_per_s3: Option<f64>,
-    /// Fastest turn of each joint; by default the arm's own (UR5: 180, Universal Robots' figure). A joint whose own is slower keeps it.
+    /// Fastest turn of each joint; by default the arm's own (UR5: 180, Universal Robots' figure). A joint
+    /// whose own is slower keeps it.
     #[schemars(range(min = 0.01, max = 180.0))]
     pub max_joint_speed_deg_per_s: Option<f64>,
     /// Largest acceleration of each joint; 5 rad/s² by default.
@@ -60,16 +63,17 @@ pub struct Arm {
     /// Greatest angles of the joints, each above the least; 360, elbow 180 by default.
     #[schemars(length(min = 6, max = 7), inner(range(min = -360.0, max = 360.0)))]
     pub upper_joints_deg: Option<Vec<f64>>,
-    /// Joint angles at the start, each within its range. The arm's base stands where the tool then is as `[tool]` says.
-    /// Far from every singularity by default.
+    /// Joint angles at the start, each within its range. The arm's base stands where the tool then is as
+    /// `[tool]` says. Far from every singularity by default.
     #[schemars(length(min = 6, max = 7), inner(range(min = -360.0, max = 360.0)))]
     pub initial_joints_deg: Option<Vec<f64>>,
-    /// The joint of `[[arm.joint]]` that keeps its angle while an arm of seven joints moves the tool on a path (`move_cp`, `insert`, `rcm`),
-    /// by its name. Absent: the third that turns, as KUKA's E1 and Franka's elbow.
+    /// The joint of `[[arm.joint]]` that keeps its angle while an arm of seven joints moves the tool on a
+    /// path (`move_cp`, `insert`, `rcm`), by its name. Absent: the third that turns, as KUKA's E1 and
+    /// Franka's elbow.
     #[schemars(extend("x-absent" = "the third that turns"))]
     pub redundant_joint: Option<String>,
-    /// How far each axis of a gantry goes to either side of its start; 250 by default. The axes are those of the flange's frame, whose
-    /// limits are those of the tool's base.
+    /// How far each axis of a gantry goes to either side of its start; 250 by default. The axes are those of
+    /// the flange's frame, whose limits are those of the tool's base.
     #[schemars(inner(range(min = 1.0, max = 5000.0)))]
     pub travel_mm: Option<[f64; 3]>,
     /// Place of the tool's base in the flange's frame.
@@ -78,28 +82,32 @@ pub struct Arm {
     /// Orientation of the tool's base in the flange's frame: axis times angle.
     #[schemars(inner(range(min = -360.0, max = 360.0)))]
     pub tool_rotation_vector_deg: [f64; 3],
-    /// Length of the holder on the flange, that of the drive that turns the burr and pulls the tendons; 60 by default, and at most up to
-    /// the tool's base. From there on the tool's shaft is bare. Without a place of the tool's base off the flange there is neither.
+    /// Length of the holder on the flange, that of the drive that turns the burr and pulls the tendons; 60 by
+    /// default, and at most up to the tool's base. From there on the tool's shaft is bare. Without a place of
+    /// the tool's base off the flange there is neither.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub holder_length_mm: Option<f64>,
     /// Outer diameter of the holder; 40 by default.
     #[schemars(range(min = 1.0, max = 500.0))]
     pub holder_diameter_mm: Option<f64>,
-    /// Largest force of the tool on the flange. A greater one stops the arm until a controller commands `hold`; it may then move away. No limit by default.
+    /// Largest force of the tool on the flange. A greater one stops the arm until a controller commands
+    /// `hold`; it may then move away. No limit by default.
     #[schemars(range(min = 1.0, max = 1e5), extend("x-absent" = "none"))]
     pub max_force_n: Option<f64>,
     /// Elastic joints; absent: stiff, at no cost.
     #[schemars(extend("x-absent" = "none"))]
     pub compliance: Option<ArmCompliance>,
-    /// The joints of another serial arm, from base to flange, as `urdf` makes them; in place of `model`. Six or seven of them turn.
+    /// The joints of another serial arm, from base to flange, as `urdf` makes them; in place of `model`. Six
+    /// or seven of them turn.
     #[schemars(length(max = 64), extend("x-absent" = "none"))]
     pub joint: Option<Vec<ArmJoint>>,
-    /// X-ray frames show the arm's meshes as aluminium thinned to this density, spread evenly over what a mesh encloses: a link's mass over
-    /// its volume, an estimated 1.0 to 1.8 for a UR5 (solid aluminium 2.7). The meshes must be closed. Absent: frames show no arm, at no cost.
+    /// X-ray frames show the arm's meshes as aluminium thinned to this density, spread evenly over what a
+    /// mesh encloses: a link's mass over its volume, an estimated 1.0 to 1.8 for a UR5 (solid aluminium 2.7).
+    /// The meshes must be closed. Absent: frames show no arm, at no cost.
     #[schemars(range(min = 0.001, max = 2.7), extend("x-absent" = "none"))]
     pub xray_density_g_per_cm3: Option<f64>,
-    /// Meshes that the arm is drawn with, as `urdf` finds them; links without one are drawn as tubes. Only the looks of the arm, in X-ray
-    /// frames too.
+    /// Meshes that the arm is drawn with, as `urdf` finds them; links without one are drawn as tubes. Only
+    /// the looks of the arm, in X-ray frames too.
     #[schemars(length(max = MOST_MESHES), extend("x-absent" = "none"))]
     pub mesh: Option<Vec<ArmMesh>>,
 }
@@ -186,7 +194,8 @@ pub struct ArmJoint {
     #[serde(default)]
     #[schemars(inner(range(min = -10000.0, max = 10000.0)))]
     pub position_mm: [f64; 3],
-    /// Orientation of its frame there: turns about the fixed axes x, y and z, in this order (URDF's roll, pitch, yaw).
+    /// Orientation of its frame there: turns about the fixed axes x, y and z, in this order (URDF's roll,
+    /// pitch, yaw).
     #[serde(default)]
     #[schemars(inner(range(min = -720.0, max = 720.0)))]
     pub roll_pitch_yaw_deg: [f64; 3],
@@ -211,22 +220,26 @@ pub struct ArmMesh {
     /// Joint of `[[arm.joint]]` with which it moves; absent: it stands with the arm's base.
     #[schemars(extend("x-absent" = "none"))]
     pub joint: Option<String>,
-    /// Mesh file, from the scene file's folder: STL or OBJ. Another kind, such as COLLADA, is not drawn, and a warning says so.
+    /// Mesh file, from the scene file's folder: STL or OBJ. Another kind, such as COLLADA, is not drawn, and
+    /// a warning says so.
     #[schemars(extend("x-kind" = "path"))]
     pub file: PathBuf,
     /// Place of the mesh's frame in that of the joint, or in the arm's base.
     #[serde(default)]
     #[schemars(inner(range(min = -10000.0, max = 10000.0)))]
     pub position_mm: [f64; 3],
-    /// Orientation of the mesh's frame there: turns about the fixed axes x, y and z, in this order (URDF's roll, pitch, yaw).
+    /// Orientation of the mesh's frame there: turns about the fixed axes x, y and z, in this order (URDF's
+    /// roll, pitch, yaw).
     #[serde(default)]
     #[schemars(inner(range(min = -720.0, max = 720.0)))]
     pub roll_pitch_yaw_deg: [f64; 3],
-    /// Metres for a unit of the file, along each axis of the mesh's frame: 0.001 for a file in millimetres; below 0 it is mirrored.
+    /// Metres for a unit of the file, along each axis of the mesh's frame: 0.001 for a file in millimetres;
+    /// below 0 it is mirrored.
     #[serde(default = "ArmMesh::default_scale")]
     #[schemars(inner(range(min = -1000.0, max = 1000.0)))]
     pub scale: [f64; 3],
-    /// XXH3-128 of the file in hexadecimal digits, as a run with `arm.xray_density_g_per_cm3` notes it: another file of this name is refused.
+    /// XXH3-128 of the file in hexadecimal digits, as a run with `arm.xray_density_g_per_cm3` notes it:
+    /// another file of this name is refused.
     #[schemars(extend("x-absent" = "none"))]
     pub file_xxh3: Option<String>,
 }

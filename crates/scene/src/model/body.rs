@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{FARTHEST_MM, NAME, NAME_EXPECTED};
 
-/// A rigid body beside the tool. The burr does not cut it. Exactly one of `cuboid`, `ball` and `capsule` is its shape.
+/// A rigid body beside the tool. The burr does not cut it. Exactly one of `cuboid`, `ball` and `capsule` is
+/// its shape.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Body {

@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use super::FARTHEST_MM;
 
-/// Curved drilling: advance with the burr on, pull the tendon along a ramp, and correct the tension by what is measured.
+/// Curved drilling: advance with the burr on, pull the tendon along a ramp, and correct the tension by what
+/// is measured.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CurvedDrilling {
@@ -21,8 +22,9 @@ pub struct CurvedDrilling {
     /// Tension at the end of the ramp; either this or `calibration`.
     #[schemars(range(min = 0.0, max = 60.0))]
     pub tension_n: Option<f64>,
-    /// A file of `trabecula calibrate`, from the scene file's folder: the ramp is then one of the bend up to that of the
-    /// arc to `target_mm`, and the tension follows from the calibration. Either this or `tension_n`.
+    /// A file of `trabecula calibrate`, from the scene file's folder: the ramp is then one of the bend up to
+    /// that of the arc to `target_mm`, and the tension follows from the calibration. Either this or
+    /// `tension_n`.
     #[schemars(extend("x-kind" = "path"))]
     pub calibration: Option<PathBuf>,
     /// What corrects the tension.
@@ -38,7 +40,8 @@ pub struct CurvedDrilling {
     /// Burr speed.
     #[schemars(range(min = 0.0, max = 60_000.0))]
     pub burr_speed_rpm: f64,
-    /// Where the burr is to end, patient frame; the feedback corrects the tension toward the arc to it. From `tool.plan`, if there is one.
+    /// Where the burr is to end, patient frame; the feedback corrects the tension toward the arc to it. From
+    /// `tool.plan`, if there is one.
     #[schemars(inner(range(min = -FARTHEST_MM, max = FARTHEST_MM)))]
     pub target_mm: Option<[f64; 3]>,
     /// Tension per millimetre of sideways error measured.
@@ -70,7 +73,8 @@ pub enum Feedback {
     None,
 }
 
-/// A straight feed with the burr on. Where the bone is denser on one side, the burr skives: it leaves its line.
+/// A straight feed with the burr on. Where the bone is denser on one side, the burr skives: it leaves its
+/// line.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Skiving {
@@ -89,8 +93,8 @@ pub struct Skiving {
     pub burr_speed_rpm: f64,
 }
 
-/// Pulls tendon 0 in steps up and down again, with the arm held and the burr at rest. By tension (`most_n`, `step_n`) or
-/// by displacement (`most_mm`, `step_mm`).
+/// Pulls tendon 0 in steps up and down again, with the arm held and the burr at rest. By tension (`most_n`,
+/// `step_n`) or by displacement (`most_mm`, `step_mm`).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TensionSweep {
@@ -128,7 +132,8 @@ impl TensionSweep {
 
 defaults!(TensionSweep { default_settle_s: f64 = 0.5 });
 
-/// Turns the tube in the outer tube, then slides it out with the burr on, and at the end draws it back. The arm is held.
+/// Turns the tube in the outer tube, then slides it out with the burr on, and at the end draws it back. The
+/// arm is held.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TubeDeployment {

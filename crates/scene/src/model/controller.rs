@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use super::built_in::{CurvedDrilling, Hold, Skiving, TensionSweep, TubeDeployment};
 use super::{NAME, NAME_EXPECTED};
 
-/// Who drives the tool. Exactly one of `curved_drilling`, `skiving`, `tension_sweep`, `tube_deployment`, `hold`, `command` and
-/// `external` says what it is.
+/// Who drives the tool. Exactly one of `curved_drilling`, `skiving`, `tension_sweep`, `tube_deployment`,
+/// `hold`, `command` and `external` says what it is.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Controller {
@@ -16,7 +16,8 @@ pub struct Controller {
     pub name: String,
     /// What it drives; no part has two drivers.
     pub drives: Vec<Drives>,
-    /// Sensors that a built-in controller uses, by name: what they measure stands in the place of the exact state.
+    /// Sensors that a built-in controller uses, by name: what they measure stands in the place of the exact
+    /// state.
     #[serde(default)]
     pub sensors: Vec<String>,
     /// The built-in curved drilling.
@@ -39,8 +40,8 @@ pub struct Controller {
     #[serde(default = "Controller::default_connect_limit_s")]
     #[schemars(range(min = 1.0, max = 3600.0))]
     pub connect_limit_s: f64,
-    /// True if a controller with `external` or `command` may join and leave when it likes: the run begins without it, and
-    /// a `command` that ends does not end the run.
+    /// True if a controller with `external` or `command` may join and leave when it likes: the run begins
+    /// without it, and a `command` that ends does not end the run.
     #[serde(default)]
     pub optional: bool,
     /// How often a `command` that ends before the run does is started again.

@@ -46,21 +46,25 @@ pub struct Drilling {
     /// Exponent of the density in that energy.
     #[schemars(range(min = 0.0, max = 4.0))]
     pub density_exponent: Option<f64>,
-    /// Cutting force over normal force: tangential over normal. Measured torque over thrust gives 2 to 4 for twist drills.
+    /// Cutting force over normal force: tangential over normal. Measured torque over thrust gives 2 to 4 for
+    /// twist drills.
     #[schemars(range(min = 0.01, max = 5.0))]
     pub cutting_coefficient: Option<f64>,
-    /// Pressure of the burr's edges on cortical bone of 1.9 g/cm³ below which they plough and do not cut; 0 is the standard.
+    /// Pressure of the burr's edges on cortical bone of 1.9 g/cm³ below which they plough and do not cut; 0
+    /// is the standard.
     #[schemars(range(min = 0.0, max = 1e3))]
     pub edge_pressure_mpa: Option<f64>,
-    /// The same as a force for each millimetre of the hole's diameter, in place of `edge_pressure_mpa`: edges have a length, and a larger
-    /// burr ploughs with less pressure. 7 N/mm with an `edge_exponent` of 1.5 fits published thrusts best (docs/reproduction.md).
+    /// The same as a force for each millimetre of the hole's diameter, in place of `edge_pressure_mpa`: edges
+    /// have a length, and a larger burr ploughs with less pressure. 7 N/mm with an `edge_exponent` of 1.5
+    /// fits published thrusts best (docs/reproduction.md).
     #[schemars(range(min = 0.0, max = 1e3))]
     pub edge_force_n_per_mm: Option<f64>,
     /// Exponent of the density in that pressure or force.
     #[schemars(range(min = 0.0, max = 4.0))]
     pub edge_exponent: Option<f64>,
-    /// Whether cutting also pushes the burr aside, with the cutting coefficient times a contact's force, across its normal and the burr's
-    /// axis. For tools that bend out of the plane (`spatial`, `full`); off by default.
+    /// Whether cutting also pushes the burr aside, with the cutting coefficient times a contact's force,
+    /// across its normal and the burr's axis. For tools that bend out of the plane (`spatial`, `full`); off
+    /// by default.
     pub side_force: Option<bool>,
     /// How voxels end: `energy` is the standard; the others are published rules, for experiments.
     pub removal: Option<Removal>,

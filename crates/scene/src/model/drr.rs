@@ -31,11 +31,13 @@ pub enum Projector {
     Preview,
 }
 
-/// The C-arm, where positioner angles do not say it: either as a camera or as points; a key of neither is refused.
+/// The C-arm, where positioner angles do not say it: either as a camera or as points; a key of neither is
+/// refused.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct CArm {
-    /// Camera: K in pixels, `[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]`; the detector is |fx| times `pixel_pitch_mm` away.
+    /// Camera: K in pixels, `[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]`; the detector is |fx| times
+    /// `pixel_pitch_mm` away.
     pub intrinsics: Option<[[f64; 3]; 3]>,
     /// Camera: R, rows are the camera's axes in the world, z towards the detector.
     pub rotation: Option<[[f64; 3]; 3]>,
@@ -63,7 +65,8 @@ pub enum PixelCentre {
     Half,
 }
 
-/// Many photon energies instead of one: tissue, bone, nitinol and steel each attenuate by NIST's coefficients.
+/// Many photon energies instead of one: tissue, bone, nitinol and steel each attenuate by NIST's
+/// coefficients.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Spectrum {
@@ -108,8 +111,8 @@ impl Default for Detector {
     }
 }
 
-/// Notches of the manipulator's links, which the published tool does not state: one in the middle of each link, in turns on
-/// either side of the bending plane.
+/// Notches of the manipulator's links, which the published tool does not state: one in the middle of each
+/// link, in turns on either side of the bending plane.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Notch {
@@ -145,12 +148,13 @@ impl LabelImage {
         [Self::Anatomy, Self::Metal, Self::BoneM, Self::TunnelM, Self::ToolDepthM, Self::BoneDepthM];
 }
 
-/// What the labels of the frames are, which the log of a run makes bit for bit (`trabecula log export --dataset`): the mask, keypoints, camera
-/// and pose always, and these.
+/// What the labels of the frames are, which the log of a run makes bit for bit (`trabecula log export
+/// --dataset`): the mask, keypoints, camera and pose always, and these.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct DrrLabels {
-    /// Voxels at or above this are bone in the labels; absent: `volume.bone_threshold_hu`, which decides what is drilled.
+    /// Voxels at or above this are bone in the labels; absent: `volume.bone_threshold_hu`, which decides what
+    /// is drilled.
     #[schemars(range(min = -1000, max = 3000))]
     pub bone_from_hu: Option<i16>,
     /// Images in the files of `--dataset npz`.
@@ -170,7 +174,8 @@ pub struct Drr {
     /// Scheduled frames per simulated second; with 0, frames come only on request.
     #[schemars(range(min = 0.0, max = 200.0))]
     pub rate_hz: f64,
-    /// Point about which the C-arm turns, patient frame; absent beside `tool.plan`: the middle from start to target.
+    /// Point about which the C-arm turns, patient frame; absent beside `tool.plan`: the middle from start to
+    /// target.
     #[schemars(inner(range(min = -FARTHEST_MM, max = FARTHEST_MM)))]
     pub isocentre_mm: [f64; 3],
     /// DICOM (0018,1510): 0 is detector in front of the chest, +90 at the patient's left.
@@ -210,7 +215,8 @@ pub struct Drr {
     #[serde(default)]
     #[schemars(range(min = 0.0, max = 5.0))]
     pub blur_pixels: f64,
-    /// Bone and metal dark, as the detector sees them, or bright; or the readout without logarithm and window.
+    /// Bone and metal dark, as the detector sees them, or bright; or the readout without logarithm and
+    /// window.
     #[serde(default = "Drr::default_display")]
     pub display: Display,
     /// Gain, offset and saturation of the detector.
@@ -224,13 +230,13 @@ pub struct Drr {
     pub notch: Option<Notch>,
     /// Labels of the frames; absent: all, by the volume's threshold.
     pub labels: Option<DrrLabels>,
-    /// Line integral: `siddon` is exact for constant voxels and slow, `joseph` is bilinear, `slice_ordered` is bilinear in the
-    /// volume's own order and the quickest of full resolution, `preview` is that with voxels joined. `tolerance.drr_rel` chooses instead
-    /// of it.
+    /// Line integral: `siddon` is exact for constant voxels and slow, `joseph` is bilinear, `slice_ordered`
+    /// is bilinear in the volume's own order and the quickest of full resolution, `preview` is that with
+    /// voxels joined. `tolerance.drr_rel` chooses instead of it.
     #[serde(default = "Drr::default_projector")]
     pub projector: Projector,
-    /// Samples of `slice_ordered` for each voxel of the farthest slice; more are slower and closer to `joseph`. Below
-    /// 1, samples and voxels are equally far apart in the middle of the volume.
+    /// Samples of `slice_ordered` for each voxel of the farthest slice; more are slower and closer to
+    /// `joseph`. Below 1, samples and voxels are equally far apart in the middle of the volume.
     #[serde(default = "Drr::default_oversampling")]
     #[schemars(range(min = 0.8, max = 4.0))]
     pub oversampling: f64,

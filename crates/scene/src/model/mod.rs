@@ -79,8 +79,8 @@ pub struct Scene {
     #[serde(default)]
     #[schemars(length(max = MAX_BODIES))]
     pub body: Vec<Body>,
-    /// Gravity in the patient frame, on the tool and on free bodies. None by default: the tool's own weight of 7 g
-    /// bends it by micrometres, and a scene says which way the patient lies.
+    /// Gravity in the patient frame, on the tool and on free bodies. None by default: the tool's own weight
+    /// of 7 g bends it by micrometres, and a scene says which way the patient lies.
     #[serde(default)]
     #[schemars(inner(range(min = -100.0, max = 100.0)))]
     pub gravity_m_per_s2: [f64; 3],

@@ -15,8 +15,9 @@ pub struct Recording {
     /// With `images = "full"`, every how many frames the image is recorded; of the others the hash.
     #[schemars(range(min = 1, max = 1_000_000))]
     pub image_every: u64,
-    /// When the recorder is so late that its queues would overflow, in real time: the log has a gap, and the run says so and ends with
-    /// exit code 3; or the physics waits, and its ticks begin late. Lockstep always waits.
+    /// When the recorder is so late that its queues would overflow, in real time: the log has a gap, and the
+    /// run says so and ends with exit code 3; or the physics waits, and its ticks begin late. Lockstep always
+    /// waits.
     pub on_full: OnFull,
 }
 
@@ -29,7 +30,8 @@ impl Recording {
 
 impl Default for Recording {
     fn default() -> Self {
-        // A tick in its time is what real time is for: the gap costs the log, a wait costs whoever holds the tool.
+        // A tick in its time is what real time is for: the gap costs the log, a wait costs whoever holds the
+        // tool.
         Recording { images: Images::Full, keyframe_interval_s: 2.0, image_every: 1, on_full: OnFull::Gap }
     }
 }

@@ -9,7 +9,8 @@ use crate::LONGEST_RUN_S;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Run {
-    /// Lockstep: as fast as the parts allow, every tick waits for every controller. Real time: by the wall clock.
+    /// Lockstep: as fast as the parts allow, every tick waits for every controller. Real time: by the wall
+    /// clock.
     pub mode: Mode,
     /// Simulated time of the whole run.
     #[schemars(range(min = 0.001, max = LONGEST_RUN_S))]

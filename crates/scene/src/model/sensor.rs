@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{FARTHEST_MM, NAME, NAME_EXPECTED};
 
-/// A sensor. Exactly one of `fbg`, `tracker`, `encoders`, `load_cell` and `force_torque` says what it measures. Controllers read its
-/// readings beside the exact state, at the tick at which they arrive.
+/// A sensor. Exactly one of `fbg`, `tracker`, `encoders`, `load_cell` and `force_torque` says what it
+/// measures. Controllers read its readings beside the exact state, at the tick at which they arrive.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Sensor {
@@ -44,8 +44,9 @@ pub struct Sensor {
     pub force_torque: Option<ForceTorque>,
 }
 
-/// Fibre-Bragg gratings along the part of the tool that bends. By default three nodes, as in Ma et al. 2023 (arXiv 2303.03613), with noise
-/// and bias from which the tip's error is about that paper's mean error of shape, 0.22 mm (docs/sensors.md).
+/// Fibre-Bragg gratings along the part of the tool that bends. By default three nodes, as in Ma et al. 2023
+/// (arXiv 2303.03613), with noise and bias from which the tip's error is about that paper's mean error of
+/// shape, 0.22 mm (docs/sensors.md).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Fbg {
@@ -81,7 +82,8 @@ pub struct Tracker {
     /// What carries the marker.
     #[serde(default)]
     pub on: Tracked,
-    /// Standard deviation of the position along each axis; the default, an assumption, is of the order of electromagnetic trackers.
+    /// Standard deviation of the position along each axis; the default, an assumption, is of the order of
+    /// electromagnetic trackers.
     #[serde(default = "Tracker::default_position_noise_mm")]
     #[schemars(range(min = 0.0, max = 100.0))]
     pub position_noise_mm: f64,
@@ -89,14 +91,17 @@ pub struct Tracker {
     #[serde(default = "Tracker::default_orientation_noise_deg")]
     #[schemars(range(min = 0.0, max = 30.0))]
     pub orientation_noise_deg: f64,
-    /// Where the camera of an optical tracker stands, patient frame; absent: electromagnetic, which needs no line of sight.
+    /// Where the camera of an optical tracker stands, patient frame; absent: electromagnetic, which needs no
+    /// line of sight.
     #[schemars(inner(range(min = -FARTHEST_MM, max = FARTHEST_MM)))]
     pub camera_mm: Option<[f64; 3]>,
-    /// Direction in which the marker of an optical tracker faces, in the axes of what carries it; by default back along the tool.
+    /// Direction in which the marker of an optical tracker faces, in the axes of what carries it; by default
+    /// back along the tool.
     #[serde(default = "Tracker::default_marker_faces")]
     #[schemars(inner(range(min = -1000.0, max = 1000.0)))]
     pub marker_faces: [f64; 3],
-    /// Largest angle between that direction and the camera at which the camera still sees the marker, an assumption.
+    /// Largest angle between that direction and the camera at which the camera still sees the marker, an
+    /// assumption.
     #[serde(default = "Tracker::default_view_deg")]
     #[schemars(range(min = 1.0, max = 180.0))]
     pub view_deg: f64,
@@ -161,8 +166,8 @@ pub struct LoadCell {
 
 defaults!(LoadCell { default_noise_n: f64 = 0.05 });
 
-/// A six-axis force/torque sensor between flange and tool. It measures what the tool exerts on the flange, about the tool's base and in its
-/// axes.
+/// A six-axis force/torque sensor between flange and tool. It measures what the tool exerts on the flange,
+/// about the tool's base and in its axes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ForceTorque {

@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{SCENE_NAME, SCENE_NAME_EXPECTED};
 
-/// A tool, in place of the standard one: what `manipulator.file` holds. Places are along the straight tool, from the flange.
+/// A tool, in place of the standard one: what `manipulator.file` holds. Places are along the straight tool,
+/// from the flange.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ToolDescription {
@@ -29,7 +30,8 @@ pub struct ToolDescription {
     /// The rigid part in front of the first flexure.
     #[serde(default)]
     pub shaft: ToolShaft,
-    /// Where the tool bends, from the flange to the tip. At most 32 in all, groups counted out: as many as a state has joints.
+    /// Where the tool bends, from the flange to the tip. At most 32 in all, groups counted out: as many as a
+    /// state has joints.
     #[schemars(length(max = MAX_JOINTS))]
     pub flexure: Vec<ToolFlexure>,
     /// How far a flexure bends.
@@ -37,7 +39,8 @@ pub struct ToolDescription {
     pub stop: FlexureStop,
     /// The cutter.
     pub burr: ToolBurr,
-    /// The flexible shaft in the tube that turns the cutter. Absent: it bends with the tube for nothing, and does not twist.
+    /// The flexible shaft in the tube that turns the cutter. Absent: it bends with the tube for nothing, and
+    /// does not twist.
     pub drive_shaft: Option<ToolDriveShaft>,
     /// A straight tube out of which this one slides. Absent: the tool is one piece with its holder.
     pub outer_tube: Option<ToolOuterTube>,
@@ -97,7 +100,8 @@ pub struct ToolShaft {
     /// Its centre of mass.
     #[schemars(range(min = 0.0, max = 1000.0), extend("x-absent" = "its middle"))]
     pub centre_mm: Option<f64>,
-    /// Where its contact spheres begin. There are as many as diameters of the tube up to `contact_to_mm`, at most 8.
+    /// Where its contact spheres begin. There are as many as diameters of the tube up to `contact_to_mm`, at
+    /// most 8.
     #[schemars(range(min = 0.0, max = 1000.0), extend("x-absent" = "the flange, or 7 diameters before the last"))]
     pub contact_from_mm: Option<f64>,
     /// Where its last contact sphere is.
@@ -181,8 +185,8 @@ pub struct ToolBurr {
     /// Most that the balls which make up the shape leave out of it, between two of them.
     #[schemars(range(min = 0.001, max = 1.0), extend("x-absent" = "0.05"))]
     pub scallop_mm: Option<f64>,
-    /// From the last flexure to its centre; of another shape than a ball, to the centre of the ball at its front. This is the point that
-    /// `tool.burr_start_mm` places, and whose way a plan draws.
+    /// From the last flexure to its centre; of another shape than a ball, to the centre of the ball at its
+    /// front. This is the point that `tool.burr_start_mm` places, and whose way a plan draws.
     #[schemars(range(min = 0.01, max = 500.0))]
     pub offset_mm: f64,
     /// Its mass.
@@ -208,7 +212,8 @@ pub enum CutterShape {
     Bit,
 }
 
-/// A straight tube on the tool's base that holds the tool straight where it covers it. A drive slides the tool out of it and turns it in it.
+/// A straight tube on the tool's base that holds the tool straight where it covers it. A drive slides the
+/// tool out of it and turns it in it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ToolOuterTube {
@@ -254,11 +259,13 @@ const fn roll_speed() -> f64 {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ToolDriveShaft {
-    /// Its bending stiffness E I: each flexure is stiffer by E I over its length. The shaft is straight by itself.
+    /// Its bending stiffness E I: each flexure is stiffer by E I over its length. The shaft is straight by
+    /// itself.
     #[serde(default)]
     #[schemars(range(min = 0.0, max = 100.0))]
     pub bending_stiffness_nm2: f64,
-    /// Its torsional stiffness G J: a torque T winds it up by T `length_mm` / (G J). Absent: it does not twist.
+    /// Its torsional stiffness G J: a torque T winds it up by T `length_mm` / (G J). Absent: it does not
+    /// twist.
     #[schemars(range(min = 1e-7, max = 100.0), extend("x-absent" = "rigid"))]
     pub torsional_stiffness_nm2: Option<f64>,
     /// From the motor to the cutter.
@@ -288,8 +295,9 @@ pub struct ToolTendon {
     #[serde(default)]
     #[schemars(range(min = -10.0, max = 10.0))]
     pub across_mm: f64,
-    /// Angle by which the channel turns about the tool axis per length, from `toward_mm` to `across_mm`, beginning half way before the first
-    /// flexure that it bends: the tendon winds about the tool. For `spatial` and `full`.
+    /// Angle by which the channel turns about the tool axis per length, from `toward_mm` to `across_mm`,
+    /// beginning half way before the first flexure that it bends: the tendon winds about the tool. For
+    /// `spatial` and `full`.
     #[schemars(range(min = -180.0, max = 180.0), extend("x-absent" = "0"))]
     pub twist_deg_per_mm: Option<f64>,
     /// The first flexure that it bends, from 1 at the flange: up to there a sheath holds it.

@@ -5,13 +5,14 @@ use serde::{Deserialize, Serialize};
 
 use super::{Contact, Drilling};
 
-/// Where the simulated world differs from what the rest of the scene says, to test how robust a controller is. Physics, X-ray and the
-/// error at the end go by it; the plan and the built-in controllers do not know it. Absent: the scene is true.
+/// Where the simulated world differs from what the rest of the scene says, to test how robust a controller
+/// is. Physics, X-ray and the error at the end go by it; the plan and the built-in controllers do not know
+/// it. Absent: the scene is true.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Truth {
-    /// Registration error: how far the bone lies from where the plan has it. The scene's holes stay with the tool, which drilled
-    /// them by the same registration; bodies stay, too.
+    /// Registration error: how far the bone lies from where the plan has it. The scene's holes stay with the
+    /// tool, which drilled them by the same registration; bodies stay, too.
     #[schemars(inner(range(min = -100.0, max = 100.0)))]
     pub registration_error_mm: [f64; 3],
     /// How far it is turned there, about `tool.burr_start_mm`: axis times angle.

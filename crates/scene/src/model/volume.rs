@@ -19,11 +19,13 @@ pub struct Volume {
     /// True if the file is a 0/1 mask of bone, to be filled with synthetic Hounsfield units.
     #[serde(default)]
     pub mask: bool,
-    /// Of a segmentation with several labels, the one that is bone: its value, or the name of a segment in a `.seg.nrrd` of 3D Slicer.
+    /// Of a segmentation with several labels, the one that is bone: its value, or the name of a segment in a
+    /// `.seg.nrrd` of 3D Slicer.
     pub label: Option<Label>,
     /// SeriesInstanceUID of the series to read, if the DICOM folder holds several.
     pub series: Option<String>,
-    /// Slices that are unevenly spaced or stacked askew (a tilted gantry) are resampled to a rectangular grid; refused if absent.
+    /// Slices that are unevenly spaced or stacked askew (a tilted gantry) are resampled to a rectangular
+    /// grid; refused if absent.
     pub resample: Option<Resample>,
     /// A file's volume is resampled to cubic voxels of this size: thick slices make a rough tunnel wall.
     #[schemars(range(min = 0.05, max = 5.0))]

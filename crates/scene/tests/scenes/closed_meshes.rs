@@ -39,7 +39,8 @@ fn shells_are_turned_outward_and_those_turned_against_what_is_around_are_cavitie
         // Beside each other, whichever way each is turned.
         (vec![cube(1.0, false), beside(true)], 9.0),
         (vec![beside(false), cube(1.0, true)], 9.0),
-        // A cavity of half the size, in a file that is turned as a whole or not, and with something in the cavity.
+        // A cavity of half the size, in a file that is turned as a whole or not, and with something in the
+        // cavity.
         (vec![cube(0.5, true), cube(1.0, false)], 7.0),
         (vec![cube(1.0, true), cube(0.5, false)], 7.0),
         (vec![cube(1.0, false), cube(0.5, true), cube(0.25, false)], 7.125),

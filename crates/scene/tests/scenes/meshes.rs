@@ -99,7 +99,8 @@ fn hostile_files_are_refused_with_what_is_wrong() {
     let corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\n";
     assert_eq!(obj(""), MeshError::Empty);
     assert_eq!(obj(corners), MeshError::Empty);
-    // A face that the end of a cut file lacks corners of was passed over; triangles that show nothing were taken.
+    // A face that the end of a cut file lacks corners of was passed over; triangles that show nothing were
+    // taken.
     for (face, corners_left) in [("f 1 2", 2), ("f 1/1/1 # 2 3", 1), ("f", 0)] {
         let short = MeshError::ShortFace { line: 5, corners: corners_left };
         assert_eq!(obj(&format!("{corners}f 1 2 3\n{face}")), short);
@@ -148,7 +149,8 @@ fn mesh(kind: &str, file: &str, more: &str) -> String {
     format!("<{kind}>{more}<geometry><mesh filename=\"{file}\"/></geometry></{kind}>")
 }
 
-/// The meshes of a scene in `/scenes` whose arm is `/scenes/ws/ur/urdf/ur.urdf`; these files are there besides.
+/// The meshes of a scene in `/scenes` whose arm is `/scenes/ws/ur/urdf/ur.urdf`; these files are there
+/// besides.
 fn meshes(keys: &str, urdf: &str, there: &[&str]) -> Result<Vec<ArmMesh>, String> {
     let read = |path: &Path| match path.to_str().unwrap() {
         "/scenes/ws/ur/urdf/ur.urdf" => Ok(urdf.to_owned()),

@@ -1,4 +1,5 @@
-//! Refusals beyond the range of one number: an end that another key sets is said as it holds in this scene; values of one of two forms.
+//! Refusals beyond the range of one number: an end that another key sets is said as it holds in this scene;
+//! values of one of two forms.
 #![allow(clippy::unwrap_used, reason = "a test fails by it")]
 
 use std::path::Path;
@@ -76,7 +77,8 @@ fn a_range_that_another_key_narrows_is_said_as_it_holds_in_this_scene() {
     }
 }
 
-/// What the numbers mean together comes after each has been found in its range, so that the nearer cause is named.
+/// What the numbers mean together comes after each has been found in its range, so that the nearer cause is
+/// named.
 #[test]
 fn a_value_out_of_its_own_range_is_named_before_what_it_is_in_relation_to() {
     let said = parsed(&sweep("most_n = 500, step_n = 600")).unwrap_err();

@@ -4,16 +4,17 @@
 
 use crate::common::{deviation, first, mean, read, scene};
 
-/// Allan deviation at `m` samples, non-overlapping (Allan 1966, "Statistics of atomic frequency standards", Proc. IEEE 54): the root of
-/// half the mean square of differences of successive means.
+/// Allan deviation at `m` samples, non-overlapping (Allan 1966, "Statistics of atomic frequency standards",
+/// Proc. IEEE 54): the root of half the mean square of differences of successive means.
 fn allan(x: &[f64], m: usize) -> f64 {
     let means: Vec<f64> = x.chunks_exact(m).map(mean).collect();
     let squares = means.windows(2).map(|pair| (pair[1] - pair[0]).powi(2));
     (squares.sum::<f64>() / (2 * (means.len() - 1)) as f64).sqrt()
 }
 
-/// Four standard errors of an Allan deviation of n means, as a share of it: the variance of the Allan variance of white noise is
-/// about 3/n (Lesage and Audoin 1973, IEEE Trans. Instrum. Meas. 22), and half of that share for its root.
+/// Four standard errors of an Allan deviation of n means, as a share of it: the variance of the Allan
+/// variance of white noise is about 3/n (Lesage and Audoin 1973, IEEE Trans. Instrum. Meas. 22), and half of
+/// that share for its root.
 fn allowed(x: &[f64], m: usize) -> f64 {
     let n = (x.len() / m) as f64;
     4.0 * 0.5 * (3.0 / n).sqrt()
@@ -30,7 +31,8 @@ fn white_noise_has_the_level_asked_for_and_an_allan_deviation_of_slope_minus_a_h
     }
 }
 
-/// Deviations of white noise and of a random walk that gains the variance K² per second: σ²(τ) = K² τ / 3 for the walk (IEEE Std 952, annex C).
+/// Deviations of white noise and of a random walk that gains the variance K² per second: σ²(τ) = K² τ / 3 for
+/// the walk (IEEE Std 952, annex C).
 #[test]
 fn drift_is_a_random_walk_of_the_level_asked_for() {
     let keys = "rate_hz = 1000.0\nforce_torque = { noise_n = 0.0, noise_nm = 0.0, drift_n = 0.3 }";
@@ -107,7 +109,8 @@ fn readings_without_noise_are_exact_and_a_resolution_rounds_them() {
             .all(|reading| (reading.value[0] / 0.01 - (reading.value[0] / 0.01).round()).abs() < 1e-9)
     );
     assert!(errors.iter().all(|error| error.abs() <= 0.005 + 1e-12));
-    // The error of a ramp is even over a step: its deviation is step / √12. The ramp visits 100 places of a step, which is 5e-5 less.
+    // The error of a ramp is even over a step: its deviation is step / √12. The ramp visits 100 places of a
+    // step, which is 5e-5 less.
     assert!((deviation(&errors) / (0.01 / 12.0_f64.sqrt()) - 1.0).abs() < 1e-3, "{}", deviation(&errors));
 }
 

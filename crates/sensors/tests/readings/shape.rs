@@ -103,9 +103,11 @@ fn the_shape_of_even_curvatures_is_a_circle() {
     assert_eq!(node_places(2).collect::<Vec<_>>(), [0.25, 0.75]);
 }
 
-/// A controller's state from three nodes without noise. A chain of 27 hinges is an arc to a few micrometres. Three nodes do not see the
-/// curvature beyond the first and the last of them: where it rises by half from base to tip, that costs 0.19 mm, as much as the paper's
-/// whole error of shape with this number of nodes, 0.22 mm (Ma et al. 2023, arXiv 2303.03613); sixteen nodes leave a fifth of it.
+/// A controller's state from three nodes without noise. A chain of 27 hinges is an arc to a few
+/// micrometres. Three nodes do not see the curvature beyond the first and the last of them: where it
+/// rises by half from base to tip, that costs 0.19 mm, as much as the paper's whole error of shape
+/// with this number of nodes, 0.22 mm (Ma et al. 2023, arXiv 2303.03613); sixteen nodes leave a fifth
+/// of it.
 #[test]
 fn nodes_find_the_tip_of_a_chain() {
     for (turns, rise, nodes, allowed_m) in [

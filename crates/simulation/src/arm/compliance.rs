@@ -1,17 +1,20 @@
-//! Elastic joints: a spring and a damper between each gearbox and its link. Optional, for scenes that depend on arm compliance.
+//! Elastic joints: a spring and a damper between each gearbox and its link. Optional, for scenes that depend
+//! on arm compliance.
 //!
-//! For arms of six joints whose links' masses are known. The links obey `M(q) (v̇ + q̈) + D v + K d = Jᵀ w`, with joint deflection d and
-//! its rate v, commanded acceleration q̈, the tool's wrench w on its base, and the mass matrix M of the arm's links. One step is linearly
-//! implicit Euler, as in the manipulator: `(M + A + h D + h² K) Δv = h (Jᵀ w - K (d + h v) - D v - M q̈)`, `d += h (v + Δv)`. At rest `d =
-//! K⁻¹ Jᵀ w`; to first order the tool's base has then moved by `J K⁻¹ Jᵀ w`.
+//! For arms of six joints whose links' masses are known. The links obey `M(q) (v̇ + q̈) + D v + K d =
+//! Jᵀ w`, with joint deflection d and its rate v, commanded acceleration q̈, the tool's wrench w on
+//! its base, and the mass matrix M of the arm's links. One step is linearly implicit Euler, as in the
+//! manipulator: `(M + A + h D + h² K) Δv = h (Jᵀ w - K (d + h v) - D v - M q̈)`, `d += h (v + Δv)`.
+//! At rest `d = K⁻¹ Jᵀ w`; to first order the tool's base has then moved by `J K⁻¹ Jᵀ w`.
 //!
-//! The manipulator's implicit solve takes the base motion as given and returns w in the same tick; the links see w one tick later. The
-//! added mass `A = h² Jᵀ Z J` keeps that exchange stable: a force that lags a displacement by one tick with stiffness Z is stable in this
-//! scheme if the mass is at least h² Z / 4. Z is the stiffest response possible from the tool: its mount (stiffness and damping) and a
-//! contact, at its base and at its tip. A vanishes with h² and does not affect statics.
+//! The manipulator's implicit solve takes the base motion as given and returns w in the same tick; the links
+//! see w one tick later. The added mass `A = h² Jᵀ Z J` keeps that exchange stable: a force that lags a
+//! displacement by one tick with stiffness Z is stable in this scheme if the mass is at least h² Z / 4. Z is
+//! the stiffest response possible from the tool: its mount (stiffness and damping) and a contact, at its base
+//! and at its tip. A vanishes with h² and does not affect statics.
 //!
-//! Neglected: gravity on the links (the commanded angles are those of the loaded arm), and velocity products, about 1e-4 of the
-//! acceleration terms at drilling speeds.
+//! Neglected: gravity on the links (the commanded angles are those of the loaded arm), and velocity products,
+//! about 1e-4 of the acceleration terms at drilling speeds.
 
 use super::geometry::ArmGeometry;
 use super::kinematics::{Jacobian, Joints, LinkFrames, UR_JOINTS, stack};
@@ -95,8 +98,8 @@ impl Compliance {
         self.state = *state;
     }
 
-    /// Advances by one tick of the arm, after [`Arm::step`], under the tool's force (N) and torque (N m) on its base, about the base
-    /// origin, patient axes.
+    /// Advances by one tick of the arm, after [`Arm::step`], under the tool's force (N) and torque (N m) on
+    /// its base, about the base origin, patient axes.
     ///
     /// # Errors
     /// The mass matrix cannot be factored because the state is not finite.

@@ -91,7 +91,8 @@ impl Arm {
         }
     }
 
-    /// The joints at the path parameter. An error if one of them would jump or exceed 1.5 times its velocity limit.
+    /// The joints at the path parameter. An error if one of them would jump or exceed 1.5 times its velocity
+    /// limit.
     fn next_on_path(&self, path: &Path, parameter: &AxisState<1>) -> Result<JointsOnPath, ArmError> {
         let [fraction] = parameter.position;
         let on_path = self
@@ -125,8 +126,9 @@ impl Arm {
         self.state.done = matches!(self.motion, Motion::Rest);
     }
 
-    /// Abandons a motion that cannot continue: stops the joints and puts the reason into the state. The stop starts from velocities and
-    /// accelerations clamped to their limits, which they may far exceed near a singularity.
+    /// Abandons a motion that cannot continue: stops the joints and puts the reason into the state. The stop
+    /// starts from velocities and accelerations clamped to their limits, which they may far exceed near a
+    /// singularity.
     pub(super) fn give_up(&mut self, reason: ArmError) {
         self.state.fault = Some(reason);
         self.insertion = None;

@@ -4,7 +4,8 @@ use super::inverse::{KinematicsError, check_pose};
 use super::kinematics::{Joints, LinkFrames};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
-/// How far a goal may be turned against the tool: what clients lose by rounding an orientation to four single-precision numbers.
+/// How far a goal may be turned against the tool: what clients lose by rounding an orientation to four
+/// single-precision numbers.
 const TURN_TOLERANCE_RAD: f64 = 1e-6;
 
 /// Three linear axes along x, y and z of the arm's base; the flange has the base's orientation.

@@ -49,8 +49,8 @@ impl ArmGeometry {
         self.joints() > 0
     }
 
-    /// The joint, from 0, that keeps its angle while the tool's base moves on a path: the redundant one of seven. Of another arm the entry
-    /// behind its joints.
+    /// The joint, from 0, that keeps its angle while the tool's base moves on a path: the redundant one of
+    /// seven. Of another arm the entry behind its joints.
     pub(super) fn held_joint(&self) -> usize {
         match self {
             ArmGeometry::Serial(serial) => serial.held_joint(),
@@ -94,8 +94,9 @@ impl ArmGeometry {
         }
     }
 
-    /// Geometric Jacobian of the tool's base at these frames, base axes: [`LinkFrames::jacobian`]. A gantry's is the identity: its
-    /// coordinates are the place itself, and three more, which never change, would turn the tool about the base's axes.
+    /// Geometric Jacobian of the tool's base at these frames, base axes: [`LinkFrames::jacobian`]. A gantry's
+    /// is the identity: its coordinates are the place itself, and three more, which never change, would turn
+    /// the tool about the base's axes.
     pub(super) fn jacobian(&self, frames: &LinkFrames) -> Jacobian {
         match self {
             ArmGeometry::Gantry(_) => Jacobian::identity(),
@@ -108,9 +109,9 @@ impl ArmGeometry {
         if self.turns() { frames.bias_acceleration(qd_rad_s) } else { Vector6::zeros() }
     }
 
-    /// The parts of the chain that do not turn, one more than joints: frame i is frame i - 1 turned about its z by joint i, then moved by
-    /// part i; part 0 places frame 0 in the arm's base, and the last part ends at the tool's base. For an arm of Universal Robots the
-    /// identity, then `Tz(d_i) Tx(a_i) Rx(alpha_i)`.
+    /// The parts of the chain that do not turn, one more than joints: frame i is frame i - 1 turned about its
+    /// z by joint i, then moved by part i; part 0 places frame 0 in the arm's base, and the last part ends at
+    /// the tool's base. For an arm of Universal Robots the identity, then `Tz(d_i) Tx(a_i) Rx(alpha_i)`.
     pub fn fixed_parts(&self) -> Vec<Isometry3<f64>> {
         let (straight, joints) = (self.frames(&Joints::default()), self.joints());
         let frame =
@@ -120,12 +121,14 @@ impl ArmGeometry {
         core::iter::once(first).chain(between).collect()
     }
 
-    /// `T_base_tool`: pose of the tool's base in the arm's base frame; without a tool transform, of the flange.
+    /// `T_base_tool`: pose of the tool's base in the arm's base frame; without a tool transform, of the
+    /// flange.
     pub fn forward(&self, q_rad: &Joints) -> Isometry3<f64> {
         self.frames(q_rad).t_base_tool()
     }
 
-    /// Yoshikawa's manipulability in m³: `|det J|` of six joints, the root of `det(J Jᵀ)` of seven; 0 without joints that turn.
+    /// Yoshikawa's manipulability in m³: `|det J|` of six joints, the root of `det(J Jᵀ)` of seven; 0 without
+    /// joints that turn.
     pub fn manipulability_m3(&self, q_rad: &Joints) -> f64 {
         match self {
             ArmGeometry::Ur(ur) => ur.manipulability_m3(q_rad),
@@ -153,9 +156,10 @@ impl ArmGeometry {
         without(jacobian, self.held_joint()).determinant()
     }
 
-    /// Joint angles within the limits that put the tool's base at `t_base_tool`, as near to `q_reference_rad` as the arm's inverse finds
-    /// them: [`UrGeometry::inverse_nearest`], [`SerialGeometry::inverse_nearest`], [`GantryGeometry::inverse`]. Of seven joints the
-    /// redundant one keeps the reference's angle, unless that leads nowhere and `redundancy` lets it move.
+    /// Joint angles within the limits that put the tool's base at `t_base_tool`, as near to `q_reference_rad`
+    /// as the arm's inverse finds them: [`UrGeometry::inverse_nearest`], [`SerialGeometry::inverse_nearest`],
+    /// [`GantryGeometry::inverse`]. Of seven joints the redundant one keeps the reference's angle, unless
+    /// that leads nowhere and `redundancy` lets it move.
     ///
     /// # Errors
     /// The pose is invalid, out of reach or singular, or no solution lies within the limits.

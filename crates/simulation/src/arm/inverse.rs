@@ -1,7 +1,7 @@
 //! Analytic inverse kinematics of the Universal Robots arms: up to eight branches.
 //!
-//! The derivation follows Hawkins, "Analytic Inverse Kinematics for the Universal Robots UR-5/UR-10 Arms" (2013): shoulder left or right,
-//! wrist up or down, elbow up or down.
+//! The derivation follows Hawkins, "Analytic Inverse Kinematics for the Universal Robots UR-5/UR-10 Arms"
+//! (2013): shoulder left or right, wrist up or down, elbow up or down.
 
 use super::kinematics::{Joints, UrGeometry};
 use nalgebra::{Isometry3, Vector3};
@@ -11,7 +11,8 @@ use thiserror::Error;
 /// Below this `|sin q5|` wrist 3 is undefined: rounding would decide its angle.
 const WRIST_SINGULAR_SIN: f64 = 1e-7;
 
-/// Rounding may push a cosine this far past 1 before a pose counts as out of reach (2e-10 rad² of joint angle).
+/// Rounding may push a cosine this far past 1 before a pose counts as out of reach (2e-10 rad² of joint
+/// angle).
 const COSINE_SLACK: f64 = 1e-10;
 
 /// Why a pose of the tool's base has no inverse kinematics solution.
@@ -127,7 +128,8 @@ impl InverseSolutions {
 }
 
 impl UrGeometry {
-    /// All analytic solutions (2 to 8) for the tool's base at `t_base_tool`. Omits a shoulder branch whose wrist is singular.
+    /// All analytic solutions (2 to 8) for the tool's base at `t_base_tool`. Omits a shoulder branch whose
+    /// wrist is singular.
     pub fn inverse(&self, t_base_tool: &Isometry3<f64>) -> Result<InverseSolutions, KinematicsError> {
         check_pose(t_base_tool)?;
         let t_base_flange = match &self.t_flange_tool {
@@ -156,9 +158,10 @@ impl UrGeometry {
         }
     }
 
-    /// The solution within the limits that is nearest to `q_reference_rad` (least sum of squared joint differences, in radians). Unwraps
-    /// every joint by whole turns toward the reference. Refuses the pose as singular if the wrist is singular in the shoulder branch
-    /// nearer to the reference, because the other shoulder's solutions would flip the arm.
+    /// The solution within the limits that is nearest to `q_reference_rad` (least sum of squared joint
+    /// differences, in radians). Unwraps every joint by whole turns toward the reference. Refuses the pose as
+    /// singular if the wrist is singular in the shoulder branch nearer to the reference, because the other
+    /// shoulder's solutions would flip the arm.
     pub fn inverse_nearest(
         &self,
         t_base_tool: &Isometry3<f64>,
@@ -218,7 +221,8 @@ impl UrGeometry {
         }
     }
 
-    /// The two elbow branches of one wrist branch: planar two-link inverse kinematics for `plane` (m, shoulder at the origin).
+    /// The two elbow branches of one wrist branch: planar two-link inverse kinematics for `plane` (m,
+    /// shoulder at the origin).
     fn solve_elbow(
         &self,
         plane: [f64; 2],
@@ -293,7 +297,8 @@ pub(super) fn check_pose(pose: &Isometry3<f64>) -> Result<(), KinematicsError> {
     }
 }
 
-/// `q` plus whole turns, each joint as close to the reference as its limits allow; `None` if a joint has no such angle.
+/// `q` plus whole turns, each joint as close to the reference as its limits allow; `None` if a joint has no
+/// such angle.
 fn unwrap_towards(q: &Joints, reference: &Joints, lower: &Joints, upper: &Joints) -> Option<Joints> {
     let mut unwrapped = *q;
     for i in 0..q.len() {

@@ -1,16 +1,17 @@
-//! The frames of an arm and its Jacobian, and the forward kinematics of the Universal Robots six-joint arms (UR3 to UR20: one geometry).
+//! The frames of an arm and its Jacobian, and the forward kinematics of the Universal Robots six-joint arms
+//! (UR3 to UR20: one geometry).
 //!
-//! Universal Robots: standard Denavit-Hartenberg convention: `T_{i-1,i} = Rz(q_i) Tz(d_i) Tx(a_i) Rx(alpha_i)`; frame 0 is the arm's base, frame 6 the
-//! flange. The twists alpha are 90, 0, 0, 90, -90, 0 degrees. Their sines and cosines are exact 0 and ±1 in the code, so no rounding of
-//! pi/2 enters a pose.
+//! Universal Robots: standard Denavit-Hartenberg convention: `T_{i-1,i} = Rz(q_i) Tz(d_i) Tx(a_i)
+//! Rx(alpha_i)`; frame 0 is the arm's base, frame 6 the flange. The twists alpha are 90, 0, 0, 90, -90, 0
+//! degrees. Their sines and cosines are exact 0 and ±1 in the code, so no rounding of pi/2 enters a pose.
 
 use messages::MAX_ARM_JOINTS;
 use nalgebra::{
     Isometry3, Matrix3, Matrix6, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector3, Vector6,
 };
 
-/// A value per joint, from base to wrist; entries behind the arm's last joint are 0. Of a gantry the first three belong to its linear
-/// axes, in m where an angle would be in rad.
+/// A value per joint, from base to wrist; entries behind the arm's last joint are 0. Of a gantry the first
+/// three belong to its linear axes, in m where an angle would be in rad.
 pub type Joints = [f64; MAX_ARM_JOINTS];
 
 /// The values of an arm of six joints.
@@ -23,8 +24,8 @@ pub(super) const fn with_seventh([a, b, c, d, e, f]: [f64; UR_JOINTS], seventh: 
     [a, b, c, d, e, f, seventh]
 }
 
-/// Geometric Jacobian of the tool's base: rows 0..3 linear velocity of its origin (m/rad), rows 3..6 angular velocity (rad/rad); a column
-/// per joint, 0 behind the arm's last one.
+/// Geometric Jacobian of the tool's base: rows 0..3 linear velocity of its origin (m/rad), rows 3..6 angular
+/// velocity (rad/rad); a column per joint, 0 behind the arm's last one.
 pub type Jacobian = SMatrix<f64, 6, MAX_ARM_JOINTS>;
 
 /// Joints of the arms of Universal Robots.
@@ -76,15 +77,16 @@ impl UrGeometry {
         frames
     }
 
-    /// `T_base_tool`: pose of the tool's base in the arm's base frame; without a tool transform, of the flange.
+    /// `T_base_tool`: pose of the tool's base in the arm's base frame; without a tool transform, of the
+    /// flange.
     pub fn forward(&self, q_rad: &Joints) -> Isometry3<f64> {
         self.frames(q_rad).t_base_tool()
     }
 
-    /// The three factors of the Jacobian determinant, `det J = a2 a3 · elbow · wrist · shoulder` up to sign: `sin q3`, `sin q5` and
-    /// `a2 cos q2 + a3 cos q23 + d5 sin q234` (m). The arm is singular where a factor is zero, and the sign of each factor is constant
-    /// within each of the eight inverse branches. (Derived from the Denavit-Hartenberg chain; the tests compare it with the numeric
-    /// determinant.)
+    /// The three factors of the Jacobian determinant, `det J = a2 a3 · elbow · wrist · shoulder` up to sign:
+    /// `sin q3`, `sin q5` and `a2 cos q2 + a3 cos q23 + d5 sin q234` (m). The arm is singular where a factor
+    /// is zero, and the sign of each factor is constant within each of the eight inverse branches. (Derived
+    /// from the Denavit-Hartenberg chain; the tests compare it with the numeric determinant.)
     pub fn singularity_factors(&self, q_rad: &Joints) -> SingularityFactors {
         let q23 = q_rad[1] + q_rad[2];
         let shoulder_m = self.a2_m * libm::cos(q_rad[1])
@@ -111,8 +113,9 @@ pub struct SingularityFactors {
     pub shoulder_m: f64,
 }
 
-/// The frames of the base, the links and the tool's base, in the arm's base frame. Frame i is that of link i, and joint i + 1 turns about
-/// its z; in an arm that is not of Universal Robots, frame 0 is that of the first joint. The flange is the last link.
+/// The frames of the base, the links and the tool's base, in the arm's base frame. Frame i is that of link i,
+/// and joint i + 1 turns about its z; in an arm that is not of Universal Robots, frame 0 is that of the first
+/// joint. The flange is the last link.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinkFrames {
     /// Rotation of each frame; [`LinkFrames::TOOL`] is that of the tool's base.
@@ -124,7 +127,8 @@ pub struct LinkFrames {
 }
 
 impl LinkFrames {
-    /// Index of the tool's base. An arm of seven joints has no other frame for its flange: without a tool this one is the flange.
+    /// Index of the tool's base. An arm of seven joints has no other frame for its flange: without a tool
+    /// this one is the flange.
     pub const TOOL: usize = MAX_ARM_JOINTS;
 
     /// All frames in the base's.
@@ -175,8 +179,8 @@ impl LinkFrames {
         jacobian
     }
 
-    /// `J̇ q̇`: the tool base's acceleration at joint velocities `qd_rad_s` and zero joint acceleration (linear m/s², angular rad/s²,
-    /// base axes), propagated link by link.
+    /// `J̇ q̇`: the tool base's acceleration at joint velocities `qd_rad_s` and zero joint acceleration
+    /// (linear m/s², angular rad/s², base axes), propagated link by link.
     pub fn bias_acceleration(&self, qd_rad_s: &Joints) -> Vector6<f64> {
         let mut angular = Vector3::zeros();
         let mut angular_acceleration = Vector3::zeros();
@@ -203,8 +207,8 @@ pub(super) fn without(jacobian: &Jacobian, held: usize) -> Matrix6<f64> {
     jacobian.remove_column(held)
 }
 
-/// Joint rates that give the tool's base the velocity `twist` (linear first, base axes) while joint `held` keeps its angle; `None` if
-/// the Jacobian of the others is singular.
+/// Joint rates that give the tool's base the velocity `twist` (linear first, base axes) while joint `held`
+/// keeps its angle; `None` if the Jacobian of the others is singular.
 pub(super) fn solve_rates(jacobian: &Jacobian, held: usize, twist: &Vector6<f64>) -> Option<Joints> {
     let rates = without(jacobian, held).lu().solve(twist)?;
     let all = rates.insert_row(held, 0.0);

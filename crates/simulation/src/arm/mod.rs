@@ -1,13 +1,14 @@
 //! The arm that carries the tool: kinematics and jerk-limited motion, one tick at a time.
 //!
-//! An [`Arm`] takes [`ArmCommand`]s and steps. After each tick its [`ArmState`] holds the joints and the tool base's pose, velocity and
-//! acceleration in the patient frame; the velocity is the exact derivative of the pose (J q̇). The tool's base is the flange frame times
-//! [`ArmGeometry::t_flange_tool`]; every commanded pose refers to it. The arm follows its trajectory exactly: there are no drive dynamics.
-//! [`Compliance`] adds joint deflection.
+//! An [`Arm`] takes [`ArmCommand`]s and steps. After each tick its [`ArmState`] holds the joints and the tool
+//! base's pose, velocity and acceleration in the patient frame; the velocity is the exact derivative of the
+//! pose (J q̇). The tool's base is the flange frame times [`ArmGeometry::t_flange_tool`]; every commanded
+//! pose refers to it. The arm follows its trajectory exactly: there are no drive dynamics. [`Compliance`]
+//! adds joint deflection.
 //!
-//! The numeric core is pure: the state after n ticks is a function of the parameters and of the commands with their ticks. A motion is
-//! stored as its start, goal and age, never as an accumulated state, so errors do not grow over time and a snapshot continues bit for
-//! bit.
+//! The numeric core is pure: the state after n ticks is a function of the parameters and of the commands with
+//! their ticks. A motion is stored as its start, goal and age, never as an accumulated state, so errors do
+//! not grow over time and a snapshot continues bit for bit.
 
 mod compliance;
 mod following;
@@ -117,7 +118,8 @@ impl Arm {
         }
     }
 
-    /// Geometric Jacobian at the current joint angles, world axes: rows linear velocity of the tool base's origin, then angular velocity.
+    /// Geometric Jacobian at the current joint angles, world axes: rows linear velocity of the tool base's
+    /// origin, then angular velocity.
     pub fn jacobian(&self) -> Jacobian {
         let geometry = &self.parameters.geometry;
         let mut jacobian = geometry.jacobian(&geometry.frames(&self.state.q_rad));
@@ -131,8 +133,9 @@ impl Arm {
         jacobian
     }
 
-    /// Commands the arm, effective from the next tick. During a protective stop only `Hold` is accepted, and ends it. A refused command leaves the motion unchanged; a repeat of the last accepted
-    /// command has no effect.
+    /// Commands the arm, effective from the next tick. During a protective stop only `Hold` is accepted, and
+    /// ends it. A refused command leaves the motion unchanged; a repeat of the last accepted command has no
+    /// effect.
     pub fn command(&mut self, command: ArmCommand) -> Result<(), ArmError> {
         if command != ArmCommand::Hold && !self.parameters.geometry.moves() {
             return Err(ArmError::NoArm);
@@ -168,7 +171,8 @@ impl Arm {
                 ArmMode::ServoJv
             }
             ArmCommand::MoveJp { q_rad, speed_fraction } => {
-                // Synchronise the joints only from rest: a synchronised profile from motion could overshoot a joint's range.
+                // Synchronise the joints only from rest: a synchronised profile from motion could overshoot a
+                // joint's range.
                 let from_rest = matches!(self.motion, Motion::Rest);
                 let goal = if from_rest { Goal::StraightLine(q_rad) } else { Goal::Independent(q_rad) };
                 self.go_to_joints(goal, &q_rad, speed_fraction)?;
@@ -222,8 +226,9 @@ impl Arm {
         Ok(())
     }
 
-    /// Stops the arm if the tool pushes on its flange with `force_n`, more than `limit_n`: it brakes within its limits and then takes no
-    /// command but [`ArmCommand::Hold`], which releases it. See [`ProtectiveStop`].
+    /// Stops the arm if the tool pushes on its flange with `force_n`, more than `limit_n`: it brakes within
+    /// its limits and then takes no command but [`ArmCommand::Hold`], which releases it. See
+    /// [`ProtectiveStop`].
     pub fn watch_force(&mut self, force_n: f64, limit_n: f64) {
         let most_n = match self.state.protective_stop {
             ProtectiveStop::Armed => limit_n,
@@ -301,7 +306,8 @@ mod tests {
         arm
     }
 
-    /// A wrist that goes over to its other side on the way would turn by radians in a tick: the arm stops before.
+    /// A wrist that goes over to its other side on the way would turn by radians in a tick: the arm stops
+    /// before.
     #[test]
     fn a_line_on_which_the_joints_jump_ends_in_that_fault() {
         let posture = |wrist_rad| [0.0, -1.2, 1.8, -2.2, wrist_rad, 0.0, 0.0];
@@ -317,8 +323,8 @@ mod tests {
         assert!(arm.state.done && arm.state.q_rad[4] > 0.0 && arm.state.mode == ArmMode::Hold);
     }
 
-    /// A line that leaves the workspace and bypasses the check that would refuse it: the arm brakes within its acceleration limit, stops,
-    /// and reports why.
+    /// A line that leaves the workspace and bypasses the check that would refuse it: the arm brakes within
+    /// its acceleration limit, stops, and reports why.
     #[test]
     fn a_line_that_breaks_on_the_way_ends_in_a_stop_and_a_fault() {
         let parameters = ArmParameters::ur5(1e-3);

@@ -1,9 +1,10 @@
 //! The arms that a scene can name, and the one place where a scene's `[arm]` becomes parameters.
 //!
-//! Lengths, masses and centres of mass: Universal Robots, "DH Parameters for calculations of kinematics and dynamics" (support article;
-//! UR20 by its own sheet). Inertias and joint limits: Universal_Robots_ROS2_Description, `config/<arm>/physical_parameters.yaml` and
-//! `joint_limits.yaml`; those of UR3 and UR5 are that file's cylinder approximations. Its link frames are turned into
-//! Denavit-Hartenberg frames here. Payloads: Universal Robots, technical specifications.
+//! Lengths, masses and centres of mass: Universal Robots, "DH Parameters for calculations of kinematics and
+//! dynamics" (support article; UR20 by its own sheet). Inertias and joint limits:
+//! Universal_Robots_ROS2_Description, `config/<arm>/physical_parameters.yaml` and `joint_limits.yaml`; those
+//! of UR3 and UR5 are that file's cylinder approximations. Its link frames are turned into Denavit-Hartenberg
+//! frames here. Payloads: Universal Robots, technical specifications.
 
 use super::gantry::GantryGeometry;
 use super::geometry::ArmGeometry;
@@ -21,7 +22,8 @@ const RAD_PER_DEG: f64 = PI / 180.0;
 const ACCELERATION_RAD_S2: f64 = 5.0;
 const JERK_RAD_S3: f64 = 50.0;
 
-/// Travel of a gantry's axes to either side of the start, where a scene says none: enough for a femur of half a metre.
+/// Travel of a gantry's axes to either side of the start, where a scene says none: enough for a femur of half
+/// a metre.
 const GANTRY_TRAVEL_MM: [f64; 3] = [250.0; 3];
 /// Range of the joints that an arm does not have and that stay 0, rad or m.
 const NO_TRAVEL: f64 = 1e-9;
@@ -31,7 +33,8 @@ const NO_SPEED_DEG_S: f64 = 1.0;
 /// The joint whose angle KUKA (E1) and Franka (elbow) take for the redundancy of seven joints, from 0.
 const THIRD: usize = 2;
 
-/// A link: mass, centre of mass in its Denavit-Hartenberg frame, and inertia about that frame's axes through the centre of mass.
+/// A link: mass, centre of mass in its Denavit-Hartenberg frame, and inertia about that frame's axes through
+/// the centre of mass.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Link {
     /// Mass.
@@ -231,9 +234,9 @@ impl ArmParameters {
         parameters
     }
 
-    /// A named arm at the world's origin. Position limits of the arms of Universal Robots: ±360°, elbow ±180° (the description's, which
-    /// halves the elbow's, because links meet beyond it); wrist 3 of UR3 and UR3e turns without end and has ±360° here. The path limits
-    /// suit a careful insertion.
+    /// A named arm at the world's origin. Position limits of the arms of Universal Robots: ±360°, elbow ±180°
+    /// (the description's, which halves the elbow's, because links meet beyond it); wrist 3 of UR3 and UR3e
+    /// turns without end and has ±360° here. The path limits suit a careful insertion.
     pub fn named(model: ArmModel, dt_s: f64) -> Self {
         let range_rad = with_seventh([TAU, TAU, PI, TAU, TAU, TAU], NO_TRAVEL);
         let found = published(model);

@@ -1,4 +1,5 @@
-//! The motion in progress as plain data. Together with the tick count, a snapshot needs nothing else to continue bit for bit.
+//! The motion in progress as plain data. Together with the tick count, a snapshot needs nothing else to
+//! continue bit for bit.
 
 use messages::MAX_ARM_JOINTS;
 use serde::{Deserialize, Serialize};

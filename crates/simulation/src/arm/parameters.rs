@@ -118,14 +118,14 @@ impl ArmParameters {
     }
 }
 
-/// A comfortable configuration of the arms of Universal Robots: far from every singularity and limit (manipulability 0.093 m³ for the
-/// UR5, 0.018 m³ for the UR3).
+/// A comfortable configuration of the arms of Universal Robots: far from every singularity and limit
+/// (manipulability 0.093 m³ for the UR5, 0.018 m³ for the UR3).
 pub const COMFORTABLE_Q_RAD: Joints = [0.0, -1.2, 1.8, -2.2, -FRAC_PI_2, 0.0, 0.0];
 
 /// `T_world_arm_base` that puts the tool's base at `t_world_tool` with the joint angles `q_rad`.
 ///
-/// The arm's base takes whatever orientation that needs, as on a cart, a wall or a ceiling. In the comfortable configuration the tool can
-/// then move at least 100 mm in every direction (tested).
+/// The arm's base takes whatever orientation that needs, as on a cart, a wall or a ceiling. In the
+/// comfortable configuration the tool can then move at least 100 mm in every direction (tested).
 pub fn place_base_for(
     geometry: &ArmGeometry,
     t_world_tool: &Isometry3<f64>,
@@ -148,7 +148,8 @@ pub enum ArmCommand {
         /// Fraction of the joint velocity limits.
         speed_fraction: f64,
     },
-    /// Move the joints at these rates until the next command. A joint that reaches the end of its range stops there; the others continue.
+    /// Move the joints at these rates until the next command. A joint that reaches the end of its range stops
+    /// there; the others continue.
     ServoJv {
         /// Target rates.
         qd_rad_s: Joints,
@@ -167,8 +168,8 @@ pub enum ArmCommand {
         /// Fraction of the joint velocity limits.
         speed_fraction: f64,
     },
-    /// Move the tool's base along a straight line while turning about a fixed axis. An arm in motion stops first, unless the goal is on
-    /// the line it is already following: then goal and speed change smoothly.
+    /// Move the tool's base along a straight line while turning about a fixed axis. An arm in motion stops
+    /// first, unless the goal is on the line it is already following: then goal and speed change smoothly.
     MoveCp {
         /// Goal pose of the tool's base in the patient frame.
         t_world_tool: Isometry3<f64>,
@@ -177,9 +178,10 @@ pub enum ArmCommand {
         /// Angular speed, at most the arm's limit; `None` for the limit.
         max_angular_speed_rad_s: Option<f64>,
     },
-    /// Insert: move the tool's base along an axis without rotation. Depth is measured from the tool's position when the insertion along
-    /// this axis began. A later `Insert` along the same axis changes depth and feed on the same line, and a `Hold` in between does not
-    /// end the insertion. An arm in any other motion stops first.
+    /// Insert: move the tool's base along an axis without rotation. Depth is measured from the tool's
+    /// position when the insertion along this axis began. A later `Insert` along the same axis changes depth
+    /// and feed on the same line, and a `Hold` in between does not end the insertion. An arm in any other
+    /// motion stops first.
     Insert {
         /// Unit vector in the patient frame.
         axis_world: Vector3<f64>,
@@ -188,8 +190,8 @@ pub enum ArmCommand {
         /// Speed, greater than 0, at most the arm's limit.
         feed_m_s: f64,
     },
-    /// Move to a pose about a remote centre of motion: the tool axis (its +z) passes through the pivot throughout. At start and goal it
-    /// must do so within 1 µm. An arm in motion stops first.
+    /// Move to a pose about a remote centre of motion: the tool axis (its +z) passes through the pivot
+    /// throughout. At start and goal it must do so within 1 µm. An arm in motion stops first.
     Rcm {
         /// Goal pose of the tool's base in the patient frame.
         t_world_tool: Isometry3<f64>,
@@ -331,7 +333,8 @@ pub enum ArmError {
         /// |det J| there.
         manipulability_m3: f64,
     },
-    /// Beside a singularity: the joints would jump, turn too fast, or go over into another configuration of the arm.
+    /// Beside a singularity: the joints would jump, turn too fast, or go over into another configuration of
+    /// the arm.
     #[error(
         "at {fraction:.4} of the path the joints would have to jump, as beside a singularity: they turn too fast, or elbow, wrist or \
          shoulder goes over to its other side; choose another path, go there by joints, or place the base elsewhere"

@@ -1,5 +1,5 @@
-//! Cartesian paths of the tool's base (a straight line, a rotation about a pivot), and limits on the path parameter that keep the tool
-//! and the joints within their own limits.
+//! Cartesian paths of the tool's base (a straight line, a rotation about a pivot), and limits on the path
+//! parameter that keep the tool and the joints within their own limits.
 
 use super::geometry::ArmGeometry;
 use super::inverse::KinematicsError;
@@ -15,9 +15,11 @@ use serde::{Deserialize, Serialize};
 const PATH_INTERVALS: usize = 32;
 /// A path on which |det J| falls below this is refused as singular (UR5: typically 0.05 to 0.1 m³).
 pub(crate) const LEAST_MANIPULABILITY_M3: f64 = 1e-4;
-/// The path counts as singular if the joint angles at the next sample differ by more than this from their trapezoidal prediction.
+/// The path counts as singular if the joint angles at the next sample differ by more than this from their
+/// trapezoidal prediction.
 const PREDICTION_TOLERANCE_RAD: f64 = 0.05;
-/// Tolerance for a goal to be on the extended line: 1e-9 m and 1e-9 rad, a thousandth of the promised micrometre.
+/// Tolerance for a goal to be on the extended line: 1e-9 m and 1e-9 rad, a thousandth of the promised
+/// micrometre.
 const SAME_LINE_TOLERANCE: f64 = 1e-9;
 /// Upper limits of the path parameter's rates (1/s, 1/s², 1/s³), which keep very short paths well-scaled.
 const PARAMETER_CEILING: [f64; 3] = [1e4, 1e6, 1e8];
@@ -27,11 +29,13 @@ const PARAMETER_CEILING: [f64; 3] = [1e4, 1e6, 1e8];
 enum Course {
     /// The origin moves along a straight line.
     Straight { translation_m: Vector3<f64> },
-    /// A point of the tool stays at `pivot_m`. In the tool's frame, this point starts at `in_tool_m` and moves by `shift_m`.
+    /// A point of the tool stays at `pivot_m`. In the tool's frame, this point starts at `in_tool_m` and
+    /// moves by `shift_m`.
     Pivot { pivot_m: Vector3<f64>, in_tool_m: Vector3<f64>, shift_m: Vector3<f64> },
 }
 
-/// A translation and a rotation about a fixed axis, both proportional to one parameter: 0 at the start, 1 at the goal. Base frame.
+/// A translation and a rotation about a fixed axis, both proportional to one parameter: 0 at the start, 1 at
+/// the goal. Base frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Path {
     start: Isometry3<f64>,
@@ -68,8 +72,8 @@ impl Path {
         Self { start: *start, rotation_rad: turn.scaled_axis(), course: Course::Straight { translation_m } }
     }
 
-    /// From `start` to `goal` about a pivot through which the tool slides. The pivot's position in the tool frame is interpolated
-    /// linearly between start and goal.
+    /// From `start` to `goal` about a pivot through which the tool slides. The pivot's position in the tool
+    /// frame is interpolated linearly between start and goal.
     pub(super) fn about(start: &Isometry3<f64>, goal: &Isometry3<f64>, pivot_m: &Vector3<f64>) -> Self {
         let pivot = Point3::from(*pivot_m);
         let in_tool_m = start.inverse_transform_point(&pivot).coords;
@@ -92,7 +96,8 @@ impl Path {
         Isometry3::from_parts(Translation3::from(position), rotation)
     }
 
-    /// First and second derivative of the pose with respect to the parameter (linear m, angular rad; base axes).
+    /// First and second derivative of the pose with respect to the parameter (linear m, angular rad; base
+    /// axes).
     fn derivatives(&self, parameter: f64, pose: &Isometry3<f64>) -> (Vector6<f64>, Vector6<f64>) {
         let w = &self.rotation_rad;
         match &self.course {
@@ -107,7 +112,8 @@ impl Path {
         }
     }
 
-    /// The parameter at which this line, extended, reaches `goal`; `None` if it misses the goal or the path is not straight.
+    /// The parameter at which this line, extended, reaches `goal`; `None` if it misses the goal or the path
+    /// is not straight.
     pub(super) fn parameter_of(&self, goal: &Isometry3<f64>, now: f64) -> Option<f64> {
         let Course::Straight { translation_m } = &self.course else { return None };
         let here = self.pose(now);
@@ -142,8 +148,8 @@ pub(super) struct PathFollower<'a> {
 }
 
 impl PathFollower<'_> {
-    /// Joint angles that put the tool's base exactly on the path, in the branch nearest to `q_near_rad`. The redundant one of seven joints
-    /// keeps its angle of there.
+    /// Joint angles that put the tool's base exactly on the path, in the branch nearest to `q_near_rad`. The
+    /// redundant one of seven joints keeps its angle of there.
     pub(super) fn joints_at(
         &self,
         path: &Path,
@@ -170,9 +176,9 @@ impl PathFollower<'_> {
     /// Checks a stretch of the path, refuses it if the arm cannot follow it, and returns limits on the path
     /// parameter that keep the tool's base within its limits and `speed`, and the joints within theirs.
     ///
-    /// With q(s(t)): q̇ = q' ṡ, q̈ = q' s̈ + q'' ṡ², q⃛ = q' s⃛ + 3 q'' ṡ s̈ + q''' ṡ³. Each joint's acceleration limit is split evenly
-    /// between its two terms, its jerk limit among its three; the same goes for the tool base's origin on a curved path. q''' is a finite
-    /// difference of q''.
+    /// With q(s(t)): q̇ = q' ṡ, q̈ = q' s̈ + q'' ṡ², q⃛ = q' s⃛ + 3 q'' ṡ s̈ + q''' ṡ³. Each joint's
+    /// acceleration limit is split evenly between its two terms, its jerk limit among its three; the same
+    /// goes for the tool base's origin on a curved path. q''' is a finite difference of q''.
     pub(super) fn limits_along(
         &self,
         path: &Path,

@@ -1,4 +1,5 @@
-//! From a command to a motion: checks, inverse kinematics, stops before lines. Changes nothing until the whole plan is known to work.
+//! From a command to a motion: checks, inverse kinematics, stops before lines. Changes nothing until the
+//! whole plan is known to work.
 
 use super::inverse;
 use super::kinematics::Joints;
@@ -37,8 +38,8 @@ pub(super) enum Aim {
     Along { axis: Unit<Vector3<f64>>, depth_m: f64 },
 }
 
-/// Axes whose coordinates differ by less than this are the same axis: a client that recomputes an axis every tick gets new rounding
-/// errors.
+/// Axes whose coordinates differ by less than this are the same axis: a client that recomputes an axis every
+/// tick gets new rounding errors.
 const SAME_AXIS: f64 = 1e-6;
 
 /// The line of an insertion, kept through successive insertions along the same axis.
@@ -78,7 +79,8 @@ impl Arm {
         let base = &self.parameters.t_world_arm_base;
         let same = |insertion: &Insertion| (insertion.axis_world - axis_world).amax() <= SAME_AXIS;
         let standing = self.insertion.filter(same);
-        // Use the axis that the insertion started with: the depth along any other axis would be on another line.
+        // Use the axis that the insertion started with: the depth along any other axis would be on another
+        // line.
         let along = standing.map_or(*axis_world, |insertion| insertion.axis_world);
         // The norm division makes this a unit vector.
         let axis = Unit::new_unchecked(base.rotation.inverse_transform_vector(&along) / along.norm());
@@ -125,7 +127,8 @@ impl Arm {
         Ok(())
     }
 
-    /// Stops along the path if on one, otherwise in joint space. Returns the joints at rest, where the next motion starts.
+    /// Stops along the path if on one, otherwise in joint space. Returns the joints at rest, where the next
+    /// motion starts.
     pub(super) fn stop_then(
         &mut self,
         goal_after: Option<PathGoal>,
@@ -210,8 +213,9 @@ impl Arm {
         self.stop_then(Some(PathGoal { aim: Aim::Pose(*t_base_tool), speed })).map(drop)
     }
 
-    /// The motion to a goal farther along the current line. `None` if the goal is elsewhere, or if the tool would reverse on the way
-    /// (goal nearer than the stopping distance, or a speed reduced so sharply that Ruckig's braking undershoots through zero).
+    /// The motion to a goal farther along the current line. `None` if the goal is elsewhere, or if the tool
+    /// would reverse on the way (goal nearer than the stopping distance, or a speed reduced so sharply that
+    /// Ruckig's braking undershoots through zero).
     fn extend_path(
         &mut self,
         old: &PathMotion,
@@ -225,7 +229,8 @@ impl Arm {
         let limits =
             self.follower().limits_along(&old.path, Stretch { from, to }, &self.state.q_rad, speed)?;
         let motion = self.plan_path(old.path, start, to, limits)?;
-        // All braking, and so any reversal, ends within this time; a sample every few milliseconds detects it.
+        // All braking, and so any reversal, ends within this time; a sample every few milliseconds detects
+        // it.
         let (a, j) = (limits.acceleration[0], limits.jerk[0]);
         let brake_s = start.velocity[0].abs() / a + start.acceleration[0].abs() / j + 3.0 * a / j;
         let goes_on = (0..=RETARGET_SAMPLES).all(|i| {

@@ -1,10 +1,13 @@
-//! Any serial arm of six or seven turning joints: kinematics from the joints' places and axes, and a numeric inverse.
+//! Any serial arm of six or seven turning joints: kinematics from the joints' places and axes, and a numeric
+//! inverse.
 //!
-//! The joints are those of URDF: joint i stands at `T_i` in the frame of the joint before it and turns about a unit vector of its own
-//! frame. Written with frames whose z is the axis, the pose is `G_0 Rz(q_1) G_1 .. Rz(q_n) G_n`, with constant `G`.
+//! The joints are those of URDF: joint i stands at `T_i` in the frame of the joint before it and turns about
+//! a unit vector of its own frame. Written with frames whose z is the axis, the pose is `G_0 Rz(q_1) G_1 ..
+//! Rz(q_n) G_n`, with constant `G`.
 //!
-//! Of seven joints one is redundant. As KUKA's E1 and Franka's elbow do, its angle says which of the many solutions is meant; both makers
-//! take the third joint. On a path it keeps its angle, so the joints are a function of the place on the path alone.
+//! Of seven joints one is redundant. As KUKA's E1 and Franka's elbow do, its angle says which of the many
+//! solutions is meant; both makers take the third joint. On a path it keeps its angle, so the joints are a
+//! function of the place on the path alone.
 
 use super::inverse::{KinematicsError, check_pose};
 use super::kinematics::{Jacobian, Joints, LinkFrames};
@@ -17,7 +20,8 @@ const ITERATIONS: usize = 60;
 const OTHER_STARTS: usize = 12;
 /// A pose is reached to this (m and rad together); rounding leaves some 1e-15.
 const REACHED: f64 = 1e-12;
-/// Least damping, m² or rad²: it keeps the equations solvable at a singularity and is far below any square of a regular arm's Jacobian.
+/// Least damping, m² or rad²: it keeps the equations solvable at a singularity and is far below any square of
+/// a regular arm's Jacobian.
 const LEAST_DAMPING: f64 = 1e-16;
 /// Largest change of a joint in an iteration.
 const LARGEST_STEP_RAD: f64 = 0.5;
@@ -77,8 +81,9 @@ pub struct SerialGeometry {
 }
 
 impl SerialGeometry {
-    /// The chain of `joints` from base to flange, of which six or seven turn; the joint `redundant` of seven, from 0, keeps its angle on a
-    /// path. Joints that turn beyond the seventh stand still; a checked scene has none.
+    /// The chain of `joints` from base to flange, of which six or seven turn; the joint `redundant` of seven,
+    /// from 0, keeps its angle on a path. Joints that turn beyond the seventh stand still; a checked scene
+    /// has none.
     pub fn new(joints: impl IntoIterator<Item = SerialJoint>, redundant: usize) -> Self {
         let mut parts = [Part::IDENTITY; MAX_ARM_JOINTS + 1];
         let mut turning = 0;
@@ -111,7 +116,8 @@ impl SerialGeometry {
         if self.is_redundant() { self.redundant } else { MAX_ARM_JOINTS - 1 }
     }
 
-    /// All link frames at joint angles `q_rad`: index i has the axis of joint i + 1 as its z, the last one is the tool's base.
+    /// All link frames at joint angles `q_rad`: index i has the axis of joint i + 1 as its z, the last one is
+    /// the tool's base.
     pub fn frames(&self, q_rad: &Joints) -> LinkFrames {
         let mut frames = LinkFrames::standing(self.joints);
         let LinkFrames { rotation, origin_m, .. } = &mut frames;
@@ -128,12 +134,13 @@ impl SerialGeometry {
 
     /// Joint angles within the limits that put the tool's base at `t_base_tool`, to 1e-12 m and rad.
     ///
-    /// Levenberg and Marquardt's method, damped by the squared error (Sugihara, "Solvability-Unconcerned Inverse Kinematics by the
-    /// Levenberg-Marquardt Method", IEEE Trans. Robotics 27 (2011), eq. 22), with joints at the end of their range held there. It starts
-    /// at the reference, and ends near it where the goal is near; of seven joints the redundant one is held there first. If that leads
-    /// nowhere, it may move by `redundancy`: then the method's damped least squares move all seven as little as the goal needs. If that
-    /// leads nowhere either, it starts at twelve other fixed places within half a turn of the reference, and the solution nearest to the
-    /// reference counts.
+    /// Levenberg and Marquardt's method, damped by the squared error (Sugihara, "Solvability-Unconcerned
+    /// Inverse Kinematics by the Levenberg-Marquardt Method", IEEE Trans. Robotics 27 (2011), eq. 22), with
+    /// joints at the end of their range held there. It starts at the reference, and ends near it where the
+    /// goal is near; of seven joints the redundant one is held there first. If that leads nowhere, it may
+    /// move by `redundancy`: then the method's damped least squares move all seven as little as the goal
+    /// needs. If that leads nowhere either, it starts at twelve other fixed places within half a turn of the
+    /// reference, and the solution nearest to the reference counts.
     ///
     /// # Errors
     /// The pose is invalid, or no start leads to it.
@@ -238,7 +245,8 @@ impl Goal<'_> {
         std::array::from_fn(|i| q_rad[i].max(self.lower_rad[i]).min(self.upper_rad[i]))
     }
 
-    /// The way from the tool's base to the goal: linear m, then angular: the axis times twice the sine of half of the angle, rad.
+    /// The way from the tool's base to the goal: linear m, then angular: the axis times twice the sine of
+    /// half of the angle, rad.
     fn missed(&self, frames: &LinkFrames) -> Vector6<f64> {
         let turn =
             Rotation3::from_matrix_unchecked(self.rotation * frames.rotation[LinkFrames::TOOL].transpose());
@@ -247,8 +255,8 @@ impl Goal<'_> {
         super::kinematics::stack(&(self.origin_m - frames.origin_m[LinkFrames::TOOL]), &(turn.imag() * sign))
     }
 
-    /// The joints after one damped step. A joint that the step would push out of its range stays at its end, and the others make up for
-    /// it.
+    /// The joints after one damped step. A joint that the step would push out of its range stays at its end,
+    /// and the others make up for it.
     fn step(
         &self,
         jacobian: &Jacobian,
@@ -279,9 +287,10 @@ impl Goal<'_> {
     }
 }
 
-/// The n-th of a fixed sequence of places that fills the joints' ranges evenly, within half a turn of the reference: the additive
-/// recurrence with the powers of the root of `x^7 = x + 1` (Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018),
-/// which is that of six joints; the seventh power serves the seventh.
+/// The n-th of a fixed sequence of places that fills the joints' ranges evenly, within half a turn of the
+/// reference: the additive recurrence with the powers of the root of `x^7 = x + 1` (Roberts, "The
+/// unreasonable effectiveness of quasirandom sequences", 2018), which is that of six joints; the seventh
+/// power serves the seventh.
 fn spread(n: usize, q_reference_rad: &Joints, lower_rad: &Joints, upper_rad: &Joints) -> Joints {
     const ROOT: f64 = 1.112_775_684_278_705_5;
     let mut share = 1.0;

@@ -49,8 +49,8 @@ pub struct ArmState {
     pub mode: ArmMode,
     /// The arm is at rest at its goal (for `Hold`: at rest).
     pub done: bool,
-    /// Why the arm abandoned an accepted motion, or why a joint of `ServoJv` stopped; cleared by the next accepted command. Not
-    /// serialised, because nothing depends on it.
+    /// Why the arm abandoned an accepted motion, or why a joint of `ServoJv` stopped; cleared by the next
+    /// accepted command. Not serialised, because nothing depends on it.
     #[serde(skip)]
     pub fault: Option<ArmError>,
     /// Whether the arm stopped because of a force.
@@ -67,8 +67,8 @@ pub enum ProtectiveStop {
         /// The largest force since then, N: the tendons may pull on while the arm stands.
         force_n: f64,
     },
-    /// The arm may move away from what it pressed on: a force above [`RELEASED_SHARE`] of the largest while it stood stops it again, until
-    /// the force has been below the limit.
+    /// The arm may move away from what it pressed on: a force above [`RELEASED_SHARE`] of the largest while
+    /// it stood stops it again, until the force has been below the limit.
     Released {
         /// The largest force while it stood, N.
         force_n: f64,

@@ -1,17 +1,18 @@
-//! Jerk-limited point-to-point motion of N axes: a thin wrapper around the official Ruckig library that rules out waypoints.
+//! Jerk-limited point-to-point motion of N axes: a thin wrapper around the official Ruckig library that rules
+//! out waypoints.
 //!
-//! Ruckig (Berscheid and Kröger, "Jerk-limited Real-time Trajectory Generation with Arbitrary Target States", RSS 2021) is used offline:
-//! a [`Segment`] is planned once, then sampled at any time. The plan is a pure function of the segment, so a snapshot needs only the
-//! segment and a time.
+//! Ruckig (Berscheid and Kröger, "Jerk-limited Real-time Trajectory Generation with Arbitrary Target States",
+//! RSS 2021) is used offline: a [`Segment`] is planned once, then sampled at any time. The plan is a pure
+//! function of the segment, so a snapshot needs only the segment and a time.
 //!
-//! **No waypoints, ever.** The crate is compiled with a cloud client that would send intermediate positions to a remote host. This file
-//! is the only one that uses Ruckig. It creates every object without room for waypoints (Ruckig then refuses them itself) and checks
-//! before each calculation that there are none.
+//! **No waypoints, ever.** The crate is compiled with a cloud client that would send intermediate positions
+//! to a remote host. This file is the only one that uses Ruckig. It creates every object without room for
+//! waypoints (Ruckig then refuses them itself) and checks before each calculation that there are none.
 //!
-//! Ruckig allocates: about eleven small C++ vectors per plan, and three Rust and three C++ vectors per sample. Ruckig takes `cbrt`,
-//! `acos`, `atan`, `sin` and `cos` from the platform's C library: plans are bit-identical on one machine and build, and between machines
-//! only if they have the same C library.
-//! machine and build, and between machines with the same C library only.
+//! Ruckig allocates: about eleven small C++ vectors per plan, and three Rust and three C++ vectors per
+//! sample. Ruckig takes `cbrt`, `acos`, `atan`, `sin` and `cos` from the platform's C library: plans are
+//! bit-identical on one machine and build, and between machines only if they have the same C library. machine
+//! and build, and between machines with the same C library only.
 
 use ruckig::{ControlInterface, InputParameter, Ruckig, Synchronization, Trajectory};
 use serde::{Deserialize, Serialize};
@@ -97,7 +98,8 @@ pub enum TrajectoryError {
     },
 }
 
-/// Plans and samples segments of N axes. Holds the active trajectory and a candidate, so a refused plan leaves the active one unchanged.
+/// Plans and samples segments of N axes. Holds the active trajectory and a candidate, so a refused plan
+/// leaves the active one unchanged.
 pub struct Planner<const N: usize> {
     ruckig: Ruckig,
     input: InputParameter,
@@ -116,7 +118,8 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// Plans `segment` as the candidate and returns its duration in seconds. The active trajectory is unchanged.
+    /// Plans `segment` as the candidate and returns its duration in seconds. The active trajectory is
+    /// unchanged.
     pub fn plan(&mut self, segment: &Segment<N>) -> Result<f64, TrajectoryError> {
         let input = &mut self.input;
         let (here, rest) = (segment.start.position, [0.0; N]);
@@ -229,7 +232,8 @@ mod tests {
         }
     }
 
-    /// Only this file names Ruckig, only its guard names waypoints, and no object is created with room for them.
+    /// Only this file names Ruckig, only its guard names waypoints, and no object is created with room for
+    /// them.
     #[test]
     fn no_other_file_reaches_ruckig_or_a_waypoint() {
         let mut found = Vec::new();

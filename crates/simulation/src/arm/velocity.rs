@@ -102,11 +102,12 @@ impl Arm {
     }
 }
 
-/// Minimum and maximum displacement of an axis that stops from velocity `v` and acceleration `a` in minimum time within its acceleration
-/// and jerk limits.
+/// Minimum and maximum displacement of an axis that stops from velocity `v` and acceleration `a` in minimum
+/// time within its acceleration and jerk limits.
 ///
-/// The profile has jerk -j, possibly constant deceleration, then jerk +j (signs for a positive velocity). With peak deceleration p these
-/// phases reduce the velocity by (p² - a²)/2j, p T and p²/2j, which add up to v.
+/// The profile has jerk -j, possibly constant deceleration, then jerk +j (signs for a positive velocity).
+/// With peak deceleration p these phases reduce the velocity by (p² - a²)/2j, p T and p²/2j, which add up to
+/// v.
 fn stop_range(v: f64, a: f64, most_a: f64, j: f64) -> (f64, f64) {
     // The sign of the velocity that would result from just ramping the acceleration to zero.
     let sign = if v + a * a.abs() / (2.0 * j) < 0.0 { -1.0 } else { 1.0 };
@@ -135,7 +136,8 @@ mod tests {
     use super::*;
     use crate::arm::{AxisLimits, Planner};
 
-    /// Compared with Ruckig's own stop, sampled at 400 points: end within 1e-9, extremes within the sample spacing.
+    /// Compared with Ruckig's own stop, sampled at 400 points: end within 1e-9, extremes within the sample
+    /// spacing.
     #[test]
     fn the_stopping_range_is_that_of_ruckig() {
         let mut planner = Planner::<1>::new();

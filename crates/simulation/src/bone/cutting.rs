@@ -8,12 +8,12 @@ use super::yielding::Indentation;
 /// How a burr turns force and speed into cutting energy.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CuttingLaw {
-    /// Ratio mu_cut of cutting power to normal force times sliding speed. 0.3 is an
-    /// assumption, for an abrasive burr; torque over thrust times 2r/3 of twist drills of 2.5 mm is 2.4 and 2.5 in bovine, 2.1 to 4.0 in other
-    /// femurs (table 6 of Orelaja et al. 2020, J. Healthcare Eng. 8817422).
+    /// Ratio mu_cut of cutting power to normal force times sliding speed. 0.3 is an assumption, for an
+    /// abrasive burr; torque over thrust times 2r/3 of twist drills of 2.5 mm is 2.4 and 2.5 in bovine, 2.1
+    /// to 4.0 in other femurs (table 6 of Orelaja et al. 2020, J. Healthcare Eng. 8817422).
     pub cutting_friction: f64,
-    /// How far beyond its surface the burr cuts, in metres: contact compliance and tool run-out. The hole's radius is the burr's plus
-    /// this.
+    /// How far beyond its surface the burr cuts, in metres: contact compliance and tool run-out. The hole's
+    /// radius is the burr's plus this.
     pub reach_m: f64,
     /// Maximum feed per revolution in metres: the depth of the teeth.
     pub feed_per_revolution_max_m: f64,
@@ -41,7 +41,8 @@ impl CuttingLaw {
         self.cutting_friction * force_lever_n * burr.speed_rad_s.abs() * burr.radius_m
     }
 
-    /// Most that a surface recedes in m while the burr turns at this speed for a time: the teeth's feed per revolution.
+    /// Most that a surface recedes in m while the burr turns at this speed for a time: the teeth's feed per
+    /// revolution.
     pub fn most_recession_m(&self, speed_rad_s: f64, time_s: f64) -> f64 {
         self.feed_per_revolution_max_m * speed_rad_s.abs() * time_s / core::f64::consts::TAU
     }
@@ -162,14 +163,16 @@ impl Work<'_> {
     }
 }
 
-/// Mean distance from the axis, as a share of the radius, of a ball's half that faces a contact, weighted by its area as seen along the
-/// contact's normal: the lever at which the contact cuts. `axis_cosine` is the cosine of the angle between normal and axis.
+/// Mean distance from the axis, as a share of the radius, of a ball's half that faces a contact, weighted by
+/// its area as seen along the contact's normal: the lever at which the contact cuts. `axis_cosine` is the
+/// cosine of the angle between normal and axis.
 ///
-/// `L = (1/pi) integral over n.u > 0 of sqrt(1 - (u.a)^2) (n.u) dS`, for unit vectors n (normal), a (axis) and u. The lever of a point,
-/// the sine of its angle from the axis, is a sum of Legendre polynomials, pi/4 (1 - 5/8 P2 - 9/64 P4 - 65/1024 P6); facing the contact
-/// multiplies each with the coefficient of a clamped cosine, 1, 1/4, -1/24 and 1/64 (Funk and Hecke's theorem; the coefficients in
-/// Ramamoorthi and Hanrahan 2001, J. Opt. Soc. Am. A 18:2448, over pi). The four terms are within 2e-4 of the integral, which is 2/3 at
-/// the end and 8/(3 pi) at the side.
+/// `L = (1/pi) integral over n.u > 0 of sqrt(1 - (u.a)^2) (n.u) dS`, for unit vectors n (normal), a (axis)
+/// and u. The lever of a point, the sine of its angle from the axis, is a sum of Legendre polynomials, pi/4
+/// (1 - 5/8 P2 - 9/64 P4 - 65/1024 P6); facing the contact multiplies each with the coefficient of a clamped
+/// cosine, 1, 1/4, -1/24 and 1/64 (Funk and Hecke's theorem; the coefficients in Ramamoorthi and Hanrahan
+/// 2001, J. Opt. Soc. Am. A 18:2448, over pi). The four terms are within 2e-4 of the integral, which is 2/3
+/// at the end and 8/(3 pi) at the side.
 pub fn lever_share(axis_cosine: f64) -> f64 {
     let c2 = (axis_cosine * axis_cosine).min(1.0);
     let p2 = 0.5 * (3.0 * c2 - 1.0);

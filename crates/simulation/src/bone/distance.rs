@@ -1,4 +1,5 @@
-//! How far a point is from bone, or from where there is none: for checks of a scene, not for the tick. Whether it is in bone: for both.
+//! How far a point is from bone, or from where there is none: for checks of a scene, not for the tick.
+//! Whether it is in bone: for both.
 
 use nalgebra::Vector3;
 
@@ -36,7 +37,8 @@ impl Voxels {
         beyond_m2 <= radius_m * radius_m
     }
 
-    /// Distance of a world point from the nearest voxel of this matter, to its faces, m; 0 inside one. `None` if there is no such voxel.
+    /// Distance of a world point from the nearest voxel of this matter, to its faces, m; 0 inside one. `None`
+    /// if there is no such voxel.
     pub fn distance_m(&self, point_world_m: &Vector3<f64>, matter: Matter) -> Option<f64> {
         let geometry = self.geometry();
         let (dims, h) = (geometry.dims.map(|n| n as i64), geometry.spacing_m);
@@ -71,7 +73,8 @@ impl Voxels {
     }
 }
 
-/// Visits the voxels whose largest distance from the centre along an axis is `radius`, in the grid and in one layer around it.
+/// Visits the voxels whose largest distance from the centre along an axis is `radius`, in the grid and in one
+/// layer around it.
 fn for_each_of_shell(centre: [i64; 3], radius: i64, dims: [i64; 3], mut visit: impl FnMut([i64; 3])) {
     let range = |a: usize| (centre[a] - radius).max(-1)..=(centre[a] + radius).min(dims[a]);
     for z in range(2) {

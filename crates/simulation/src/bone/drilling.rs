@@ -1,43 +1,52 @@
-//! Drilling: the burr's cutting energy goes into the voxels that it presses on, and their surfaces recede as it is spent.
+//! Drilling: the burr's cutting energy goes into the voxels that it presses on, and their surfaces recede as
+//! it is spent.
 //!
-//! **Energy.** In one tick the burr (radius r, speed omega) cuts with `E = mu_cut omega dt x sum of F r_eff` over its contacts with bone, F
-//! being a contact's normal force (Preston 1927: wear is proportional to pressure times sliding speed). The lever r_eff is the mean
-//! distance from the spin axis over the half of the ball that faces the contact, weighted by projected area: 2r/3 for the end of the
-//! burr, 8r/(3 pi) for its side ([`super::cutting::lever_share`]); the pole itself stands still and cuts nothing. Pressure wears each
-//! contact on its own, so the forces add up as numbers: a burr pinched between two walls cuts both, although their forces cancel.
+//! **Energy.** In one tick the burr (radius r, speed omega) cuts with `E = mu_cut omega dt x sum of F r_eff`
+//! over its contacts with bone, F being a contact's normal force (Preston 1927: wear is proportional to
+//! pressure times sliding speed). The lever r_eff is the mean distance from the spin axis over the half of
+//! the ball that faces the contact, weighted by projected area: 2r/3 for the end of the burr, 8r/(3 pi) for
+//! its side ([`super::cutting::lever_share`]); the pole itself stands still and cuts nothing. Pressure wears
+//! each contact on its own, so the forces add up as numbers: a burr pinched between two walls cuts both,
+//! although their forces cancel.
 //!
-//! A cutter of several balls touches bone with parts of each, and which parts its contacts do not tell: a contact stands for the nearest
-//! point of a patch that reaches over several balls. The lever of a contact is therefore taken from the touched voxels, each of which
-//! belongs to the one ball that is deepest in it: the mean distance of their surfaces from the spin axis, weighted by area as seen along
-//! the contact's normal (`patch.rs`). It is the law of the ball over the patch that is there: 2R/3 for a point that bores its hole, R
-//! for a cylinder pressed sideways. No part counts twice, since no voxel and no force does.
+//! A cutter of several balls touches bone with parts of each, and which parts its contacts do not tell: a
+//! contact stands for the nearest point of a patch that reaches over several balls. The lever of a contact is
+//! therefore taken from the touched voxels, each of which belongs to the one ball that is deepest in it: the
+//! mean distance of their surfaces from the spin axis, weighted by area as seen along the contact's normal
+//! (`patch.rs`). It is the law of the ball over the patch that is there: 2R/3 for a point that bores its
+//! hole, R for a cylinder pressed sideways. No part counts twice, since no voxel and no force does.
 //!
-//! **Edge.** Edges that are not sharp plough before they cut: of the forces' sum F only what exceeds
-//! `F_edge = sum of p_e(HU) x area` over the touched voxels (`edge.rs`) cuts, so E is multiplied by `max(1 - F_edge / F, 0)`, and
-//! below F_edge nothing is cut at any speed. The split into ploughing and shearing is that of measured sawing forces (J. Manuf. Sci. Eng.
-//! 143:121009).
+//! **Edge.** Edges that are not sharp plough before they cut: of the forces' sum F only what exceeds `F_edge
+//! = sum of p_e(HU) x area` over the touched voxels (`edge.rs`) cuts, so E is multiplied by `max(1 - F_edge /
+//! F, 0)`, and below F_edge nothing is cut at any speed. The split into ploughing and shearing is that of
+//! measured sawing forces (J. Manuf. Sci. Eng. 143:121009).
 //!
-//! **Sharing.** The voxels whose surface (as defined in [`super::query`]) lies within the burr grown by `reach_m` share the energy by
-//! pressure times area. The pressure is proportional to the depth (an elastic foundation of thickness `reach_m`), so the weight is
-//! min(depth / width, 1), because all voxels have the same volume. Soft bone therefore recedes until the hard bone beside it carries the
-//! load. All contacts share one energy: a contact's plane stands for the nearest point of its patch and jumps from one to the next, while
-//! the depth is measured all over the patch. Giving each contact's voxels the energy of its own force makes a straight feed walk 1.6 mm
-//! in voxels of 0.06 mm, where it walks 0.2 mm with one energy. The price: where a tool is pressed sideways, part of that energy cuts the
-//! bone ahead, until it has receded out of reach.
+//! **Sharing.** The voxels whose surface (as defined in [`super::query`]) lies within the burr grown by
+//! `reach_m` share the energy by pressure times area. The pressure is proportional to the depth (an elastic
+//! foundation of thickness `reach_m`), so the weight is min(depth / width, 1), because all voxels have the
+//! same volume. Soft bone therefore recedes until the hard bone beside it carries the load. All contacts
+//! share one energy: a contact's plane stands for the nearest point of its patch and jumps from one to the
+//! next, while the depth is measured all over the patch. Giving each contact's voxels the energy of its own
+//! force makes a straight feed walk 1.6 mm in voxels of 0.06 mm, where it walks 0.2 mm with one energy. The
+//! price: where a tool is pressed sideways, part of that energy cuts the bone ahead, until it has receded out
+//! of reach.
 //!
-//! **Within a step.** The energy is that of the forces at the end of the step, and the voxels recede by it after the step. The contacts of
-//! the burr give way within the step by as much ([`crate::contact_plane::Give`]): otherwise each step meets the bone of the one before.
+//! **Within a step.** The energy is that of the forces at the end of the step, and the voxels recede by it
+//! after the step. The contacts of the burr give way within the step by as much
+//! ([`crate::contact_plane::Give`]): otherwise each step meets the bone of the one before.
 //!
-//! **Capacity.** A voxel's total energy is `u(HU) x volume`. In one tick it loses at most the part that lies within the grown burr, and
-//! recedes by at most `feed_per_revolution_max_m` per revolution. What a voxel cannot absorb goes to the others; what no voxel can absorb
-//! is reported as unused (in reality it heats the bone).
+//! **Capacity.** A voxel's total energy is `u(HU) x volume`. In one tick it loses at most the part that lies
+//! within the grown burr, and recedes by at most `feed_per_revolution_max_m` per revolution. What a voxel
+//! cannot absorb goes to the others; what no voxel can absorb is reported as unused (in reality it heats the
+//! bone).
 //!
-//! The removed volume is therefore E / u, and the depth depends neither on voxel size nor on dt. Weights and shares do not depend on the
-//! order of the voxels; the order of summation is fixed, for bit-exact replay.
+//! The removed volume is therefore E / u, and the depth depends neither on voxel size nor on dt. Weights and
+//! shares do not depend on the order of the voxels; the order of summation is fixed, for bit-exact replay.
 //!
-//! **Partly cut voxels.** A voxel beside the path keeps what the burr did not reach, so that the wall of a hole lies where the burr cut
-//! it, wherever the voxels lie. An image knows whole voxels only: a voxel is *gone* from it, and in the list of removed voxels, as soon
-//! as less than half of it is left (`GONE`). The hole in the voxels then has the burr's size on average.
+//! **Partly cut voxels.** A voxel beside the path keeps what the burr did not reach, so that the wall
+//! of a hole lies where the burr cut it, wherever the voxels lie. An image knows whole voxels only: a
+//! voxel is *gone* from it, and in the list of removed voxels, as soon as less than half of it is
+//! left (`GONE`). The hole in the voxels then has the burr's size on average.
 
 use nalgebra::Vector3;
 use pulp::Arch;
@@ -70,7 +79,8 @@ pub struct GrindReport {
     pub refused_count: usize,
     /// Force in N below which the burr's edges plough and do not cut; 0 while it does not press.
     pub edge_force_n: f64,
-    /// Depth by which the bone recedes at the burr's deepest place for each newton above that force, m/N; 0 while it does not press.
+    /// Depth by which the bone recedes at the burr's deepest place for each newton above that force, m/N; 0
+    /// while it does not press.
     pub recession_m_per_n: f64,
     /// Lever in m at which a cutter of several balls cuts; 0 while it does not press, and for a ball.
     pub lever_m: f64,
@@ -85,8 +95,9 @@ pub struct GrindReport {
 /// Working memory of a tick, sized for the largest burr.
 #[derive(Debug, Clone)]
 pub(super) struct DrillScratch {
-    /// Weights of the voxels that the burr presses on, in order, and their capacities in this tick, J, padded with zeros to a multiple of
-    /// [`LANES`]. Other voxels are left out, so that the sums do not depend on what else is nearby.
+    /// Weights of the voxels that the burr presses on, in order, and their capacities in this tick, J, padded
+    /// with zeros to a multiple of [`LANES`]. Other voxels are left out, so that the sums do not depend on
+    /// what else is nearby.
     weight: Vec<f64>,
     room_j: Vec<f64>,
     count: usize,
@@ -141,7 +152,8 @@ impl DrillScratch {
     }
 }
 
-/// The loops of [`DrillScratch::share`], compiled for each instruction set; the order of every sum is explicit.
+/// The loops of [`DrillScratch::share`], compiled for each instruction set; the order of every sum is
+/// explicit.
 struct Share<'a> {
     energy_j: f64,
     weight: &'a [f64],
@@ -168,8 +180,9 @@ impl Share<'_> {
 impl pulp::WithSimd for Share<'_> {
     type Output = Level;
 
-    /// Newton steps toward the level at which all energy is absorbed. The absorbed energy is piecewise linear in the level and bends only
-    /// where a voxel fills up, so the iteration has converged once a step leaves the same voxels unfilled.
+    /// Newton steps toward the level at which all energy is absorbed. The absorbed energy is piecewise linear
+    /// in the level and bends only where a voxel fills up, so the iteration has converged once a step leaves
+    /// the same voxels unfilled.
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) -> Level {
         let mut level_j = 0.0;
@@ -307,14 +320,15 @@ impl DrillTick<'_> {
         self.scratch.keep(&self.reached.depth, &self.reached.room_j);
     }
 
-    /// Depth by which the bone recedes at the burr's deepest place for each joule, m/J: the voxels share the energy by depth.
+    /// Depth by which the bone recedes at the burr's deepest place for each joule, m/J: the voxels share the
+    /// energy by depth.
     fn recession_m_per_j(&self, arch: Arch) -> f64 {
         let sum: f64 = self.scratch.weight[..self.scratch.count].iter().fold(0.0, |sum, depth| sum + depth);
         if sum > 0.0 { self.reached.most_recession_m_per_j(arch) / sum } else { 0.0 }
     }
 
-    /// Areas in m^2 of a voxel's faces toward the burr across each grid axis, 0 of one that other bone covers; `offset` runs from the voxel
-    /// to the burr.
+    /// Areas in m^2 of a voxel's faces toward the burr across each grid axis, 0 of one that other bone
+    /// covers; `offset` runs from the voxel to the burr.
     pub(super) fn bare_faces_m2(&self, voxel: usize, offset: &Vector3<f64>) -> [f64; 3] {
         let [hx, hy, hz] = self.edit.geometry().spacing_m;
         let mut faces_m2 = [hy * hz, hz * hx, hx * hy];

@@ -1,15 +1,18 @@
-//! The force below which the burr's edges plough and do not cut: edge pressure times the area that the burr touches, as seen along its
-//! contacts' normals, weighted by their forces.
+//! The force below which the burr's edges plough and do not cut: edge pressure times the area that the burr
+//! touches, as seen along its contacts' normals, weighted by their forces.
 //!
-//! **Area.** A burr that fills its hole touches the hole's cross-section, whatever the voxels' size. Through a row of voxels runs one surface,
-//! and it lies where the share that is cut falls, from 1 in the open to 0 in whole bone: a voxel has the face's area times how much the share
-//! falls from the voxel before it, toward the burr, to the one behind. In a row beside the hole's rim the wall that the burr has passed keeps
-//! a part of each voxel; what the burr touches in such a row is the other part. Taking a voxel that has partly cut bone before it for covered
-//! leaves the rim out: a tenth of the cross-section in voxels of 0.25 mm and a third in voxels of 1 mm, for a burr of 6.5 mm.
+//! **Area.** A burr that fills its hole touches the hole's cross-section, whatever the voxels' size. Through
+//! a row of voxels runs one surface, and it lies where the share that is cut falls, from 1 in the open to 0
+//! in whole bone: a voxel has the face's area times how much the share falls from the voxel before it, toward
+//! the burr, to the one behind. In a row beside the hole's rim the wall that the burr has passed keeps a part
+//! of each voxel; what the burr touches in such a row is the other part. Taking a voxel that has partly cut
+//! bone before it for covered leaves the rim out: a tenth of the cross-section in voxels of 0.25 mm and a
+//! third in voxels of 1 mm, for a burr of 6.5 mm.
 //!
-//! **Seen along a normal** is the part of the patch that faces it: the voxels from which the burr's centre lies on the normal's side. Their
-//! areas add up as vectors, so that steps of the voxels' grid cancel. For a burr in its hole and a normal at an angle t to the feed this is
-//! (1 + cos t) / 2 of the cross-section, the half of a ball as seen from that side.
+//! **Seen along a normal** is the part of the patch that faces it: the voxels from which the burr's centre
+//! lies on the normal's side. Their areas add up as vectors, so that steps of the voxels' grid cancel. For a
+//! burr in its hole and a normal at an angle t to the feed this is (1 + cos t) / 2 of the cross-section, the
+//! half of a ball as seen from that side.
 
 use nalgebra::Vector3;
 
@@ -18,8 +21,8 @@ use super::drilling::DrillTick;
 use super::reach::Press;
 
 impl DrillTick<'_> {
-    /// Sum of edge pressure times area over the touched voxels, N. Without contacts the burr's own direction is unknown, and each voxel
-    /// counts with all that it turns toward the burr.
+    /// Sum of edge pressure times area over the touched voxels, N. Without contacts the burr's own direction
+    /// is unknown, and each voxel counts with all that it turns toward the burr.
     pub(super) fn edge_force_n(&self, hu: &[i16], press: &Press, contacts: &[BurrContact]) -> f64 {
         let to_world = self.edit.geometry().direction_world_grid;
         let force_n: f64 = contacts.iter().map(|contact| contact.normal_force_n).sum();
@@ -43,8 +46,8 @@ impl DrillTick<'_> {
         edge_n.max(0.0)
     }
 
-    /// Area of a touched voxel's surface in m^2, as a vector in the grid's frame that points out of the bone; `to_burr` runs from the voxel
-    /// to the burr.
+    /// Area of a touched voxel's surface in m^2, as a vector in the grid's frame that points out of the bone;
+    /// `to_burr` runs from the voxel to the burr.
     fn facing_m2(&self, voxel: usize, to_burr: &Vector3<f64>) -> Vector3<f64> {
         let [hx, hy, hz] = self.edit.geometry().spacing_m;
         let faces_m2 = [hy * hz, hz * hx, hx * hy];

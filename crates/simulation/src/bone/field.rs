@@ -15,8 +15,8 @@ use super::yielding::{FIRST_NEAR, FindStrengths, MOST_PLANES, Near, Pressing};
 
 /// The bone of one CT, for contact queries and drilling: the [`Voxels`] and one cache for each of the two.
 ///
-/// The caches are built from the voxels alone and check the voxels' journal before use. They affect only the speed of an answer, never
-/// the answer.
+/// The caches are built from the voxels alone and check the voxels' journal before use. They affect only the
+/// speed of an answer, never the answer.
 #[derive(Debug)]
 pub struct BoneField {
     voxels: Voxels,
@@ -29,8 +29,8 @@ pub struct BoneField {
 }
 
 impl BoneField {
-    /// Builds the field from `hu`, which has `geometry.voxel_count()` values, x fastest. Reserves the memory that
-    /// drilling needs at first.
+    /// Builds the field from `hu`, which has `geometry.voxel_count()` values, x fastest. Reserves the memory
+    /// that drilling needs at first.
     ///
     /// # Errors
     /// An invalid grid, a CT of the wrong size, or a parameter out of range.
@@ -57,8 +57,8 @@ impl BoneField {
         self.arch = Arch::Scalar;
     }
 
-    /// The planes of [`Voxels::contact_planes`], bit for bit, but much faster for a sphere (by index) that has moved little since its
-    /// last query.
+    /// The planes of [`Voxels::contact_planes`], bit for bit, but much faster for a sphere (by index) that
+    /// has moved little since its last query.
     pub fn contact_planes_tracked(
         &mut self,
         sphere_index: usize,
@@ -72,14 +72,15 @@ impl BoneField {
         }
     }
 
-    /// Strength of each of a sphere's contacts, N (see [`super::yielding`]). `hu` is the CT that the field was built from.
+    /// Strength of each of a sphere's contacts, N (see [`super::yielding`]). `hu` is the CT that the field
+    /// was built from.
     pub fn strengths_n(&mut self, hu: &[i16], pressing: &Pressing) -> [f64; MOST_PLANES] {
         let Self { voxels, near, .. } = self;
         self.arch.dispatch(FindStrengths { voxels, hu, pressing, near })
     }
 
-    /// One tick of drilling with the burr's end, `dt_s` long. `hu` is the CT that the field was built from. [`Voxels::removed_this_tick`] then lists the
-    /// removed voxels.
+    /// One tick of drilling with the burr's end, `dt_s` long. `hu` is the CT that the field was built from.
+    /// [`Voxels::removed_this_tick`] then lists the removed voxels.
     ///
     /// # Errors
     /// A CT of the wrong size, or a burr that is not finite or too large; nothing has changed then.
@@ -87,7 +88,8 @@ impl BoneField {
         self.wear(hu, Work { burr, behind: &[], contacts: &[], indentations: &[] }, dt_s)
     }
 
-    /// One tick of drilling and of crushing: [`Self::grind`] after the bone under each indentation has receded (see [`super::yielding`]).
+    /// One tick of drilling and of crushing: [`Self::grind`] after the bone under each indentation has
+    /// receded (see [`super::yielding`]).
     ///
     /// # Errors
     /// As [`Self::grind`].
@@ -95,15 +97,17 @@ impl BoneField {
         self.drill_cache.wear(&mut self.voxels, self.arch, hu, work, dt_s)
     }
 
-    /// Takes memory for the partly cut voxels of the next tick; called between ticks, it leaves the tick nothing to allocate. Changes no
-    /// result. False if the system gives none: voxels that a tick finds no memory for are not cut, and its report counts them.
+    /// Takes memory for the partly cut voxels of the next tick; called between ticks, it leaves the tick
+    /// nothing to allocate. Changes no result. False if the system gives none: voxels that a tick finds no
+    /// memory for are not cut, and its report counts them.
     pub fn make_room(&mut self) -> bool {
         self.voxels.make_room()
     }
 
-    /// Removes the bone whose voxel centres lie within `radius_m` of the segment `from`-`to` (world, metres) and returns the voxel
-    /// numbers in ascending order. These voxels are part of the scene: a reset does not restore them. Use before the run; allocates.
-    /// Removes nothing for non-finite values or a radius that is not positive.
+    /// Removes the bone whose voxel centres lie within `radius_m` of the segment `from`-`to` (world, metres)
+    /// and returns the voxel numbers in ascending order. These voxels are part of the scene: a reset does not
+    /// restore them. Use before the run; allocates. Removes nothing for non-finite values or a radius that is
+    /// not positive.
     pub fn predrill_capsule(
         &mut self,
         from_world_m: &Vector3<f64>,
@@ -119,7 +123,8 @@ impl BoneField {
         self.voxels.reset();
     }
 
-    /// Restores a snapshot, earlier or later, of a field with the same CT, parameters and pilot holes; continues bit for bit.
+    /// Restores a snapshot, earlier or later, of a field with the same CT, parameters and pilot holes;
+    /// continues bit for bit.
     ///
     /// # Errors
     /// The snapshot is from another field.

@@ -1,5 +1,6 @@
-//! Finds the voxels that can be nearest to a sphere: those within reach with no whole voxel next to them on the side of the centre. A
-//! voxel that is cut in part hides nothing: the bone that is left of it may lie behind its neighbour's surface.
+//! Finds the voxels that can be nearest to a sphere: those within reach with no whole voxel next to them on
+//! the side of the centre. A voxel that is cut in part hides nothing: the bone that is left of it may lie
+//! behind its neighbour's surface.
 
 use nalgebra::Vector3;
 
@@ -9,8 +10,8 @@ use super::voxels::Voxels;
 
 /// Voxels of a row examined at once: one window, minus one voxel at each end for the neighbours along x.
 const COLUMNS: i64 = WINDOW_VOXELS - 2;
-/// Margin on the reach when selecting rows and columns, in voxels. It far exceeds coordinate rounding, so only the caller's own distance
-/// decides which voxels count.
+/// Margin on the reach when selecting rows and columns, in voxels. It far exceeds coordinate rounding, so
+/// only the caller's own distance decides which voxels count.
 const ROUNDING_VOXELS: f64 = 1e-6;
 
 /// [`ROUNDING_VOXELS`] in metres.
@@ -61,9 +62,9 @@ impl Columns {
 }
 
 impl Voxels {
-    /// Calls `visit` with every voxel whose box is within `sphere.reach` and that has no whole neighbour between itself and the centre;
-    /// rounding may add a few slightly farther ones. Slices are outermost, x is fastest. Returns the voxels that the result depends on,
-    /// or `None` if none is in the grid.
+    /// Calls `visit` with every voxel whose box is within `sphere.reach` and that has no whole neighbour
+    /// between itself and the centre; rounding may add a few slightly farther ones. Slices are outermost, x
+    /// is fastest. Returns the voxels that the result depends on, or `None` if none is in the grid.
     #[inline]
     pub(super) fn gather(&self, sphere: &Sphere, mut visit: impl FnMut([i64; 3])) -> Option<VoxelBox> {
         let (occupancy, whole, geometry) = (self.occupancy(), self.whole(), self.geometry());
@@ -119,7 +120,8 @@ impl Voxels {
     }
 }
 
-/// Signed distance along one axis from a voxel's slab to a point at `offset` from the slab's middle; 0 inside.
+/// Signed distance along one axis from a voxel's slab to a point at `offset` from the slab's middle; 0
+/// inside.
 #[inline]
 pub(super) fn outside(offset: f64, width: f64) -> f64 {
     let half = 0.5 * width;
@@ -128,7 +130,8 @@ pub(super) fn outside(offset: f64, width: f64) -> f64 {
     offset - if above < half { above } else { half }
 }
 
-/// The index next to `from`, which is in `0..count`, toward `to`, with an all-ones mask; or `from` and 0 if there is none.
+/// The index next to `from`, which is in `0..count`, toward `to`, with an all-ones mask; or `from` and 0 if
+/// there is none.
 #[inline]
 fn towards(from: i64, to: i64, count: usize) -> (usize, u64) {
     let next = (from + i64::from(to > from) - i64::from(to < from)).clamp(0, count as i64 - 1);

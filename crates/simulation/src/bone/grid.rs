@@ -53,8 +53,8 @@ impl VoxelIndex {
     }
 }
 
-/// A uniform voxel grid in the world frame (patient frame, LPS, metres). Voxel (i, j, k) is the box of size `spacing_m` about its centre
-/// `origin + direction * (i dx, j dy, k dz)`; x is fastest in memory.
+/// A uniform voxel grid in the world frame (patient frame, LPS, metres). Voxel (i, j, k) is the box of size
+/// `spacing_m` about its centre `origin + direction * (i dx, j dy, k dz)`; x is fastest in memory.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GridGeometry {
     /// Number of voxels along x, y, z.
@@ -119,7 +119,8 @@ impl GridGeometry {
         self.point_to_world(&Vector3::new(i as f64 * dx, j as f64 * dy, k as f64 * dz))
     }
 
-    /// Transforms a world point into the grid's metric frame: origin at voxel (0, 0, 0), axes along the grid, metres.
+    /// Transforms a world point into the grid's metric frame: origin at voxel (0, 0, 0), axes along the grid,
+    /// metres.
     pub fn point_to_grid(&self, point_world_m: &Vector3<f64>) -> Vector3<f64> {
         self.direction_world_grid.tr_mul(&(point_world_m - self.origin_world_m))
     }

@@ -6,18 +6,19 @@ use super::BoneError;
 
 /// Density law, specific cutting energy, compressive strength and edge pressure.
 ///
-/// `rho(HU) = clamp(offset + slope HU, minimum, maximum)`, `u(rho) = u_ref (rho / rho_ref)^p`, `s(rho) = s_ref (rho / rho_ref)^q` and
-/// `p_e(rho) = p_ref (rho / rho_ref)^a`.
+/// `rho(HU) = clamp(offset + slope HU, minimum, maximum)`, `u(rho) = u_ref (rho / rho_ref)^p`, `s(rho) =
+/// s_ref (rho / rho_ref)^q` and `p_e(rho) = p_ref (rho / rho_ref)^a`.
 ///
-/// Sources. The default density line is the apparent density of [`density`], as used in finite-element work. The exponent 2 is that of compressive strength in Carter and Hayes 1977 (J. Bone Joint Surg.
-/// 59A:954), applied here to cutting energy. `u_ref` for cortical bone is the order of magnitude of orthogonal cutting, about 1e7 to 1e8
-/// J/m3. Strength is Carter and Hayes' own law, 68 MPa (strain rate in 1/s)^0.06 (density in g/cm3)^2, at 0.01/s: 186 MPa at 1.9 g/cm3,
-/// 1.3 MPa at 0.16 g/cm3. Closed-cell polyurethane foam of that density crushes at 0.9 to 2.2 MPa. These are defaults, not a calibration:
-/// a scene gives its own values.
+/// Sources. The default density line is the apparent density of [`density`], as used in finite-element work.
+/// The exponent 2 is that of compressive strength in Carter and Hayes 1977 (J. Bone Joint Surg. 59A:954),
+/// applied here to cutting energy. `u_ref` for cortical bone is the order of magnitude of orthogonal cutting,
+/// about 1e7 to 1e8 J/m3. Strength is Carter and Hayes' own law, 68 MPa (strain rate in 1/s)^0.06 (density in
+/// g/cm3)^2, at 0.01/s: 186 MPa at 1.9 g/cm3, 1.3 MPa at 0.16 g/cm3. Closed-cell polyurethane foam of that
+/// density crushes at 0.9 to 2.2 MPa. These are defaults, not a calibration: a scene gives its own values.
 ///
-/// The edge pressure is what a cutter's edges press with before they cut: the ploughing that measurements of sawing split off from
-/// shearing (J. Manuf. Sci. Eng. 143:121009). It is 0 unless a scene sets it; its exponent 1.7 lies between those
-/// of two fits to published thrusts, 1.5 and 1.8 (docs/reproduction.md).
+/// The edge pressure is what a cutter's edges press with before they cut: the ploughing that measurements of
+/// sawing split off from shearing (J. Manuf. Sci. Eng. 143:121009). It is 0 unless a scene sets it; its
+/// exponent 1.7 lies between those of two fits to published thrusts, 1.5 and 1.8 (docs/reproduction.md).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MaterialLaw {
     /// Density at 0 HU in kg/m3.

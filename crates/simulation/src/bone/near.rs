@@ -1,4 +1,5 @@
-//! The voxels that may be nearest to a sphere, and their distances, stored as arrays for branch-free SIMD loops.
+//! The voxels that may be nearest to a sphere, and their distances, stored as arrays for branch-free SIMD
+//! loops.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -13,12 +14,13 @@ use super::voxels::Voxels;
 
 /// Fewest voxels that a search can store.
 const LEAST_NEAR: usize = 768;
-/// Area that a search can store at least if its voxels are finer than 0.25 mm, as many faces of voxels: 48 mm².
+/// Area that a search can store at least if its voxels are finer than 0.25 mm, as many faces of voxels: 48
+/// mm².
 const NEAR_AREA_M2: f64 = 48.0e-6;
 
-/// Maximum voxels that a search stores in a grid of these voxels. There may be more within reach, on a burr in its own tunnel for
-/// example; the nearest count then. They must cover an area, and not be a number, or else the finest voxels would leave of a wall all
-/// around the burr a single plane.
+/// Maximum voxels that a search stores in a grid of these voxels. There may be more within reach, on a burr
+/// in its own tunnel for example; the nearest count then. They must cover an area, and not be a number, or
+/// else the finest voxels would leave of a wall all around the burr a single plane.
 pub(super) fn most_near(geometry: &GridGeometry) -> usize {
     let edge_m = geometry.smallest_spacing_m();
     LEAST_NEAR.max((NEAR_AREA_M2 / (edge_m * edge_m)) as usize).next_multiple_of(LANES)
@@ -27,15 +29,16 @@ pub(super) fn most_near(geometry: &GridGeometry) -> usize {
 /// Values compared at a time.
 const LANES: usize = 4;
 
-/// Most voxels that are looked at for one plane beside the nearest. With 16 the gap in a tunnel of 0.5 mm voxels still jumped by 0.012 mm,
-/// with 32 by 0.008 mm, as with all.
+/// Most voxels that are looked at for one plane beside the nearest. With 16 the gap in a tunnel of 0.5 mm
+/// voxels still jumped by 0.012 mm, with 32 by 0.008 mm, as with all.
 const MOST_TRIED: usize = 32;
 /// A voxel whose surface was not looked at.
 const UNSEEN: u16 = u16::MAX;
 
 const _: () = assert!(LEAST_NEAR.is_multiple_of(LANES), "the lanes' padding has room");
 
-/// A stored voxel and how far its box is from the sphere's centre, squared. The greatest is the farthest, the first one of a tie.
+/// A stored voxel and how far its box is from the sphere's centre, squared. The greatest is the farthest, the
+/// first one of a tie.
 #[derive(Debug, Clone, Copy)]
 struct Far {
     distance2: f64,
@@ -193,7 +196,8 @@ pub(super) struct Candidates {
     length2: Vec<f64>,
     /// Infinite for voxels out of reach or dropped, and as padding from `count` up to a multiple of `LANES`.
     distance2: Vec<f64>,
-    /// The surfaces that were looked at, for the planes after the first, and where each voxel's is; [`UNSEEN`] if it has none.
+    /// The surfaces that were looked at, for the planes after the first, and where each voxel's is;
+    /// [`UNSEEN`] if it has none.
     surfaces: Vec<Surface>,
     surface_of: Vec<u16>,
     /// Working memory of [`Self::nearest_surface`]: distance2 and voxel.
@@ -228,8 +232,9 @@ impl Candidates {
         }
     }
 
-    /// Distances to the voxels' surfaces; those at `reach_m` or beyond do not count. Returns true if the centre lies on a surface or
-    /// behind it. Without `CUT` all voxels are whole, and the compiler drops the code for cut ones.
+    /// Distances to the voxels' surfaces; those at `reach_m` or beyond do not count. Returns true if the
+    /// centre lies on a surface or behind it. Without `CUT` all voxels are whole, and the compiler drops the
+    /// code for cut ones.
     #[inline(always)]
     fn see_surfaces<const CUT: bool>(
         &mut self,
@@ -292,7 +297,8 @@ impl Candidates {
         self.distance2[voxel] = seed.distance2;
     }
 
-    /// Keeps the voxels that are nearer than `reach_m`, in their order. Most are not: the surface of a cut voxel is farther than its box.
+    /// Keeps the voxels that are nearer than `reach_m`, in their order. Most are not: the surface of a cut
+    /// voxel is farther than its box.
     #[inline(always)]
     fn compact(&mut self, reach_m: f64) {
         let reach2 = reach_m * reach_m;
@@ -343,8 +349,8 @@ impl Candidates {
         }
     }
 
-    /// The nearest surface among the candidates; `look` finds that at a voxel, which is never nearer than the voxel itself. The first one
-    /// in case of a tie.
+    /// The nearest surface among the candidates; `look` finds that at a voxel, which is never nearer than the
+    /// voxel itself. The first one in case of a tie.
     #[inline(always)]
     pub fn nearest_surface(&mut self, look: &mut impl Look) -> Option<Surface> {
         let nearest = self.nearest()?;
@@ -436,9 +442,10 @@ impl Candidates {
 }
 
 impl Voxels {
-    /// Distances of the near voxels' surfaces from a sphere; those out of its reach do not count. The spent fractions are loaded, and the
-    /// voxels are all whose boxes are within `searched_m`. Returns the distance to the nearest surface if it is out of the sphere's reach, at
-    /// most `searched_m`: the sphere has no plane then.
+    /// Distances of the near voxels' surfaces from a sphere; those out of its reach do not count. The spent
+    /// fractions are loaded, and the voxels are all whose boxes are within `searched_m`. Returns the distance
+    /// to the nearest surface if it is out of the sphere's reach, at most `searched_m`: the sphere has no
+    /// plane then.
     #[inline(always)]
     pub(super) fn see(
         &self,
@@ -478,7 +485,8 @@ impl Voxels {
             if candidates.length2[voxel] <= 0.0 {
                 let position = Vector3::from([0, 1, 2].map(|a| near.position[a][voxel]));
                 let offset = self.face_direction(&(sphere.centre - position));
-                // A voxel that is more than half cut and has the sphere's centre at its middle gives no direction to push in.
+                // A voxel that is more than half cut and has the sphere's centre at its middle gives no
+                // direction to push in.
                 let pushes = self.pool().spent_at(near.place[voxel]) <= 0.5;
                 let distance2 = if pushes { 0.0 } else { f64::INFINITY };
                 candidates.put(voxel, &Seed { offset, length2: 1.0, distance2 });

@@ -13,8 +13,8 @@ pub(super) const WINDOW_VOXELS: i64 = 57;
 const _: () = assert!(WINDOW_VOXELS == 64 - 7, "a word less the bits before a window's first");
 const _: () = assert!(64 << (2 * CELL_SHIFT) <= u16::MAX as usize, "a cell's count fits its type");
 
-/// Bit rows along x, stored as bytes, so that a window is one unaligned load. Eight zero bytes precede every row and more than a row of
-/// zeros follows the last one, so a window may run past either end of a row.
+/// Bit rows along x, stored as bytes, so that a window is one unaligned load. Eight zero bytes precede every
+/// row and more than a row of zeros follows the last one, so a window may run past either end of a row.
 #[derive(Debug, Clone)]
 pub(super) struct Occupancy {
     dims: [usize; 3],
@@ -83,7 +83,8 @@ fn bits_of(values: &[i16], threshold_hu: i16) -> u64 {
 }
 
 impl Occupancy {
-    /// Marks every voxel of at least `threshold_hu` as bone. `hu` has `dims[0] * dims[1] * dims[2]` values, x fastest.
+    /// Marks every voxel of at least `threshold_hu` as bone. `hu` has `dims[0] * dims[1] * dims[2]` values, x
+    /// fastest.
     pub fn from_threshold(dims: [usize; 3], hu: &[i16], threshold_hu: i16) -> Self {
         let words_per_row = dims[0].div_ceil(64);
         let row_stride = (words_per_row + 1) * ROW_PADDING;
@@ -163,16 +164,16 @@ impl Occupancy {
         }
     }
 
-    /// Position in a row, the same for all rows, of the window of [`WINDOW_VOXELS`] voxels starting at `start`. A start more than 64
-    /// voxels outside is moved to where the window is just as empty.
+    /// Position in a row, the same for all rows, of the window of [`WINDOW_VOXELS`] voxels starting at
+    /// `start`. A start more than 64 voxels outside is moved to where the window is just as empty.
     #[inline]
     pub fn window_place(&self, start: i64) -> WindowPlace {
         let start = start.clamp(-64, self.dims[0] as i64) + 64;
         WindowPlace { byte: (start >> 3) as usize, shift: (start & 7) as u32 }
     }
 
-    /// The window of row (j, k), both inside the grid, as bits; voxels outside the grid are 0. Bits from [`WINDOW_VOXELS`] up are
-    /// undefined.
+    /// The window of row (j, k), both inside the grid, as bits; voxels outside the grid are 0. Bits from
+    /// [`WINDOW_VOXELS`] up are undefined.
     #[inline]
     pub fn window(&self, place: WindowPlace, j: usize, k: usize) -> u64 {
         self.window_at(place, k * self.slice_stride() + j * self.row_stride)
@@ -239,8 +240,8 @@ impl Occupancy {
         })
     }
 
-    /// The voxels whose boxes meet the axis-aligned cube of half edge `reach_m` about a point in the grid's metric frame; `None` if there
-    /// are none.
+    /// The voxels whose boxes meet the axis-aligned cube of half edge `reach_m` about a point in the grid's
+    /// metric frame; `None` if there are none.
     pub fn voxels_around(&self, centre: [f64; 3], reach_m: f64, spacing_m: [f64; 3]) -> Option<VoxelBox> {
         self.voxels_in_box(centre, [reach_m; 3], spacing_m)
     }

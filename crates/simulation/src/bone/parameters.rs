@@ -19,14 +19,15 @@ pub struct BoneParameters {
     pub contact: ContactKind,
     /// Rule for removing voxels: by energy, unless an experiment asks for a baseline.
     pub removal: Removal,
-    /// Most blocks of 8 x 8 x 8 voxels (4 KiB each) that may hold partly cut voxels; by default those of the grid. Once all are in use,
-    /// voxels in further blocks cannot be cut; each tick's report counts them.
+    /// Most blocks of 8 x 8 x 8 voxels (4 KiB each) that may hold partly cut voxels; by default those of the
+    /// grid. Once all are in use, voxels in further blocks cannot be cut; each tick's report counts them.
     pub pool_blocks: usize,
     /// Maximum voxels removed per tick, by default any number; the excess waits for the next tick.
     pub removed_per_tick: usize,
     /// Largest burr radius in metres; it determines the size of the drilling scratch memory.
     pub max_burr_radius_m: f64,
-    /// Largest distance between the centres of a cutter's first and last ball in metres; so does it. 0: the burr is a ball.
+    /// Largest distance between the centres of a cutter's first and last ball in metres; so does it. 0: the
+    /// burr is a ball.
     pub cutter_span_m: f64,
 }
 

@@ -1,7 +1,8 @@
 //! The patch of bone that a cutter of several balls touches, and the lever at which it cuts there.
 //!
-//! A touched voxel stands for the point of its ball that is nearest to it. Its area is that of its bare faces, projected on the direction to
-//! the ball's centre: over a plane of any direction these areas add up to the plane's.
+//! A touched voxel stands for the point of its ball that is nearest to it. Its area is that of its bare
+//! faces, projected on the direction to the ball's centre: over a plane of any direction these areas add up
+//! to the plane's.
 
 use nalgebra::Vector3;
 
@@ -9,8 +10,9 @@ use super::cutting::Work;
 use super::drilling::DrillTick;
 use super::reach::Press;
 
-/// Bone in which the cutter is less deep than this share of its reach presses with a hundredth or less: what is left of a wall that the
-/// cutter has passed. It recedes ever more slowly, and a long wall of it would count as much as the hole's bottom.
+/// Bone in which the cutter is less deep than this share of its reach presses with a hundredth or less: what
+/// is left of a wall that the cutter has passed. It recedes ever more slowly, and a long wall of it would
+/// count as much as the hole's bottom.
 const LEAST_DEPTH: f64 = 0.01;
 
 /// A touched voxel.
@@ -24,8 +26,8 @@ pub(super) struct Patch {
 }
 
 impl DrillTick<'_> {
-    /// Mean lever in m of the contacts of a cutter of several balls, weighted by their forces. A cutter that touches nothing, or whose
-    /// contacts are not known, cuts with its end.
+    /// Mean lever in m of the contacts of a cutter of several balls, weighted by their forces. A cutter that
+    /// touches nothing, or whose contacts are not known, cuts with its end.
     pub(super) fn lever_m(&mut self, press: &Press, work: &Work) -> f64 {
         let end_m = work.widest_radius_m() * (2.0 / 3.0);
         self.collect_patch(press);

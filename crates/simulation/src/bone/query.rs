@@ -1,19 +1,22 @@
 //! The contact planes of a sphere against the voxels.
 //!
-//! **Where the surface is.** A whole voxel is its box. A voxel with the fraction f left ends at the distance `|c - x| - (f - 1/2) w` from
-//! the sphere's centre c, where x is the voxel's centre and w its width along that direction: the box, cut by a plane that leaves the
-//! fraction f. The distance to a voxel is the larger of this and the distance to its box. A sphere on a flat wall of whole voxels
-//! therefore has gap 0 exactly at the wall.
+//! **Where the surface is.** A whole voxel is its box. A voxel with the fraction f left ends at the distance
+//! `|c - x| - (f - 1/2) w` from the sphere's centre c, where x is the voxel's centre and w its width along
+//! that direction: the box, cut by a plane that leaves the fraction f. The distance to a voxel is the larger
+//! of this and the distance to its box. A sphere on a flat wall of whole voxels therefore has gap 0 exactly
+//! at the wall.
 //!
-//! **Staircases.** The corners of a slanted voxel wall protrude from the plane they approximate. The gap is widened by the nearest
-//! point's protrusion from the smoothed surface (see `surface.rs`), by at most half a voxel; it is never narrowed. Where the smoothed
-//! normal leans far from the direction to the voxel (thin sheets, single voxels), both fade out.
+//! **Staircases.** The corners of a slanted voxel wall protrude from the plane they approximate. The gap is
+//! widened by the nearest point's protrusion from the smoothed surface (see `surface.rs`), by at most half a
+//! voxel; it is never narrowed. Where the smoothed normal leans far from the direction to the voxel (thin
+//! sheets, single voxels), both fade out.
 //!
-//! **Which planes.** A voxel can be nearest only if no whole neighbour lies between it and the centre, which bitwise operations find. On a
-//! flat wall one candidate remains, in a tunnel a few dozen. The candidate with the least distance *plus* widening gives the first plane:
-//! the least of continuous functions is continuous, so the gap changes no faster than the sphere moves (`tests/gap.rs`). The nearest one
-//! more than 60 degrees away from it the second, and so on, up to four, and up to eight where the gap is small, so that no side is missed;
-//! then the nearest ones that are more than 10 degrees away from all others, up to fourteen in all.
+//! **Which planes.** A voxel can be nearest only if no whole neighbour lies between it and the centre, which
+//! bitwise operations find. On a flat wall one candidate remains, in a tunnel a few dozen. The candidate with
+//! the least distance *plus* widening gives the first plane: the least of continuous functions is continuous,
+//! so the gap changes no faster than the sphere moves (`tests/gap.rs`). The nearest one more than 60 degrees
+//! away from it the second, and so on, up to four, and up to eight where the gap is small, so that no side is
+//! missed; then the nearest ones that are more than 10 degrees away from all others, up to fourteen in all.
 //!
 //! All of this describes [`ContactKind::Planes`]; [`ContactKind::VoxelBalls`] exists for comparison.
 
@@ -34,27 +37,30 @@ pub enum ContactKind {
     /// Part of the smoothed surface: see the [module](self).
     #[default]
     Planes,
-    /// A ball at the voxel's centre with half the smallest edge as radius and no smoothing, as in published simulators (Phalen et al.
-    /// 2023). Normals change from voxel to voxel, and a wall is a bed of balls.
+    /// A ball at the voxel's centre with half the smallest edge as radius and no smoothing, as in published
+    /// simulators (Phalen et al. 2023). Normals change from voxel to voxel, and a wall is a bed of balls.
     VoxelBalls,
 }
 
 /// Planes of a sphere on different sides of it, whatever their gap.
 const FAR_PLANES: usize = 4;
-/// The same and those of a small gap: as many sides as a hole may have around the burr. With four, a burr in a hole of its own size saw
-/// one wall at a time and was thrown to and fro.
+/// The same and those of a small gap: as many sides as a hole may have around the burr. With four, a burr in
+/// a hole of its own size saw one wall at a time and was thrown to and fro.
 const MOST_FAR_PLANES: usize = 8;
 /// Their least angle from one another (cosine; 60 degrees).
 const FAR_APART_COSINE: f64 = 0.5;
 /// Maximum planes per sphere. In a groove or at the end of a hole the bone touches a sphere all around.
 pub const MAX_PLANES: usize = MOST_FAR_PLANES + 6;
-/// Least angle of all planes from one another (cosine; 10 degrees). With 60 degrees only one of a groove's two sides was seen, in turn, and
-/// the burr was thrown to and fro; with 5 degrees the planes of a small patch are all there is.
+/// Least angle of all planes from one another (cosine; 10 degrees). With 60 degrees only one of a groove's
+/// two sides was seen, in turn, and the burr was thrown to and fro; with 5 degrees the planes of a small
+/// patch are all there is.
 const NEAR_APART_COSINE: f64 = 0.985;
-/// Planes less than [`FAR_APART_COSINE`] apart are looked for up to this gap, m: what a sphere moves in a few ticks.
+/// Planes less than [`FAR_APART_COSINE`] apart are looked for up to this gap, m: what a sphere moves in a few
+/// ticks.
 const NEAR_GAP_M: f64 = 1.0e-4;
 
-/// A smoothed normal whose cosine with the seed's direction is below this is not trusted: thin sheets, single voxels.
+/// A smoothed normal whose cosine with the seed's direction is below this is not trusted: thin sheets, single
+/// voxels.
 const NORMAL_AGREEMENT_COSINE: f64 = 0.3;
 
 /// Contact planes of one tick and the query's working memory, allocated once.
@@ -105,7 +111,8 @@ impl ContactBuffer {
         &mut self.planes
     }
 
-    /// Drops those planes from number `first` on for which `keep`, given the planes before it that stay, is false.
+    /// Drops those planes from number `first` on for which `keep`, given the planes before it that stay, is
+    /// false.
     pub fn keep_from(&mut self, first: usize, keep: impl Fn(&[ContactPlane], &ContactPlane) -> bool) {
         let mut kept = first;
         for place in first..self.planes.len() {
@@ -165,8 +172,9 @@ impl VoxelEnd {
 }
 
 impl Voxels {
-    /// Adds the planes that the sphere (world centre, radius) touches or that are closer than `margin_m`. A sphere whose centre is
-    /// inside bone gets the single plane that leads out. Adds nothing for non-finite values or a radius that is not positive.
+    /// Adds the planes that the sphere (world centre, radius) touches or that are closer than `margin_m`. A
+    /// sphere whose centre is inside bone gets the single plane that leads out. Adds nothing for non-finite
+    /// values or a radius that is not positive.
     pub fn contact_planes(
         &self,
         sphere_index: usize,
@@ -285,7 +293,8 @@ impl Voxels {
         }
     }
 
-    /// Normal of the smoothed surface at a point, or `direction` where it is not trusted; and the point's protrusion from that surface.
+    /// Normal of the smoothed surface at a point, or `direction` where it is not trusted; and the point's
+    /// protrusion from that surface.
     #[inline(always)]
     fn smoothed(
         &self,
@@ -310,8 +319,8 @@ impl Voxels {
     }
 }
 
-/// Finds the smoothed surface at a voxel. A trait and not a closure, because a closure is compiled once, without the vector instructions
-/// of its caller.
+/// Finds the smoothed surface at a voxel. A trait and not a closure, because a closure is compiled once,
+/// without the vector instructions of its caller.
 pub(super) trait Look {
     /// The surface at a voxel, which is never nearer than the voxel itself.
     fn surface(&mut self, seed: &Seed) -> Surface;

@@ -1,11 +1,12 @@
-//! Finds the voxels that a burr can reach, once for a burr that moves little between ticks. A burr is a ball or a row of balls; a voxel
-//! belongs to the ball that is deepest in it, so that no voxel counts twice.
+//! Finds the voxels that a burr can reach, once for a burr that moves little between ticks. A burr is a ball
+//! or a row of balls; a voxel belongs to the ball that is deepest in it, so that no voxel counts twice.
 //!
-//! A voxel matters to a tick of drilling if its surface lies within the burr's reach. The list holds the voxels whose boxes meet a
-//! slightly wider reach ([`SLACK_VOXELS`]). While the burr stays within that slack of the search position, the list contains all voxels
-//! that matter: bone never comes back in a tick. Distances are always recomputed, drilling updates the list's
-//! spent fractions together with the field's, and the list follows grid order wherever the burr is. The results are therefore those of a
-//! new search, bit for bit, and the list is not part of the state.
+//! A voxel matters to a tick of drilling if its surface lies within the burr's reach. The list holds the
+//! voxels whose boxes meet a slightly wider reach ([`SLACK_VOXELS`]). While the burr stays within that slack
+//! of the search position, the list contains all voxels that matter: bone never comes back in a tick.
+//! Distances are always recomputed, drilling updates the list's spent fractions together with the field's,
+//! and the list follows grid order wherever the burr is. The results are therefore those of a new search, bit
+//! for bit, and the list is not part of the state.
 
 use nalgebra::Vector3;
 use pulp::Arch;
@@ -20,8 +21,8 @@ use super::query::VoxelEnd;
 use super::strength::Place;
 use super::voxels::Voxels;
 
-/// Extra reach of the cached search, in voxels of the smallest spacing. A burr fed at 1.5 mm/s through voxels of 0.5 mm needs a new
-/// search every 33 ticks.
+/// Extra reach of the cached search, in voxels of the smallest spacing. A burr fed at 1.5 mm/s through voxels
+/// of 0.5 mm needs a new search every 33 ticks.
 const SLACK_VOXELS: f64 = 0.1;
 
 /// Number of values compared at a time.
@@ -43,7 +44,8 @@ pub(super) struct PressedBall {
     pub cut_m: f64,
 }
 
-/// The inputs that determine how deep the burr is in a voxel and how much energy the voxel can absorb in a tick.
+/// The inputs that determine how deep the burr is in a voxel and how much energy the voxel can absorb in a
+/// tick.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Press<'b> {
     /// Its balls, from the front to the back.
@@ -76,7 +78,8 @@ pub(super) fn most_voxels(geometry: &GridGeometry, parameters: &BoneParameters) 
     cells_within(geometry, 1, (searched_m, searched_m + diagonal_m(geometry, 1)), span_m)
 }
 
-/// Maximum number of blocks of `edge` voxels in which one tick of the largest burr can cut: they meet a capsule.
+/// Maximum number of blocks of `edge` voxels in which one tick of the largest burr can cut: they meet a
+/// capsule.
 pub(super) fn most_blocks(geometry: &GridGeometry, parameters: &BoneParameters, edge: usize) -> usize {
     let cut_m = cut_radius_m(parameters.max_burr_radius_m, &parameters.cutting);
     cells_within(geometry, edge, (cut_m, cut_m + diagonal_m(geometry, edge)), parameters.cutter_span_m)
@@ -88,8 +91,9 @@ fn diagonal_m(geometry: &GridGeometry, edge: usize) -> f64 {
     edge as f64 * (hx * hx + hy * hy + hz * hz).sqrt()
 }
 
-/// Maximum number of cells of `edge` voxels per axis, which do not overlap, that meet the box of a capsule of radius `box_m` and lie in one
-/// of radius `capsule_m`; the centres of its ends are `span_m` apart, in any direction.
+/// Maximum number of cells of `edge` voxels per axis, which do not overlap, that meet the box of a capsule of
+/// radius `box_m` and lie in one of radius `capsule_m`; the centres of its ends are `span_m` apart, in any
+/// direction.
 fn cells_within(geometry: &GridGeometry, edge: usize, (box_m, capsule_m): (f64, f64), span_m: f64) -> usize {
     let in_box = (0..3).fold(1usize, |count, axis| {
         let along = ((2.0 * box_m + span_m) / (edge as f64 * geometry.spacing_m[axis])) as usize + 2;
@@ -119,7 +123,8 @@ pub(super) struct ReachedVoxels {
     pub spent: Vec<f64>,
     /// Energy to cut the whole voxel, J.
     pub full_j: Vec<f64>,
-    /// The burr's depth in each voxel in this tick, as a fraction of its width, the voxel's capacity, J, and its width toward the burr, m.
+    /// The burr's depth in each voxel in this tick, as a fraction of its width, the voxel's capacity, J, and
+    /// its width toward the burr, m.
     pub depth: Vec<f64>,
     pub room_j: Vec<f64>,
     width_m: Vec<f64>,
@@ -244,8 +249,8 @@ impl ReachedVoxels {
     }
 }
 
-/// The loop of [`ReachedVoxels::measure`], compiled for each instruction set. The instruction set changes no bit: each value is computed
-/// on its own by operations that IEEE 754 rounds correctly.
+/// The loop of [`ReachedVoxels::measure`], compiled for each instruction set. The instruction set changes no
+/// bit: each value is computed on its own by operations that IEEE 754 rounds correctly.
 struct Measure<'a> {
     ball: &'a PressedBall,
     recession_m: f64,
@@ -407,7 +412,8 @@ impl ReachedVoxels {
     }
 }
 
-/// The voxels of a window starting at `start` whose slabs along x are within sqrt(`distance2`) of `x`, as bits.
+/// The voxels of a window starting at `start` whose slabs along x are within sqrt(`distance2`) of `x`, as
+/// bits.
 #[inline]
 pub(super) fn columns_within(x: f64, distance2: f64, spacing: f64, start: i64) -> u64 {
     if distance2 <= 0.0 {

@@ -1,10 +1,11 @@
 //! The smoothed surface for the widest tent, in integer arithmetic.
 //!
-//! Over the seven voxels under a tent of half width 3, the weights are quadratic polynomials in the point's position between two faces,
-//! `u` in [0, 1] voxels: eighteenths of the rows of [`WEIGHT_18`]. The smoothed occupancy is therefore a polynomial in (u_x, u_y, u_z)
-//! with 27 coefficients. For whole voxels these are sums of small integers: no rounding, and three coefficients fit into one word. The
-//! spent fractions are then subtracted from the coefficients. The coefficients remain valid as long as nothing changes in the seven
-//! voxels per axis and the point stays between the same faces ([`super::remembered`]).
+//! Over the seven voxels under a tent of half width 3, the weights are quadratic polynomials in the point's
+//! position between two faces, `u` in [0, 1] voxels: eighteenths of the rows of [`WEIGHT_18`]. The smoothed
+//! occupancy is therefore a polynomial in (u_x, u_y, u_z) with 27 coefficients. For whole voxels these are
+//! sums of small integers: no rounding, and three coefficients fit into one word. The spent fractions are
+//! then subtracted from the coefficients. The coefficients remain valid as long as nothing changes in the
+//! seven voxels per axis and the point stays between the same faces ([`super::remembered`]).
 
 use core::ops::{Add, Mul, Sub};
 
@@ -16,8 +17,8 @@ use super::voxels::Voxels;
 
 /// Voxels per axis.
 pub(super) const SPLINE_VOXELS: usize = 7;
-/// Eighteen times the integral of the tent over each voxel: coefficients of 1, u, u². The tent's heights at the faces are u/3, (u+1)/3,
-/// (u+2)/3, (3-u)/3, (2-u)/3, (1-u)/3.
+/// Eighteen times the integral of the tent over each voxel: coefficients of 1, u, u². The tent's heights at
+/// the faces are u/3, (u+1)/3, (u+2)/3, (3-u)/3, (2-u)/3, (1-u)/3.
 const WEIGHT_18: [[i64; 3]; SPLINE_VOXELS] =
     [[0, 0, 1], [1, 2, 0], [3, 2, 0], [5, 2, -2], [5, -2, 0], [3, -2, 0], [1, -2, 1]];
 /// The same as floats, for sums with fractions; four lanes, the last of which is unused.
@@ -125,8 +126,8 @@ impl Voxels {
         cell
     }
 
-    /// Subtracts the spent fractions from a cell. Sums whole rows of the blocks it lies in, and picks its seven voxels of a row at the
-    /// end: cheaper than to pick them row by row.
+    /// Subtracts the spent fractions from a cell. Sums whole rows of the blocks it lies in, and picks its
+    /// seven voxels of a row at the end: cheaper than to pick them row by row.
     #[inline(always)]
     fn take_spent(&self, start: [i64; 3], blocks: &BlocksAbout, cell: &mut SplineCell) {
         let within = start.map(|x| (x & 7) as usize);
@@ -151,16 +152,16 @@ impl Voxels {
     }
 }
 
-/// A number for each of eight voxels along x. Loops over all lanes at once, because the compiler makes vector instructions of these, and not
-/// of a loop over lanes that contains the whole sum.
+/// A number for each of eight voxels along x. Loops over all lanes at once, because the compiler makes vector
+/// instructions of these, and not of a loop over lanes that contains the whole sum.
 #[derive(Debug, Clone, Copy)]
 struct Lanes([f64; BLOCK_EDGE]);
 
 impl Lanes {
     const ZERO: Self = Self([0.0; BLOCK_EDGE]);
 
-    /// The spent fractions of the voxels of a row that are still bone: one that is wholly spent is not among the whole voxels from which
-    /// they are subtracted.
+    /// The spent fractions of the voxels of a row that are still bone: one that is wholly spent is not among
+    /// the whole voxels from which they are subtracted.
     #[inline(always)]
     fn of_bone(row: &[f64; BLOCK_EDGE]) -> Self {
         let mut lanes = Self::ZERO;
@@ -295,8 +296,8 @@ mod tests {
 
     use crate::bone::{BoneField, BoneParameters, BurrState, GridGeometry};
 
-    /// Compares the polynomial with the sums of the tents, on scattered, partly cut voxels, inside the grid and across its edges.
-    /// Tolerance 1e-12: rounding of a few hundred terms below 1.
+    /// Compares the polynomial with the sums of the tents, on scattered, partly cut voxels, inside the grid
+    /// and across its edges. Tolerance 1e-12: rounding of a few hundred terms below 1.
     #[test]
     fn polynomial_is_the_sum_of_the_tents() {
         let dims = [19, 17, 15];

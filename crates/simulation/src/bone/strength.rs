@@ -1,8 +1,9 @@
 //! Spent cutting energy per voxel: sparse blocks of 8 x 8 x 8 voxels from a pool that grows.
 //!
-//! The pool grows by whole segments, which never move, so a place stays valid. [`SpentPool::make_room`] keeps as many blocks free as one
-//! tick can take; called between ticks, it leaves no tick anything to allocate. A tick that finds none free all the same takes a segment
-//! itself. So growing costs time here or there and changes no result.
+//! The pool grows by whole segments, which never move, so a place stays valid. [`SpentPool::make_room`] keeps
+//! as many blocks free as one tick can take; called between ticks, it leaves no tick anything to allocate. A
+//! tick that finds none free all the same takes a segment itself. So growing costs time here or there and
+//! changes no result.
 
 use super::BoneError;
 use super::occupancy::VoxelBox;
@@ -53,7 +54,8 @@ pub(super) struct Block<'p> {
 }
 
 impl<'p> Block<'p> {
-    /// The fractions of slice z, by y and x; z counted within the block or from the start of it and its neighbours.
+    /// The fractions of slice z, by y and x; z counted within the block or from the start of it and its
+    /// neighbours.
     #[inline(always)]
     pub fn slice(&self, z: usize) -> &'p [[f64; BLOCK_EDGE]; BLOCK_EDGE] {
         let (rows, _) = self.spent.as_chunks::<BLOCK_EDGE>();
@@ -155,7 +157,8 @@ pub(super) struct SpentPool {
 }
 
 impl SpentPool {
-    /// A pool of at most `most` blocks for a grid of `dims` voxels, of which one tick takes at most `per_tick`.
+    /// A pool of at most `most` blocks for a grid of `dims` voxels, of which one tick takes at most
+    /// `per_tick`.
     ///
     /// # Errors
     /// [`BoneError::Memory`].
@@ -321,8 +324,8 @@ impl SpentPool {
         ((bits(first) | bits(first + 1) << 8) >> (start & 7)) as u8
     }
 
-    /// The blocks about the cube of voxels `low` to `low + extent`, at most eight along an axis; it may extend beyond the grid. `None` if
-    /// all blocks are untouched.
+    /// The blocks about the cube of voxels `low` to `low + extent`, at most eight along an axis; it may
+    /// extend beyond the grid. `None` if all blocks are untouched.
     #[inline]
     pub fn blocks_about(&self, low: [i64; 3], extent: i64) -> Option<BlocksAbout> {
         if self.owners.is_empty() {
@@ -385,7 +388,8 @@ impl SpentPool {
         &self.segments[slot / SEGMENT_BLOCKS].spent[first..first + BLOCK_VOXELS]
     }
 
-    /// What has changed since a start, by the blocks' numbers: every block that the start did not use, and those of its blocks that differ.
+    /// What has changed since a start, by the blocks' numbers: every block that the start did not use, and
+    /// those of its blocks that differ.
     pub fn changes<'p>(&'p self, start: &'p Self) -> impl Iterator<Item = BlockChange<'p>> {
         self.contents().filter_map(|(_, number, spent)| {
             let before = match start.table[number as usize] {
@@ -402,8 +406,8 @@ impl SpentPool {
         })
     }
 
-    /// Calls `visit` with the spent fraction of every grid voxel in the blocks in use, block by block in the order of their numbers, x fastest
-    /// within a block.
+    /// Calls `visit` with the spent fraction of every grid voxel in the blocks in use, block by block in the
+    /// order of their numbers, x fastest within a block.
     pub fn for_each(&self, mut visit: impl FnMut([usize; 3], f64)) {
         for (slot, _, fractions) in self.contents() {
             for (offset, spent) in fractions.iter().enumerate() {

@@ -1,8 +1,9 @@
 //! The bone surface smoothed over a few voxels: its normal and its distance from a point.
 //!
-//! The sampled field is the exact convolution of the (fractional) occupancy with a tent along each axis. Its gradient is the
-//! tent-weighted sum of the exposed voxel faces. It is exact for axis-aligned walls. For slanted walls it is unbiased, because the faces
-//! of a staircase add up to the area of the plane that it approximates.
+//! The sampled field is the exact convolution of the (fractional) occupancy with a tent along each axis. Its
+//! gradient is the tent-weighted sum of the exposed voxel faces. It is exact for axis-aligned walls. For
+//! slanted walls it is unbiased, because the faces of a staircase add up to the area of the plane that it
+//! approximates.
 
 use core::ops::Range;
 
@@ -14,12 +15,14 @@ use super::remembered::RememberedCells;
 use super::spline::SPLINE_VOXELS;
 use super::voxels::Voxels;
 
-/// Maximum tent half width in voxels; smaller for spheres of only a few voxels, so that the two walls of a corner stay separate. With 3
-/// the normal on a slanted wall is within 2 degrees (slope 0.3 and more), with 2 within 9; measured in `tests/bone_query.rs`.
+/// Maximum tent half width in voxels; smaller for spheres of only a few voxels, so that the two walls of a
+/// corner stay separate. With 3 the normal on a slanted wall is within 2 degrees (slope 0.3 and more), with 2
+/// within 9; measured in `tests/bone_query.rs`.
 const TENT_MAX_VOXELS: f64 = 3.0;
 /// Minimum tent half width in voxels.
 const TENT_MIN_VOXELS: f64 = 1.0;
-/// Maximum voxels under a tent along an axis: 2 * TENT_MAX_VOXELS + 1 for the partial ends, rounded up to a byte.
+/// Maximum voxels under a tent along an axis: 2 * TENT_MAX_VOXELS + 1 for the partial ends, rounded up to a
+/// byte.
 const TENT_VOXELS: usize = 8;
 
 const _: () = assert!(2.0 * TENT_MAX_VOXELS + 1.0 <= TENT_VOXELS as f64, "the widest tent fits");
@@ -46,8 +49,8 @@ pub(super) struct TentSizes {
     per_half_width: [f64; 3],
 }
 
-/// The tent along one axis at the faces of the voxels `start..start + count`. The weight of a run of voxels is the difference between its
-/// two ends.
+/// The tent along one axis at the faces of the voxels `start..start + count`. The weight of a run of voxels
+/// is the difference between its two ends.
 struct AxisTent {
     start: i64,
     count: usize,
@@ -91,8 +94,8 @@ impl Voxels {
         TentSizes { per_spacing, half_width, per_half_width: half_width.map(|half| 1.0 / half) }
     }
 
-    /// Samples the smoothed surface at a point in the grid's metric frame. Looks up the point's cell in `remembered`, and stores it
-    /// there.
+    /// Samples the smoothed surface at a point in the grid's metric frame. Looks up the point's cell in
+    /// `remembered`, and stores it there.
     #[inline(always)]
     pub(super) fn sample_surface(
         &self,

@@ -1,13 +1,14 @@
 //! The contact cache: makes queries fast for spheres that move little between ticks.
 //!
-//! Which voxels can be nearest to a sphere depends only on the bone around it and on the voxel that contains its centre. For each sphere
-//! the cache stores the voxels that [`Voxels::gather`] finds within a slightly wider reach ([`SLACK_VOXELS`]). The stored voxels contain
-//! all that matter, in the order of a new search, while three conditions hold: the centre stays in its voxel, the query's reach lies
-//! within the stored one, and no voxel in it is removed or cut for the first time. Distances are always recomputed. The planes equal those of
-//! [`Voxels::contact_planes`] bit for bit, so the cache is not part of the state.
+//! Which voxels can be nearest to a sphere depends only on the bone around it and on the voxel that contains
+//! its centre. For each sphere the cache stores the voxels that [`Voxels::gather`] finds within a slightly
+//! wider reach ([`SLACK_VOXELS`]). The stored voxels contain all that matter, in the order of a new search,
+//! while three conditions hold: the centre stays in its voxel, the query's reach lies within the stored one,
+//! and no voxel in it is removed or cut for the first time. Distances are always recomputed. The planes equal
+//! those of [`Voxels::contact_planes`] bit for bit, so the cache is not part of the state.
 //!
-//! Most spheres of a tool in a hole touch nothing. Of such a sphere the cache also stores how far the nearest surface was, and asks again
-//! only once the sphere has moved so far that it may touch ([`Clear`]).
+//! Most spheres of a tool in a hole touch nothing. Of such a sphere the cache also stores how far the nearest
+//! surface was, and asks again only once the sphere has moved so far that it may touch ([`Clear`]).
 
 use nalgebra::Vector3;
 use pulp::Arch;
@@ -28,16 +29,17 @@ const _: () = assert!(
     "every sphere of the planar tool has a track"
 );
 
-/// Extra reach of the cached search, in voxels of the smallest spacing. A tool fed at 1.5 mm/s through voxels of 0.5 mm needs a new
-/// search every 33 ticks.
+/// Extra reach of the cached search, in voxels of the smallest spacing. A tool fed at 1.5 mm/s through voxels
+/// of 0.5 mm needs a new search every 33 ticks.
 const SLACK_VOXELS: f64 = 0.1;
 /// The same for a sphere that touched nothing: it is seldom looked at, so a longer list costs little.
 const CLEAR_SLACK_VOXELS: f64 = 0.4;
 
 /// A sphere that touched nothing.
 ///
-/// A voxel's surface is at `max(distance to its box, |d| - (f - 1/2) w(d))`, d from its centre to the sphere's. The first grows by at most
-/// the sphere's motion. So does |d|, and w, which depends on the direction of d alone, changes across it, by at most the voxel's diagonal over
+/// A voxel's surface is at `max(distance to its box, |d| - (f - 1/2) w(d))`, d from its centre to the
+/// sphere's. The first grows by at most the sphere's motion. So does |d|, and w, which depends on the
+/// direction of d alone, changes across it, by at most the voxel's diagonal over
 /// |d|. With |d| at least half the diagonal the distance thus changes by at most sqrt(2) times the motion. Drilling moves every surface
 /// away, and a voxel that was hidden is no nearer than what hid it.
 #[derive(Debug, Clone, Copy)]
@@ -97,8 +99,8 @@ impl Track {
         rest_m.max(sphere.reach)
     }
 
-    /// Call for a voxel that is gone or cut for the first time. That exposes only voxels that are no nearer to a sphere than this one, so a
-    /// sphere that does not reach it sees no change.
+    /// Call for a voxel that is gone or cut for the first time. That exposes only voxels that are no nearer
+    /// to a sphere than this one, so a sphere that does not reach it sees no change.
     fn forget_near(&mut self, position: [f64; 3], spacing: [f64; 3]) {
         let reached = self.sphere.is_some_and(|sphere| {
             let to_box = [0, 1, 2].map(|a| outside(sphere.centre[a] - position[a], spacing[a]));
@@ -130,7 +132,8 @@ impl Track {
         }
     }
 
-    /// The track with the voxels near a sphere; `None` if there is no room for them (scattered voxels have a lot of surface).
+    /// The track with the voxels near a sphere; `None` if there is no room for them (scattered voxels have a
+    /// lot of surface).
     fn bring(&mut self, voxels: &Voxels, sphere: &Sphere) -> Option<&mut Self> {
         if self.holds(sphere) {
             self.load_spent(voxels);
@@ -258,8 +261,8 @@ impl ContactCache {
     }
 }
 
-/// Finds the planes among a track's voxels, compiled for each instruction set. No operation is reordered or fused, so the result is the
-/// same to the bit.
+/// Finds the planes among a track's voxels, compiled for each instruction set. No operation is reordered or
+/// fused, so the result is the same to the bit.
 struct PlanesOfTrack<'a> {
     voxels: &'a Voxels,
     sphere: &'a Sphere,

@@ -1,22 +1,25 @@
 //! Yielding: bone under a sphere of the tool bears its compressive strength and no more.
 //!
-//! **Strength of a contact.** The bone that a sphere presses on is what lies within [`SHELL_M`] of the nearest surface, seen from the
-//! sphere's centre, on the side of the contact's plane. Its volume over the shell's thickness is the footprint, and the contact bears
+//! **Strength of a contact.** The bone that a sphere presses on is what lies within [`SHELL_M`] of the
+//! nearest surface, seen from the sphere's centre, on the side of the contact's plane. Its volume over the
+//! shell's thickness is the footprint, and the contact bears
 //!
 //! `F_y = sum of strength(HU) x footprint x cos(angle to the plane's normal)`,
 //!
-//! the projected footprint times the strength (Carter and Hayes 1977 for the strength: see [`MaterialLaw`](super::MaterialLaw)). A
-//! contact's footprint grows as the sphere sinks in: F_y of a cylinder of radius r in a flat wall follows the chord,
-//! `strength x length x 2 sqrt(2 r d - d^2)` at the depth d.
+//! the projected footprint times the strength (Carter and Hayes 1977 for the strength: see
+//! [`MaterialLaw`](super::MaterialLaw)). A contact's footprint grows as the sphere sinks in: F_y of a
+//! cylinder of radius r in a flat wall follows the chord, `strength x length x 2 sqrt(2 r d - d^2)` at the
+//! depth d.
 //!
-//! **Indentation.** A contact at its strength goes in as far as the tool's step takes it. The overlap that its force does not explain is
-//! permanent: every surface on its side recedes to the depth of the deepest, so that the bone takes the sphere's shape. Work and bone
-//! agree, since the volume is the footprint times the depth. Receding is the same as in [`drilling`](super::drilling): a voxel holds a
-//! spent fraction, and is removed when all of it is spent. Crushed bone is thus gone and not compacted: neither the contact nor the X-ray
-//! sees the mass that real bone would have kept beside the indentation.
+//! **Indentation.** A contact at its strength goes in as far as the tool's step takes it. The overlap that
+//! its force does not explain is permanent: every surface on its side recedes to the depth of the deepest, so
+//! that the bone takes the sphere's shape. Work and bone agree, since the volume is the footprint times the
+//! depth. Receding is the same as in [`drilling`](super::drilling): a voxel holds a spent fraction, and is
+//! removed when all of it is spent. Crushed bone is thus gone and not compacted: neither the contact nor the
+//! X-ray sees the mass that real bone would have kept beside the indentation.
 //!
-//! A burr that turns does not crush: it cuts with whatever force it has. The published removal rules know no strength, and neither does
-//! the contact with balls ([`Voxels::yields`]).
+//! A burr that turns does not crush: it cuts with whatever force it has. The published removal rules know no
+//! strength, and neither does the contact with balls ([`Voxels::yields`]).
 
 use nalgebra::{Unit, Vector3};
 
@@ -29,14 +32,15 @@ use super::removal::Removal;
 use super::voxels::{Drilling, Voxels};
 use crate::contact_plane::ContactPlane;
 
-/// Thickness of the bone that carries a contact, m: the roughness of a surface that was crushed or cut. A sphere of 3 mm that touches a
-/// flat wall has a footprint of 0.5 mm2.
+/// Thickness of the bone that carries a contact, m: the roughness of a surface that was crushed or cut. A
+/// sphere of 3 mm that touches a flat wall has a footprint of 0.5 mm2.
 pub const SHELL_M: f64 = 50.0e-6;
 /// Planes of a sphere: those of four places.
 pub const MOST_PLANES: usize = 4 * MAX_PLANES;
 /// Voxels about a sphere before the list of them grows.
 pub(super) const FIRST_NEAR: usize = 4096;
-/// Bone belongs to a plane if it is seen within this angle of its normal (cosine; 60 degrees), as in the search for planes.
+/// Bone belongs to a plane if it is seen within this angle of its normal (cosine; 60 degrees), as in the
+/// search for planes.
 const SIDE_COSINE: f64 = 0.5;
 
 /// A contact that carries what the bone bears, after the tool's step.
@@ -91,7 +95,8 @@ const LANES: usize = 8;
 /// Normals of a sphere's planes, padded.
 const MOST_NORMALS: usize = MOST_PLANES.next_multiple_of(LANES);
 
-/// Normals of planes in the grid's frame, stored as arrays for branch-free loops over the planes; padded with zeros.
+/// Normals of planes in the grid's frame, stored as arrays for branch-free loops over the planes; padded with
+/// zeros.
 struct Normals {
     along: [[f64; MOST_NORMALS]; 3],
     count: usize,
@@ -110,7 +115,8 @@ impl Normals {
         all
     }
 
-    /// The plane on whose side bone in this direction is, and the cosine between them; the first one in case of a tie.
+    /// The plane on whose side bone in this direction is, and the cosine between them; the first one in case
+    /// of a tie.
     #[inline(always)]
     fn side(&self, direction: &Vector3<f64>) -> Option<(usize, f64)> {
         let count = self.count.next_multiple_of(LANES);
@@ -165,7 +171,8 @@ impl pulp::WithSimd for FindStrengths<'_> {
 }
 
 impl Voxels {
-    /// True if bone yields: it has a strength, and neither a published removal rule nor a published contact is asked for.
+    /// True if bone yields: it has a strength, and neither a published removal rule nor a published contact
+    /// is asked for.
     pub fn yields(&self) -> bool {
         let parameters = self.parameters();
         parameters.material.strength_ref_pa.is_finite()
@@ -173,8 +180,8 @@ impl Voxels {
             && parameters.contact == ContactKind::Planes
     }
 
-    /// Force that every contact with bone bears at least, N: the weakest bone on the face of one voxel. A contact that carries less needs
-    /// no strength.
+    /// Force that every contact with bone bears at least, N: the weakest bone on the face of one voxel. A
+    /// contact that carries less needs no strength.
     pub fn least_strength_n(&self) -> f64 {
         let edge_m = self.geometry().smallest_spacing_m();
         self.material().least_strength_pa() * edge_m * edge_m
@@ -213,7 +220,8 @@ impl Voxels {
         strength_n.map(|strength_n| strength_n.max(least_n))
     }
 
-    /// Lists every voxel of bone whose surface lies within `reach_m` of a centre in the grid's metric frame, in grid order.
+    /// Lists every voxel of bone whose surface lies within `reach_m` of a centre in the grid's metric frame,
+    /// in grid order.
     #[inline(always)]
     fn list_near(&self, centre: &Vector3<f64>, reach_m: f64, list: &mut Vec<Near>) {
         list.clear();

@@ -1,8 +1,9 @@
 //! O(n) factorisation of the chain's implicit operator.
 //!
-//! `H = M(q) + diag` is factored by the articulated-body algorithm (Featherstone 2008, Rigid Body Dynamics Algorithms, ch. 7) in the
-//! bending plane. All spatial quantities are expressed at the base origin, so no transforms between links are needed. A planar motion is
-//! (omega_y, v_x, v_z) at the origin, a planar force (m_y, f_x, f_z).
+//! `H = M(q) + diag` is factored by the articulated-body algorithm (Featherstone 2008, Rigid Body Dynamics
+//! Algorithms, ch. 7) in the bending plane. All spatial quantities are expressed at the base origin, so no
+//! transforms between links are needed. A planar motion is (omega_y, v_x, v_z) at the origin, a planar force
+//! (m_y, f_x, f_z).
 
 use super::MAX_JOINTS;
 use super::coupling::Freedoms;

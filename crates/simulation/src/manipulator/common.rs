@@ -13,7 +13,8 @@ use super::state::{BaseMotion, ManipulatorState, ProxySphere, StepInput, StepRep
 use super::tendon::{Channels, TendonMemory};
 use super::validation::{validate, validate_base};
 
-/// A Rosenbrock step requires every contact candidate to stay farther away than this at the current velocity, m.
+/// A Rosenbrock step requires every contact candidate to stay farther away than this at the current velocity,
+/// m.
 const CLEARANCE_M: f64 = 50.0e-6;
 
 /// Sizes of a tool's state.
@@ -138,7 +139,8 @@ impl Common {
         }
     }
 
-    /// Checks the input of a step. Returns the mean base velocity over it, and the base acceleration from the stated velocities.
+    /// Checks the input of a step. Returns the mean base velocity over it, and the base acceleration from the
+    /// stated velocities.
     ///
     /// # Errors
     /// The input is not finite or out of range.
@@ -167,8 +169,8 @@ impl Common {
         Ok((drive, frame))
     }
 
-    /// True if no sphere reaches its plane within the step at its current velocity. An unusable contact counts as near, so that the Euler
-    /// step refuses and counts it.
+    /// True if no sphere reaches its plane within the step at its current velocity. An unusable contact
+    /// counts as near, so that the Euler step refuses and counts it.
     pub(super) fn contacts_far(&self, dt: f64, input: &StepInput) -> bool {
         input.contacts.iter().all(|c| {
             let far = |s: &ProxySphere| c.gap_m + dt * s.velocity_m_per_s.dot(&c.normal) > CLEARANCE_M;
@@ -208,7 +210,8 @@ impl Common {
         }
     }
 
-    /// Stores the contact impulses for the next step, and adds their moments about the base origin to `moment`.
+    /// Stores the contact impulses for the next step, and adds their moments about the base origin to
+    /// `moment`.
     pub(super) fn store_contacts<const N: usize, O: Operator<N>>(
         &mut self,
         solver: &ContactSolver<N, O>,
@@ -231,8 +234,8 @@ impl Common {
         }
     }
 
-    /// Sets the flange reaction, whose force the mount bears, and the base of the new state. `moment`: of all loads about the base origin,
-    /// less what changed the momentum.
+    /// Sets the flange reaction, whose force the mount bears, and the base of the new state. `moment`: of all
+    /// loads about the base origin, less what changed the momentum.
     pub(super) fn react(&mut self, input: &StepInput, moment: &Vector3<f64>, report: &mut StepReport) {
         let ManipulatorState { position, velocity, .. } = &self.state;
         let mount = |k: usize| {

@@ -1,11 +1,13 @@
 //! Contacts and joint stops, for every rung.
 //!
-//! A normal row requires `v_n + P / (k_c dt^2) >= -gap / dt`: the sphere may close its gap within the step (speculative contact), and at
-//! rest the overlap equals force / k_c. Any overlap beyond what the last contact force explains is pushed out at a bounded speed. An
-//! obstacle that yields carries no more than its strength: the sphere then goes in deeper, and the obstacle gives way after the step. One
-//! that is cut recedes within the step by what the force cuts ([`crate::contact_plane::Give`]): the sphere goes in so much deeper at the
-//! same force. Coulomb friction holds per contact: the impulse either stops the sliding or lies on the circle mu P_n and opposes the
-//! remaining sliding. The rows are solved together by Newton's method (`newton`) on the chain's own recursion (`chain`).
+//! A normal row requires `v_n + P / (k_c dt^2) >= -gap / dt`: the sphere may close its gap within the step
+//! (speculative contact), and at rest the overlap equals force / k_c. Any overlap beyond what the last
+//! contact force explains is pushed out at a bounded speed. An obstacle that yields carries no more than its
+//! strength: the sphere then goes in deeper, and the obstacle gives way after the step. One that is cut
+//! recedes within the step by what the force cuts ([`crate::contact_plane::Give`]): the sphere goes in so
+//! much deeper at the same force. Coulomb friction holds per contact: the impulse either stops the sliding or
+//! lies on the circle mu P_n and opposes the remaining sliding. The rows are solved together by Newton's
+//! method (`newton`) on the chain's own recursion (`chain`).
 
 mod chain;
 mod dense;
@@ -29,10 +31,12 @@ use patch::Patch;
 pub(super) use chain::{Chain, Operator, Square};
 pub(super) use dense::{Dense, Factor, lanes, lanes_mut};
 
-/// A contact inherits the last tick's impulses if it is on the same sphere and the cosine between the two normals exceeds this.
+/// A contact inherits the last tick's impulses if it is on the same sphere and the cosine between the two
+/// normals exceeds this.
 const SAME_NORMAL_COSINE: f64 = 0.9;
 
-/// Most overlap beyond what the contact force explains that a step pushes out, m. A longer step must not throw the tool farther.
+/// Most overlap beyond what the contact force explains that a step pushes out, m. A longer step must not
+/// throw the tool farther.
 const PUSH_OUT_M: f64 = 50.0e-6;
 
 /// Motion of the base frame in this step, base axes.
@@ -146,9 +150,9 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
         self.patch = Patch::default();
     }
 
-    /// Takes the usable contacts, ordered by sphere, then by input order, warm-started with the last tick's impulses. Spheres are ordered
-    /// by link. Only those enter for which `enters` says so, by index; `place` gives the contact of the sphere with this index for its
-    /// normal and tangents.
+    /// Takes the usable contacts, ordered by sphere, then by input order, warm-started with the last tick's
+    /// impulses. Spheres are ordered by link. Only those enter for which `enters` says so, by index; `place`
+    /// gives the contact of the sphere with this index for its normal and tangents.
     pub fn collect(
         &mut self,
         step: &ContactStep,
@@ -194,8 +198,8 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
         report.contact_count = self.contact.len();
     }
 
-    /// Adds the stop of a freedom at `position` rad if the free motion, at `rate` rad/s, would bring it near its stop. `last_nm` is the
-    /// stop's last torque. Call in ascending order of freedoms.
+    /// Adds the stop of a freedom at `position` rad if the free motion, at `rate` rad/s, would bring it near
+    /// its stop. `last_nm` is the stop's last torque. Call in ascending order of freedoms.
     pub fn collect_stop(
         &mut self,
         (dt, law): (f64, &StopLaw),
@@ -250,7 +254,8 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
         }
     }
 
-    /// Calls `each` with the freedom and the torque of every stop in the solution, for the next warm start; returns how many carry torque.
+    /// Calls `each` with the freedom and the torque of every stop in the solution, for the next warm start;
+    /// returns how many carry torque.
     pub fn stop_torques(&self, dt: f64, mut each: impl FnMut(usize, f64)) -> usize {
         for StopRow { freedom, stop, .. } in &self.stop {
             each(*freedom, stop.sign * stop.impulse / dt);

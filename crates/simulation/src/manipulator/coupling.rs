@@ -1,9 +1,10 @@
-//! The part of the implicit operator that couples all joints: elastic tendons under displacement control, and tendon friction.
+//! The part of the implicit operator that couples all joints: elastic tendons under displacement control, and
+//! tendon friction.
 //!
-//! Per tendon it is the rank-one matrix `a g'` with `g = dl/dq` and `a = -d torque / dl`. With friction, `a` is not parallel to `g`.
-//! Contact needs a symmetric operator, so `a` is replaced by `alpha g` with `alpha = (g' H^-1 a) / (g' H^-1 g)`. The take-up l, the only
-//! stiff direction, then responds as under the exact operator, and statics are unaffected. The inverse follows from the Woodbury
-//! identity.
+//! Per tendon it is the rank-one matrix `a g'` with `g = dl/dq` and `a = -d torque / dl`. With friction, `a`
+//! is not parallel to `g`. Contact needs a symmetric operator, so `a` is replaced by `alpha g` with `alpha =
+//! (g' H^-1 a) / (g' H^-1 g)`. The take-up l, the only stiff direction, then responds as under the exact
+//! operator, and statics are unaffected. The inverse follows from the Woodbury identity.
 
 use super::MAX_TENDONS;
 use super::contact::Chain;
@@ -76,7 +77,8 @@ pub(super) struct Kernel {
 impl Kernel {
     pub const NONE: Self = Self { entry: [[0.0; MAX_TENDONS]; MAX_TENDONS], count: 0 };
 
-    /// From the weights c and the products s = G' H^-1 G: the first two tendons in closed form, each further one by bordering.
+    /// From the weights c and the products s = G' H^-1 G: the first two tendons in closed form, each further
+    /// one by bordering.
     pub fn new(count: usize, c: &[f64; MAX_TENDONS], s: &[[f64; MAX_TENDONS]; MAX_TENDONS]) -> Self {
         let mut k = [[0.0; MAX_TENDONS]; MAX_TENDONS];
         let determinant = (1.0 + c[0] * s[0][0]) * (1.0 + c[1] * s[1][1]) - c[0] * c[1] * s[0][1] * s[0][1];
@@ -136,8 +138,8 @@ impl<V: Freedoms> Coupling<V> {
         }
     }
 
-    /// Sets up the coupling for a factored H, whose inverse `solve` writes into its second argument. `scale` weighs the
-    /// rank-one stiffness (dt^2 for the method in use).
+    /// Sets up the coupling for a factored H, whose inverse `solve` writes into its second argument. `scale`
+    /// weighs the rank-one stiffness (dt^2 for the method in use).
     pub fn update(&mut self, terms: &TendonTerms<V>, scale: f64, mut solve: impl FnMut(&V, &mut V)) {
         self.count = terms.count;
         self.active = terms.coupled[..self.count].contains(&true);

@@ -125,7 +125,8 @@ fn with_burr(tube: LinkBody, p: &ManipulatorParameters) -> LinkBody {
     LinkBody { mass_kg: mass, centre_m: centre, inertia_kg_m2: inertia }
 }
 
-/// Shaft spheres at equal spacing, one sphere per segment, the burr's from the back to the front. Link indices are non-decreasing.
+/// Shaft spheres at equal spacing, one sphere per segment, the burr's from the back to the front. Link
+/// indices are non-decreasing.
 pub(super) fn spheres(p: &ManipulatorParameters) -> Vec<SphereLayout> {
     let length_m = link_lengths_m(p);
     let n = p.joint_positions_m.len();
@@ -142,7 +143,8 @@ pub(super) fn spheres(p: &ManipulatorParameters) -> Vec<SphereLayout> {
         });
     }
     for i in 0..n {
-        // The last segment is as long as the one before it; the remainder of the last link is the shank of the burr.
+        // The last segment is as long as the one before it; the remainder of the last link is the shank of
+        // the burr.
         let segment = if i + 1 == n && n > 1 { length_m[i - 1].min(length_m[i]) } else { length_m[i] };
         list.push(SphereLayout {
             kind: SphereKind::Segment(i),

@@ -1,14 +1,16 @@
 //! Tendons that wind about the tool.
 //!
-//! The channel of such a tendon turns about the axis by an angle in proportion to the length. A hole in the middle between two flexures
-//! holds the tendon; from hole to hole it runs straight. With the hole behind a flexure at A and the one ahead at B, each from the
-//! flexure's centre in the axes of its own link, the chord is `c = u + R B - A`, R and u being the flexure's turn and displacement, and the
-//! tool takes up `|B - A| - |c|`. A turn about a unit axis e changes `|c|` by `c . (e x R B) / |c|`, a displacement along e by `c . e / |c|`.
+//! The channel of such a tendon turns about the axis by an angle in proportion to the length. A hole
+//! in the middle between two flexures holds the tendon; from hole to hole it runs straight. With the
+//! hole behind a flexure at A and the one ahead at B, each from the flexure's centre in the axes of
+//! its own link, the chord is `c = u + R B - A`, R and u being the flexure's turn and displacement,
+//! and the tool takes up `|B - A| - |c|`. A turn about a unit axis e changes `|c|` by `c . (e x R B)
+//! / |c|`, a displacement along e by `c . e / |c|`.
 //!
-//! The shorter the flexures, the nearer the chords are to the tangents of the path, and the forces at the holes, the tension times the
-//! change of direction, to those of Rucker and Webster 2011 ("Statics and dynamics of continuum robots with general tendon routing and
-//! external loading", IEEE Trans. Robotics 27(6):1033, doi 10.1109/TRO.2011.2160469), which
-//! `clients/python/tests/test_helical_tendons.py` solves.
+//! The shorter the flexures, the nearer the chords are to the tangents of the path, and the forces at the
+//! holes, the tension times the change of direction, to those of Rucker and Webster 2011 ("Statics and
+//! dynamics of continuum robots with general tendon routing and external loading", IEEE Trans. Robotics
+//! 27(6):1033, doi 10.1109/TRO.2011.2160469), which `clients/python/tests/test_helical_tendons.py` solves.
 
 use nalgebra::Vector3;
 
@@ -27,8 +29,8 @@ pub(super) struct Crossing {
     winding_rad: [f64; 2],
 }
 
-/// What a bent flexure does to a tendon that crosses it. Freedoms in the order of the chain: displacements (of six), bend, lateral bend,
-/// torsion (of three or six).
+/// What a bent flexure does to a tendon that crosses it. Freedoms in the order of the chain: displacements
+/// (of six), bend, lateral bend, torsion (of three or six).
 pub(super) struct Chord {
     /// Take-up, m.
     pub length_m: f64,
@@ -90,7 +92,8 @@ impl Crossing {
         let (sb, cb) = libm::sincos(at(bend));
         let (sl, cl) = libm::sincos(at(bend + 1));
         let (sw, cw) = libm::sincos(at(bend + 2));
-        // R B, R = R_y(bend) R_x(lateral) R_z(torsion), and the axes about which each of the three turns what is ahead of it.
+        // R B, R = R_y(bend) R_x(lateral) R_z(torsion), and the axes about which each of the three turns what
+        // is ahead of it.
         let [x, y, z]: [f64; 3] = self.ahead_m.into();
         let (x, y) = (x * cw - y * sw, x * sw + y * cw);
         let (y, z) = (y * cl - z * sl, y * sl + z * cl);
@@ -160,8 +163,9 @@ mod tests {
         }
     }
 
-    /// A straight helix with the pitch angle b and the radius r: a tension T winds the tool with `T r sin b` and shortens it with `T cos b`;
-    /// its chords, with the angle f about the axis, have r cos(f/2) in place of r.
+    /// A straight helix with the pitch angle b and the radius r: a tension T winds the tool with `T r sin b`
+    /// and shortens it with `T cos b`; its chords, with the angle f about the axis, have r cos(f/2) in place
+    /// of r.
     #[test]
     fn a_straight_helix_twists_with_its_radius_times_the_sine_of_its_slope() {
         let (twist, pitch_m, radius_m) = (60.0, 0.005, 2.0e-3_f64.hypot(0.5e-3));

@@ -36,7 +36,8 @@ impl Loads {
 
     /// Evaluates all loads for joint velocities `rate` and mount displacement and velocity `mount`.
     ///
-    /// Neglects the gyroscopic moment of a link whose base turns about two axes at once: about I omega^2 = 1e-9 N m at 1 rad/s.
+    /// Neglects the gyroscopic moment of a link whose base turns about two axes at once: about I omega^2 =
+    /// 1e-9 N m at 1 rad/s.
     pub fn evaluate(
         &mut self,
         layout: &Layout,
@@ -100,7 +101,8 @@ impl Loads {
         self.moment += position.cross(&wrench.force_n) + wrench.torque_nm;
     }
 
-    /// The moment about the base origin that produces a change of motion `x` (generalised velocities; link motions in `motions`).
+    /// The moment about the base origin that produces a change of motion `x` (generalised velocities; link
+    /// motions in `motions`).
     pub fn momentum_moment(
         layout: &Layout,
         configuration: &Configuration,

@@ -1,20 +1,21 @@
-//! The planar rung of the model ladder: a chain of flexures in reduced coordinates, stepped implicitly; tendons, contacts and joint stops
-//! are part of the same velocity solve.
+//! The planar rung of the model ladder: a chain of flexures in reduced coordinates, stepped implicitly;
+//! tendons, contacts and joint stops are part of the same velocity solve.
 //!
 //! # Frames
 //!
-//! World is the patient frame (LPS, metres). The base frame is at the flange: +z is the insertion axis along the straight tool, +x the
-//! bending direction toward tendon 0. Every flexure turns about +y, so positive angles bend toward +x. A translational mount (three
-//! springs along the base axes) connects the tool to the base and carries axial and out-of-plane loads; the chain itself bends only in
-//! the x-z plane. Link 0 is the rigid shaft; link i + 1 is distal to flexure i. The tip frame is that of the last link, with its origin
-//! at the burr centre.
+//! World is the patient frame (LPS, metres). The base frame is at the flange: +z is the insertion axis along
+//! the straight tool, +x the bending direction toward tendon 0. Every flexure turns about +y, so positive
+//! angles bend toward +x. A translational mount (three springs along the base axes) connects the tool to the
+//! base and carries axial and out-of-plane loads; the chain itself bends only in the x-z plane. Link 0 is the
+//! rigid shaft; link i + 1 is distal to flexure i. The tip frame is that of the last link, with its origin at
+//! the burr centre.
 //!
 //! # Method
 //!
-//! Hinges sit at the flexure centres, which makes the error against the continuum O(1/n^2). The operator `M + dt D + dt^2 K` is factored
-//! in O(n) (`articulated`). Tendons act along their channels (`tendon`). Contact is compliant and solved by Newton's method, each of whose
-//! iterations factors the same operator with the pressing contacts on its links (`contact`). Nothing is allocated after
-//! [`Manipulator::new`].
+//! Hinges sit at the flexure centres, which makes the error against the continuum O(1/n^2). The operator `M +
+//! dt D + dt^2 K` is factored in O(n) (`articulated`). Tendons act along their channels (`tendon`). Contact
+//! is compliant and solved by Newton's method, each of whose iterations factors the same operator with the
+//! pressing contacts on its links (`contact`). Nothing is allocated after [`Manipulator::new`].
 
 #![expect(
     clippy::needless_range_loop,
@@ -87,9 +88,11 @@ pub const MAX_TENDONS: usize = 4;
 pub const MAX_SHAFT_SPHERES: usize = 8;
 /// Shaft, one per segment, the burr's.
 pub(crate) const MAX_SPHERES: usize = MAX_SHAFT_SPHERES + MAX_JOINTS + MAX_CUTTER_BALLS;
-/// Contacts for each sphere that there is room for. Most spheres have none to four; in a hole as narrow as itself one may have more.
+/// Contacts for each sphere that there is room for. Most spheres have none to four; in a hole as narrow as
+/// itself one may have more.
 pub const CONTACTS_PER_SPHERE: usize = 10;
-/// Spheres that contacts are counted for: shaft, one per segment, one burr. The balls of a longer burr share with the whole tool.
+/// Spheres that contacts are counted for: shaft, one per segment, one burr. The balls of a longer burr share
+/// with the whole tool.
 const COUNTED_SPHERES: usize = MAX_SHAFT_SPHERES + MAX_JOINTS + 1;
 /// Maximum contacts per step; excess contacts are refused and counted.
 pub const MAX_CONTACTS: usize = CONTACTS_PER_SPHERE * COUNTED_SPHERES;
@@ -189,7 +192,8 @@ impl ManipulatorModel for Manipulator {
         self.configuration.update(&self.layout, &q.joint, &q.mount);
         let (pose, mount) = (&state.base.t_world_base, &v.mount);
         let rotation = pose.rotation.to_rotation_matrix();
-        // Rate and origin velocity (x, z) of the link that carries the sphere; spheres come in ascending link order.
+        // Rate and origin velocity (x, z) of the link that carries the sphere; spheres come in ascending link
+        // order.
         let (mut link, mut omega, mut origin) = (0, 0.0, [mount[0], mount[2]]);
         for (sphere, fixed) in self.common.spheres.iter_mut().zip(&self.common.sphere_layout) {
             while link < fixed.link {

@@ -62,17 +62,19 @@ pub trait ManipulatorModel {
     fn straighten(&mut self);
     /// Bend of a flexure without load, with what is out of an outer tube now, rad.
     fn rest_rad(&self, joint: usize) -> f64;
-    /// Pose of the point at `along_m` on the axis of `link` (0 is the shaft at the base origin, i + 1 sits at flexure i), z
-    /// along the link.
+    /// Pose of the point at `along_m` on the axis of `link` (0 is the shaft at the base origin, i + 1 sits at
+    /// flexure i), z along the link.
     fn t_world_point(&self, link: usize, along_m: f64) -> Isometry3<f64>;
     /// Kinetic energy relative to the base plus elastic energy of flexures and mount, J.
     fn energy_j(&self) -> f64;
 
-    /// Sets how far a tool with an outer tube is out of it, m (initially 0): its springs, and the radius of what the outer
-    /// tube covers. The caller moves the base, which slides with it. Rungs that take no such tool ignore it.
+    /// Sets how far a tool with an outer tube is out of it, m (initially 0): its springs, and the radius of
+    /// what the outer tube covers. The caller moves the base, which slides with it. Rungs that take no such
+    /// tool ignore it.
     fn set_deployed(&mut self, _deployed_m: f64) {}
 
-    /// False while a flexure of a tool in moment modes is beyond its stop ([`MomentModes`]); the other models hold there.
+    /// False while a flexure of a tool in moment modes is beyond its stop ([`MomentModes`]); the other models
+    /// hold there.
     fn is_valid(&self) -> bool {
         true
     }

@@ -1,14 +1,16 @@
 //! A tool that slides out of a straight tube: the springs of its flexures, as far as that tube covers them.
 //!
-//! Two tubes, one in the other without play, bend by the same angle. The outer one is straight by itself, so where both are, the curvature
-//! is the mean of theirs, weighted by their bending stiffness: `kappa = k_i kappa_i / (k_i + k_o)` (Dupont, Lock, Itkowitz and Butler 2010,
-//! "Design and control of concentric-tube robots", IEEE Trans. Robotics 26, 209, eq. 6; Webster, Romano and Cowan 2009, IEEE Trans.
-//! Robotics 25, 67). Of a flexure whose stretch of tube stands out by the share f, the two parts are in series:
+//! Two tubes, one in the other without play, bend by the same angle. The outer one is straight by itself, so
+//! where both are, the curvature is the mean of theirs, weighted by their bending stiffness: `kappa = k_i
+//! kappa_i / (k_i + k_o)` (Dupont, Lock, Itkowitz and Butler 2010, "Design and control of concentric-tube
+//! robots", IEEE Trans. Robotics 26, 209, eq. 6; Webster, Romano and Cowan 2009, IEEE Trans. Robotics 25,
+//! 67). Of a flexure whose stretch of tube stands out by the share f, the two parts are in series:
 //!
-//! `1/k = f / k_i + (1 - f) / (k_i + k_o)`, `q_0 = q_i (f + (1 - f) k_i / (k_i + k_o))`, with `k_o = E I / length`.
+//! `1/k = f / k_i + (1 - f) / (k_i + k_o)`, `q_0 = q_i (f + (1 - f) k_i / (k_i + k_o))`, with `k_o = E I /
+//! length`.
 //!
-//! The outer tube bends only where flexures lie in it; the rest of it is rigid, as the tool's own shaft is. The tool slides and turns in
-//! it without friction, so stretch, shear and torsion are the tool's own.
+//! The outer tube bends only where flexures lie in it; the rest of it is rigid, as the tool's own shaft is.
+//! The tool slides and turns in it without friction, so stretch, shear and torsion are the tool's own.
 
 use super::common::Common;
 use super::geometry::SphereKind;
@@ -37,7 +39,8 @@ pub struct BendingSpring {
 }
 
 impl OuterTube {
-    /// Radius of a contact sphere `along_m` from the base of the drawn-back tool, whose own is `own_m`. The outer tube's end is round.
+    /// Radius of a contact sphere `along_m` from the base of the drawn-back tool, whose own is `own_m`. The
+    /// outer tube's end is round.
     fn radius_m(&self, along_m: f64, own_m: f64, deployed_m: f64) -> f64 {
         let behind_m = self.end_m - (along_m + deployed_m);
         let share = (behind_m / self.outer_radius_m).clamp(0.0, 1.0);
@@ -46,7 +49,8 @@ impl OuterTube {
 }
 
 impl ManipulatorParameters {
-    /// The spring of flexure `joint` with `deployed_m` of the tool out of its outer tube; without one, its own.
+    /// The spring of flexure `joint` with `deployed_m` of the tool out of its outer tube; without one, its
+    /// own.
     pub fn bending_spring(&self, joint: usize, deployed_m: f64) -> BendingSpring {
         let own = self.joint_stiffness_nm_per_rad.get(joint).copied().unwrap_or(0.0);
         let lateral = self.stiffness_ratios(joint).lateral * own;
@@ -68,7 +72,8 @@ impl ManipulatorParameters {
 }
 
 impl Common {
-    /// Gives every sphere of shaft and segments its radius with `deployed_m` of the tool out of its outer tube.
+    /// Gives every sphere of shaft and segments its radius with `deployed_m` of the tool out of its outer
+    /// tube.
     pub(super) fn cover_spheres(&mut self, deployed_m: f64) {
         let p = &self.parameters;
         let Some(outer) = &p.outer_tube else { return };

@@ -14,27 +14,28 @@ use super::outer_tube::OuterTube;
 pub enum Integrator {
     /// First order. Damps modes that the step does not resolve, and never diverged in the stress matrix.
     LinearlyImplicitEuler,
-    /// Second-order Rosenbrock (ROS2, Verwer et al. 1999, SIAM J. Sci. Comput. 20(4), gamma = 1 - 1/sqrt 2) in free motion. Linearly
-    /// implicit Euler takes the step instead if there is a contact or joint-stop candidate, if a tendon with friction reverses, starts or
-    /// stops sliding, or if the embedded error estimate exceeds [`ManipulatorParameters::hybrid_tolerance_rad`].
+    /// Second-order Rosenbrock (ROS2, Verwer et al. 1999, SIAM J. Sci. Comput. 20(4), gamma = 1 - 1/sqrt 2)
+    /// in free motion. Linearly implicit Euler takes the step instead if there is a contact or joint-stop
+    /// candidate, if a tendon with friction reverses, starts or stops sliding, or if the embedded error
+    /// estimate exceeds [`ManipulatorParameters::hybrid_tolerance_rad`].
     Hybrid,
 }
 
-/// Parameters of all tendons that have none of their own, and the antagonist pair: tendon 0 runs on the +x side of the base frame and bends
-/// toward +x (positive joint angles), tendon 1 runs on the -x side.
+/// Parameters of all tendons that have none of their own, and the antagonist pair: tendon 0 runs on the +x
+/// side of the base frame and bends toward +x (positive joint angles), tendon 1 runs on the -x side.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TendonParameters {
     /// Distance of the pair's channels from the tool axis, m.
     pub offset_m: f64,
-    /// Free length of the tendon across one flexure, hole to hole, at zero bend, m. The chord between the holes is
-    /// `gap cos(q/2) -+ 2 offset sin(q/2)`.
+    /// Free length of the tendon across one flexure, hole to hole, at zero bend, m. The chord between the
+    /// holes is `gap cos(q/2) -+ 2 offset sin(q/2)`.
     pub gap_m: f64,
     /// Axial stiffness of the whole tendon from actuator to anchor, N/m.
     pub stiffness_n_per_m: f64,
     /// Capstan friction coefficient between tendon and channel; 0 is frictionless.
     pub friction_coefficient: f64,
-    /// Sliding distance over which friction builds up from zero to full (Dahl pre-sliding), m. A reversal of capstan friction takes twice
-    /// this distance.
+    /// Sliding distance over which friction builds up from zero to full (Dahl pre-sliding), m. A reversal of
+    /// capstan friction takes twice this distance.
     pub presliding_m: f64,
 }
 
@@ -54,8 +55,9 @@ pub struct TendonRoute {
     pub channel_m: [f64; 2],
     /// The flexures that it bends. In front of them a sheath holds it, behind them it ends.
     pub reach: TendonReach,
-    /// Angle by which the channel turns about the tool's axis, from x toward y, per length from half way before the first flexure that it
-    /// bends on, rad/m; 0: parallel to the axis. Only the spatial rungs twist: see `manipulator::helix`.
+    /// Angle by which the channel turns about the tool's axis, from x toward y, per length from half way
+    /// before the first flexure that it bends on, rad/m; 0: parallel to the axis. Only the spatial rungs
+    /// twist: see `manipulator::helix`.
     pub twist_rad_per_m: f64,
     /// Its own axial stiffness, N/m, in place of that of all.
     pub stiffness_n_per_m: Option<f64>,
@@ -75,11 +77,13 @@ impl From<[f64; 2]> for TendonRoute {
 pub struct ContactParameters {
     /// Coulomb coefficient of the shaft and segment spheres, and of a burr that stands still.
     pub friction_coefficient: f64,
-    /// Coulomb coefficient of a burr that turns. It slides about its own axis, which leaves no dry friction to resist the feed: 0.
+    /// Coulomb coefficient of a burr that turns. It slides about its own axis, which leaves no dry friction
+    /// to resist the feed: 0.
     pub burr_friction_coefficient: f64,
     /// Stiffness of one contact, N/m: the overlap at rest is force / stiffness.
     pub stiffness_n_per_m: f64,
-    /// Maximum speed at which overlap beyond what the contact force explains is pushed out, m/s; at most 0.05 mm a step.
+    /// Maximum speed at which overlap beyond what the contact force explains is pushed out, m/s; at most 0.05
+    /// mm a step.
     pub push_out_speed_m_per_s: f64,
     /// Maximum number of Newton iterations of the contact solver.
     pub max_iterations: usize,
@@ -96,20 +100,22 @@ pub enum Section {
     Ratios(Vec<StiffnessRatios>),
 }
 
-/// Moment modes of the rung `modal` unless others are asked for: with five, the standard tool is at rest within 25 µm of all its flexures.
+/// Moment modes of the rung `modal` unless others are asked for: with five, the standard tool is at rest
+/// within 25 µm of all its flexures.
 pub const STANDARD_MOMENT_MODES: usize = 5;
 
 /// Complete definition of a continuum manipulator, for every rung. SI units.
 ///
-/// Base frame: +z is the insertion axis along the straight tool, +x the bending direction toward tendon 0, and in the
-/// planar rungs every flexure turns about +y. The origin is the flange.
+/// Base frame: +z is the insertion axis along the straight tool, +x the bending direction toward tendon 0,
+/// and in the planar rungs every flexure turns about +y. The origin is the flange.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ManipulatorParameters {
     /// z of each flexure centre on the straight tool, in the base frame, strictly increasing, m.
     pub joint_positions_m: Vec<f64>,
     /// Bending stiffness of each flexure, N m/rad.
     pub joint_stiffness_nm_per_rad: Vec<f64>,
-    /// Bend of each flexure without load, rad: that of a pre-curved tube, in the bending plane. Empty for a straight tool.
+    /// Bend of each flexure without load, rad: that of a pre-curved tube, in the bending plane. Empty for a
+    /// straight tool.
     pub joint_rest_rad: Vec<f64>,
     /// Where the stiffness of a flexure in its other freedoms comes from. Used by the spatial rungs only.
     pub section: Section,
@@ -123,12 +129,13 @@ pub struct ManipulatorParameters {
     pub joint_limit_rad: f64,
     /// Stiffness of the stop, N m/rad.
     pub joint_stop_stiffness_nm_per_rad: f64,
-    /// From the last flexure centre to the burr centre, m. The tip frame sits at the burr centre, which is that of its front ball.
+    /// From the last flexure centre to the burr centre, m. The tip frame sits at the burr centre, which is
+    /// that of its front ball.
     pub tip_offset_m: f64,
     /// Mass per length of the flexible tube, kg/m.
     pub linear_density_kg_per_m: f64,
-    /// Outer and inner radius of the tube, m. They set the links' rotary inertia and, with `section`, the stiffness of a flexure but for
-    /// bending, which `joint_stiffness_nm_per_rad` gives.
+    /// Outer and inner radius of the tube, m. They set the links' rotary inertia and, with `section`, the
+    /// stiffness of a flexure but for bending, which `joint_stiffness_nm_per_rad` gives.
     pub tube_radii_m: [f64; 2],
     /// Mass of the burr, a solid, kg.
     pub burr_mass_kg: f64,
@@ -136,7 +143,8 @@ pub struct ManipulatorParameters {
     pub shaft_mass_kg: f64,
     /// z of the shaft's centre of mass in the base frame, m.
     pub shaft_centre_m: f64,
-    /// Damping ratio of the first bending mode; each flexure has the Kelvin-Voigt damping (2 ratio / omega_1) k.
+    /// Damping ratio of the first bending mode; each flexure has the Kelvin-Voigt damping (2 ratio / omega_1)
+    /// k.
     pub damping_ratio: f64,
     /// Stiffness of the tool mount along base x, y and z, N/m.
     pub mount_stiffness_n_per_m: [f64; 3],
@@ -164,9 +172,11 @@ pub struct ManipulatorParameters {
     pub contact: ContactParameters,
     /// How a step is integrated.
     pub integrator: Integrator,
-    /// Error per joint and step, rad, above which [`Integrator::Hybrid`] repeats the step with linearly implicit Euler.
+    /// Error per joint and step, rad, above which [`Integrator::Hybrid`] repeats the step with linearly
+    /// implicit Euler.
     pub hybrid_tolerance_rad: f64,
-    /// Number of moment modes, 2 to 8. Used by the rung `modal` only; a tool of fewer flexures has one mode each.
+    /// Number of moment modes, 2 to 8. Used by the rung `modal` only; a tool of fewer flexures has one mode
+    /// each.
     pub moment_modes: usize,
 }
 
@@ -178,7 +188,8 @@ const JHU_JOINTS_MM: [f64; 27] = [
     60.68872, 61.82167, 62.95139, 64.08112, 65.21084, 66.34056, 67.47028,
 ];
 
-/// Finite-element flexure stiffnesses of the same tool, N m/degree, proximal to distal (`replace_cm_joint_properties.py`).
+/// Finite-element flexure stiffnesses of the same tool, N m/degree, proximal to distal
+/// (`replace_cm_joint_properties.py`).
 const JHU_STIFFNESS_NM_PER_DEG: [f64; 27] = [
     0.013685109,
     0.013281173,
@@ -216,7 +227,8 @@ pub(crate) fn pitch_m(joints_m: &[f64], index: usize) -> f64 {
     (joints_m[to] - joints_m[from]) / (to - from).max(1) as f64
 }
 
-/// The ratios of flexures at `joints_m` between notches; the pitch of a flexure is the mean of those on either side.
+/// The ratios of flexures at `joints_m` between notches; the pitch of a flexure is the mean of those on
+/// either side.
 fn notched(
     notch: &Notch,
     joints_m: &[f64],
@@ -229,12 +241,14 @@ fn notched(
 }
 
 impl ManipulatorParameters {
-    /// The 27-flexure notched nitinol tool of BIGSS/JHU: OD 6 mm, ID 4 mm, tendon channels at 2.5 mm, burr 6.5 mm.
+    /// The 27-flexure notched nitinol tool of BIGSS/JHU: OD 6 mm, ID 4 mm, tendon channels at 2.5 mm,
+    /// burr 6.5 mm.
     ///
-    /// Geometry and bending stiffness come from the tables above, the other stiffnesses from the notches ([`Notch::JHU`], nu = 0.33);
-    /// masses assume a solid nitinol tube (6450 kg/m^3, 0.101 kg/m). `tendon.gap_m` is 0, as in the published prediction (8.65 degrees
-    /// per newton): a gap of one full pitch bends about 1 % more. Tendon stiffness (a 0.35 mm steel cable of 0.3 m), damping ratio, stop
-    /// stiffness and friction are assumptions: override them with measured values if you have them.
+    /// Geometry and bending stiffness come from the tables above, the other stiffnesses from the notches
+    /// ([`Notch::JHU`], nu = 0.33); masses assume a solid nitinol tube (6450 kg/m^3, 0.101 kg/m).
+    /// `tendon.gap_m` is 0, as in the published prediction (8.65 degrees per newton): a gap of one full pitch
+    /// bends about 1 % more. Tendon stiffness (a 0.35 mm steel cable of 0.3 m), damping ratio, stop stiffness
+    /// and friction are assumptions: override them with measured values if you have them.
     pub fn jhu_27() -> Self {
         let joints: Vec<f64> = JHU_JOINTS_MM.iter().map(|z| z * 1e-3).collect();
         let stiffness =
@@ -292,9 +306,9 @@ impl ManipulatorParameters {
         }
     }
 
-    /// A uniform beam of `length_m` and flexural rigidity `rigidity_nm2` (EI) as `joints` equal links with flexures at their centres:
-    /// half a link precedes the first flexure and follows the last. A round tube, no shaft, no burr mass, stops out of reach;
-    /// everything else as in [`Self::jhu_27`].
+    /// A uniform beam of `length_m` and flexural rigidity `rigidity_nm2` (EI) as `joints` equal links with
+    /// flexures at their centres: half a link precedes the first flexure and follows the last. A round tube,
+    /// no shaft, no burr mass, stops out of reach; everything else as in [`Self::jhu_27`].
     pub fn uniform_beam(joints: usize, length_m: f64, rigidity_nm2: f64) -> Self {
         let pitch = length_m / joints as f64;
         Self {
@@ -314,10 +328,11 @@ impl ManipulatorParameters {
 
     /// The same tool with `links` equal links over its flexible length, 1 to 64.
     ///
-    /// The flexible length extends half a pitch beyond the first and the last flexure. Each original flexure's compliance is spread
-    /// evenly over its cell, which reaches halfway to both neighbours. A new flexure gets the compliance of its link and sits at that
-    /// compliance's centroid, so a small tip load moves the tip as before. The other freedoms' compliances and the rest angles are spread
-    /// and summed alike.
+    /// The flexible length extends half a pitch beyond the first and the last flexure. Each original
+    /// flexure's compliance is spread evenly over its cell, which reaches halfway to both neighbours. A new
+    /// flexure gets the compliance of its link and sits at that compliance's centroid, so a small tip load
+    /// moves the tip as before. The other freedoms' compliances and the rest angles are spread and summed
+    /// alike.
     ///
     /// # Errors
     /// The number of links or a parameter is out of range; a tendon begins or ends within a link.
@@ -406,14 +421,15 @@ impl ManipulatorParameters {
         self.joint_rest_rad.get(joint).copied().unwrap_or(0.0)
     }
 
-    /// Takes the stiffness of every flexure but for bending from notches of this shape in a tube of `tube_radii_m`. A web's height follows
-    /// from the distances to the neighbouring flexures.
+    /// Takes the stiffness of every flexure but for bending from notches of this shape in a tube of
+    /// `tube_radii_m`. A web's height follows from the distances to the neighbouring flexures.
     pub fn set_notch(&mut self, notch: &Notch) {
         let ratios = notched(notch, &self.joint_positions_m, self.tube_radii_m, self.poisson_ratio);
         self.section = Section::Ratios(ratios);
     }
 
-    /// Stiffness of flexure `joint` in its other freedoms over its bending stiffness. The last flexure's past the end.
+    /// Stiffness of flexure `joint` in its other freedoms over its bending stiffness. The last flexure's past
+    /// the end.
     pub fn stiffness_ratios(&self, joint: usize) -> StiffnessRatios {
         let tube = || StiffnessRatios::tube(self.tube_radii_m, self.poisson_ratio);
         let own = match &self.section {
@@ -438,7 +454,8 @@ impl ManipulatorParameters {
         z.first().zip(z.last()).map_or(0.0, |(first, last)| last - first) + self.tip_offset_m
     }
 
-    /// Radius of the tool where it is widest, but for the burr, m: of its tube, or of the one that it slides out of.
+    /// Radius of the tool where it is widest, but for the burr, m: of its tube, or of the one that it slides
+    /// out of.
     pub fn widest_tube_m(&self) -> f64 {
         self.outer_tube.map_or(self.tube_radii_m[0], |outer| outer.outer_radius_m)
     }

@@ -1,9 +1,10 @@
 //! Joint stops under load, treated as springs of the implicit operator.
 //!
-//! A stop that carried torque in the last step is assumed to carry torque in this one. Its unilateral law, `torque = k dt (target - v)`
-//! toward the free range, then becomes an equation that the operator solves exactly together with the flexures. If these stops were rows
-//! of the contact solver, a tool pressed against all its stops would not converge. If the solution makes a stop pull, the step is solved
-//! again with that stop as a contact row.
+//! A stop that carried torque in the last step is assumed to carry torque in this one. Its unilateral law,
+//! `torque = k dt (target - v)` toward the free range, then becomes an equation that the operator solves
+//! exactly together with the flexures. If these stops were rows of the contact solver, a tool pressed against
+//! all its stops would not converge. If the solution makes a stop pull, the step is solved again with that
+//! stop as a contact row.
 
 use super::parameters::ManipulatorParameters;
 

@@ -1,4 +1,5 @@
-//! The planar chain as the contact solver sees it: motions and forces (omega_y, x, z, y) at the base origin, freedoms of the mount first.
+//! The planar chain as the contact solver sees it: motions and forces (omega_y, x, z, y) at the base origin,
+//! freedoms of the mount first.
 
 use nalgebra::Vector3;
 

@@ -1,4 +1,5 @@
-//! What the rows of the contact solver are made of: a contact's directions, the targets of contacts and joint stops.
+//! What the rows of the contact solver are made of: a contact's directions, the targets of contacts and joint
+//! stops.
 
 use nalgebra::Vector3;
 
@@ -17,8 +18,8 @@ pub(super) struct StopLaw {
 }
 
 impl StopLaw {
-    /// The stop that a free step of `dt` s approaches, for a flexure at `q_rad` turning at `rate_rad_per_s`; `last_nm` is its stop torque
-    /// in the last step.
+    /// The stop that a free step of `dt` s approaches, for a flexure at `q_rad` turning at `rate_rad_per_s`;
+    /// `last_nm` is its stop torque in the last step.
     pub fn near(&self, dt: f64, q_rad: f64, rate_rad_per_s: f64, last_nm: f64) -> Option<Stop> {
         let predicted = q_rad + dt * rate_rad_per_s;
         if predicted.abs().max(q_rad.abs()) <= STOP_SHARE * self.limit_rad {
@@ -63,8 +64,8 @@ pub(super) struct Stop {
     pub impulse: f64,
 }
 
-/// Target velocity of a unilateral row: the whole gap may close within the step. Overlap that the last force explains stays; the rest is
-/// pushed out at `fastest` at most.
+/// Target velocity of a unilateral row: the whole gap may close within the step. Overlap that the last force
+/// explains stays; the rest is pushed out at `fastest` at most.
 pub(super) fn target(gap: f64, explained: f64, fastest: f64, dt: f64) -> f64 {
     if gap >= 0.0 { -gap / dt } else { explained / dt + ((-gap - explained) / dt).min(fastest) }
 }

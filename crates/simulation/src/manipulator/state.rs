@@ -38,8 +38,8 @@ impl BaseMotion {
 pub enum TendonCommand {
     /// Tension of the first two at the proximal end, N; the others are slack. A negative tension counts as 0.
     Force([f64; 2]),
-    /// Length of the first two pulled out at the base, measured from the just-taut straight tool, m; the others are not pulled. The
-    /// tension follows from the tendon's stiffness; a slack tendon does not push.
+    /// Length of the first two pulled out at the base, measured from the just-taut straight tool, m; the
+    /// others are not pulled. The tension follows from the tendon's stiffness; a slack tendon does not push.
     Displacement([f64; 2]),
     /// Tension of each, N (`servo_jf`).
     EachForce([f64; MAX_TENDONS]),
@@ -81,14 +81,15 @@ impl Wrench {
 /// All inputs of one step.
 #[derive(Debug, Clone, Copy)]
 pub struct StepInput<'a> {
-    /// Base motion at the end of the step. Contact uses the mean velocity between the last pose and this one; inertia uses the change of
-    /// the stated velocities.
+    /// Base motion at the end of the step. Contact uses the mean velocity between the last pose and this one;
+    /// inertia uses the change of the stated velocities.
     pub base: BaseMotion,
     /// Constant during the step.
     pub tendon: TendonCommand,
     /// External load on the burr centre (dead load), constant during the step.
     pub tip_wrench: Wrench,
-    /// Contact candidates in the configuration before the step; those beyond [`super::MAX_CONTACTS`] are refused.
+    /// Contact candidates in the configuration before the step; those beyond [`super::MAX_CONTACTS`] are
+    /// refused.
     pub contacts: &'a [ContactPlane],
 }
 
@@ -177,15 +178,17 @@ impl StepReport {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ManipulatorState {
     pub(super) rung: Rung,
-    /// Displacement relative to the base along base x, y and z, m; then the coordinates in which the rung describes the
-    /// shape (flexure angles in rad for [`super::Manipulator`], whose entries past the last flexure stay 0).
+    /// Displacement relative to the base along base x, y and z, m; then the coordinates in which the rung
+    /// describes the shape (flexure angles in rad for [`super::Manipulator`], whose entries past the last
+    /// flexure stay 0).
     pub position: Vec<f64>,
     /// Velocities of the coordinates.
     pub velocity: Vec<f64>,
     /// Base motion at the end of the last step.
     pub base: BaseMotion,
     pub(super) tendon: [TendonMemory; MAX_TENDONS],
-    /// Torque of each joint stop in the last step, positive toward positive angles, N m. Warm-starts the next step.
+    /// Torque of each joint stop in the last step, positive toward positive angles, N m. Warm-starts the next
+    /// step.
     pub(super) stop_torque_nm: Vec<f64>,
     /// Results of the last step, ordered by sphere. Output, and warm start of the next step.
     pub(super) results: Vec<ContactResult>,

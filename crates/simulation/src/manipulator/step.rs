@@ -1,8 +1,8 @@
 //! One step of the chain.
 //!
-//! Linearly implicit Euler: `(M + dt D + dt^2 K) dv = dt (f - dt K v) + J' P`, where the contact impulses P come from the same velocity
-//! solve, then `q += dt v`. A state at rest in contact is an exact equilibrium. ROS2 (see [`Integrator::Hybrid`]) solves the same
-//! operator twice, with gamma dt in place of dt.
+//! Linearly implicit Euler: `(M + dt D + dt^2 K) dv = dt (f - dt K v) + J' P`, where the contact impulses P
+//! come from the same velocity solve, then `q += dt v`. A state at rest in contact is an exact equilibrium.
+//! ROS2 (see [`Integrator::Hybrid`]) solves the same operator twice, with gamma dt in place of dt.
 
 use nalgebra::Vector3;
 
@@ -22,7 +22,8 @@ use super::{MAX_JOINTS, Manipulator, ManipulatorModel};
 pub(super) const GAMMA: f64 = 1.0 - core::f64::consts::FRAC_1_SQRT_2;
 /// A Rosenbrock step requires every flexure to be within this fraction of its stop.
 pub(super) const FREE_SHARE: f64 = 0.9;
-/// Maximum solves per step of linearly implicit Euler. Each one drops the assumptions that the previous one violated.
+/// Maximum solves per step of linearly implicit Euler. Each one drops the assumptions that the previous one
+/// violated.
 pub(super) const MAX_ROUNDS: usize = 4;
 /// The configuration in which a stage of a step is evaluated.
 #[derive(Debug, Clone, Copy)]
@@ -246,8 +247,8 @@ impl Manipulator {
         self.common.store_contacts(&self.contact, dt, drive, &mut self.loads.moment, report);
     }
 
-    /// Takes a ROS2 step in free motion; returns its error estimate. `Err` leaves the state unchanged: ROS2 is off (estimate 0), the
-    /// motion is not free, or the estimate is above the tolerance.
+    /// Takes a ROS2 step in free motion; returns its error estimate. `Err` leaves the state unchanged: ROS2
+    /// is off (estimate 0), the motion is not free, or the estimate is above the tolerance.
     fn rosenbrock(&mut self, dt: f64, input: &StepInput, frame: &Frame) -> Result<(Generalised, f64), f64> {
         let wanted =
             self.common.parameters.integrator == Integrator::Hybrid && self.common.contacts_far(dt, input);
@@ -274,7 +275,8 @@ impl Manipulator {
         if self.tendon.slides_on != slid {
             return Err(0.0);
         }
-        // Substituting x = kv2 + 2 kv1: A x = f2 + 2 (h D + h^2 K) kv1 - h K (v2 - 2 kq1); M drops out of the right-hand side.
+        // Substituting x = kv2 + 2 kv1: A x = f2 + 2 (h D + h^2 K) kv1 - h K (v2 - 2 kq1); M drops out of the
+        // right-hand side.
         let y = Generalised::ZERO.plus(h, &v2.plus(-2.0, &kq1)).plus(-2.0 * h * h, &kv1);
         let mut f = self.elastic_forces(&q2, &v2, &y, &d);
         for i in 0..self.layout.joints {
@@ -341,7 +343,8 @@ impl Manipulator {
         core::array::from_fn(|i| q.joint[i] - self.rest[i])
     }
 
-    /// True if every sphere still clears its plane in configuration `next`. Leaves `next` in the trial configuration.
+    /// True if every sphere still clears its plane in configuration `next`. Leaves `next` in the trial
+    /// configuration.
     fn contacts_clear(&mut self, next: &Generalised, input: &StepInput) -> bool {
         if input.contacts.is_empty() {
             return true;

@@ -1,18 +1,22 @@
 //! Tendons, routed hole to hole, as joint torques.
 //!
-//! A tendon in a channel at (d, e) from the axis, with free gap g, spans a flexure bent by q with the chord `g cos(q/2) - 2 d sin(q/2)`;
-//! in the planar rung e has no effect. The antagonist pair lies at d and -d. The tool takes up `l = sum (g - chord)` of tendon, less that
-//! in its rest shape, so a tension T exerts the joint torque `T dl/dq = T (d cos(q/2) + g/2 sin(q/2))`. The sum is over the flexures that
-//! the tendon bends.
+//! A tendon in a channel at (d, e) from the axis, with free gap g, spans a flexure bent by q with the chord
+//! `g cos(q/2) - 2 d sin(q/2)`; in the planar rung e has no effect. The antagonist pair lies at d and -d. The
+//! tool takes up `l = sum (g - chord)` of tendon, less that in its rest shape, so a tension T exerts the
+//! joint torque `T dl/dq = T (d cos(q/2) + g/2 sin(q/2))`. The sum is over the flexures that the tendon
+//! bends.
 //!
-//! Capstan friction reduces the tension along the channel, `T_i = T_0 exp(-mu s phi_i)`, with the wrap angle `phi_i = sum_{j<i} |q_j| +
+//! Capstan friction reduces the tension along the channel, `T_i = T_0 exp(-mu s phi_i)`, with the wrap angle
+//! `phi_i = sum_{j<i} |q_j| +
 //! |q_i| / 2`. The tendon turns by half the joint angle at each of the two holes of a flexure, which makes the discrete law second-order
-//! accurate against the continuous channel `dT = -mu T dphi`. The sliding state s in [-1, 1] is Dahl's play operator on the take-up: it
-//! moves by dl / presliding and saturates at +1 (tendon pulled in) and -1 (tendon let out), which gives the hysteresis loop.
+//! accurate against the continuous channel `dT = -mu T dphi`. The sliding state s in [-1, 1] is Dahl's play
+//! operator on the take-up: it moves by dl / presliding and saturates at +1 (tendon pulled in) and -1 (tendon
+//! let out), which gives the hysteresis loop.
 //!
-//! At saturation the friction changes only if the tendon reverses, so the implicit operator needs the sliding direction before the step
-//! is taken. The step assumes that every saturated tendon keeps sliding, and is solved again if the resulting velocities reverse one
-//! ([`turns`]). The rank-one stiffness of friction makes that reversal smaller but does not undo it.
+//! At saturation the friction changes only if the tendon reverses, so the implicit operator needs the sliding
+//! direction before the step is taken. The step assumes that every saturated tendon keeps sliding, and is
+//! solved again if the resulting velocities reverse one ([`turns`]). The rank-one stiffness of friction makes
+//! that reversal smaller but does not undo it.
 
 use serde::{Deserialize, Serialize};
 
@@ -24,8 +28,9 @@ use super::parameters::{ManipulatorParameters, TendonParameters};
 use super::state::TendonCommand;
 use super::{MAX_JOINTS, MAX_TENDONS};
 
-/// Largest capstan exponent at which a Rosenbrock step is taken. The operator ignores how the wrap of one flexure changes the friction in
-/// more distal ones; at 10 ms this excites oscillations from an exponent of 1.5 upward.
+/// Largest capstan exponent at which a Rosenbrock step is taken. The operator ignores how the wrap of
+/// one flexure changes the friction in more distal ones; at 10 ms this excites oscillations from an
+/// exponent of 1.5 upward.
 const MAX_CAPSTAN_EXPONENT: f64 = 1.25;
 
 /// Routing of the tendons.
@@ -87,8 +92,9 @@ impl Channels {
         self.reach[t][0]..self.reach[t][1]
     }
 
-    /// True if friction is too strong for a Rosenbrock step. The measure is the capstan exponent mu phi, with mu the largest of all and phi
-    /// the sum of the bends, rad, that each tension alone would cause without friction and stops.
+    /// True if friction is too strong for a Rosenbrock step. The measure is the capstan exponent mu phi, with
+    /// mu the largest of all and phi the sum of the bends, rad, that each tension alone would cause without
+    /// friction and stops.
     pub fn bind(&self, tension_n: &[f64; MAX_TENDONS]) -> bool {
         let moment = |t: usize| tension_n[t] * libm::hypot(self.offset_m[t][0], self.offset_m[t][1]);
         let bend_rad = self.compliance_rad_per_nm * (0..self.count).map(moment).sum::<f64>();
@@ -112,7 +118,8 @@ impl TendonMemory {
         (self.sliding + (take_up_m - self.take_up_m) / parameters.presliding_m).clamp(-1.0, 1.0)
     }
 
-    /// Advances the sliding state of tendon `t` to a new take-up; returns its tension (N) and displacement (m).
+    /// Advances the sliding state of tendon `t` to a new take-up; returns its tension (N) and displacement
+    /// (m).
     pub fn advance(
         &mut self,
         take_up_m: f64,
@@ -145,7 +152,8 @@ pub(super) struct TendonLoad {
     pub gradient: [Generalised; MAX_TENDONS],
     /// True for each tendon whose gradient is not zero.
     pub coupled: [bool; MAX_TENDONS],
-    /// True if the step assumes that this tendon's friction does not change: it was sliding at the given velocity and keeps sliding.
+    /// True if the step assumes that this tendon's friction does not change: it was sliding at the given
+    /// velocity and keeps sliding.
     pub slides_on: [bool; MAX_TENDONS],
     /// Tension at the proximal end, N.
     pub tension_n: [f64; MAX_TENDONS],
@@ -171,7 +179,8 @@ impl TendonLoad {
         TendonTerms { count: channels.count, coupled, slope, gradient }
     }
 
-    /// Evaluates all tendons. `rate`, the joint velocities, tells whether a saturated sliding state is about to reverse.
+    /// Evaluates all tendons. `rate`, the joint velocities, tells whether a saturated sliding state is about
+    /// to reverse.
     pub fn evaluate(
         &mut self,
         layout: &Layout,
@@ -248,7 +257,8 @@ impl TendonLoad {
     }
 }
 
-/// True if velocities `after` reverse a tendon that was assumed to keep sliding as with `before`; `slope` is d take-up / dq of each.
+/// True if velocities `after` reverse a tendon that was assumed to keep sliding as with `before`; `slope` is
+/// d take-up / dq of each.
 pub(super) fn turns<S: AsRef<[f64]>>(
     slides_on: &[bool; MAX_TENDONS],
     slope: &[S; MAX_TENDONS],
@@ -266,7 +276,8 @@ pub(super) fn sign(x: f64) -> f64 {
     if x == 0.0 { 0.0 } else { x.signum() }
 }
 
-/// Tension at the proximal end: as commanded, or from the stretch under the commanded pull. A slack tendon does not push.
+/// Tension at the proximal end: as commanded, or from the stretch under the commanded pull. A slack tendon
+/// does not push.
 pub(super) fn base_tension(
     parameters: &TendonParameters,
     command: &TendonCommand,

@@ -48,7 +48,8 @@ pub struct BodyParameters {
     pub motion: BodyMotion,
     /// Density of a free body, kg/m^3.
     pub density_kg_per_m3: f64,
-    /// Coulomb coefficient against other bodies; Rapier takes the mean of the two. The tool's contacts use the tool's coefficient.
+    /// Coulomb coefficient against other bodies; Rapier takes the mean of the two. The tool's contacts use
+    /// the tool's coefficient.
     pub friction: f64,
 }
 

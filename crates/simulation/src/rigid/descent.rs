@@ -1,11 +1,13 @@
 //! Descent on a convex potential of the bodies' motions: limited-memory BFGS with line search.
 //!
-//! Finds the motion x (one twist per body) at which the residual r(x) = response(x) - x vanishes. The response is how the bodies move
-//! under the impulses of a tool that assumed x. Both terms are monotone (the faster a body approaches the tool, the larger the impulse
-//! that repels it), so -r is the gradient of a convex function in the metric of the bodies' inertia. The function is piecewise quadratic
-//! because contacts open and close. Search directions follow Nocedal (1980, "Updating quasi-Newton matrices with limited storage", Math.
-//! Comp. 35) in that metric. The curvature pairs are kept from tick to tick, because the tool hardly changes between ticks. Along a
-//! direction d the slope <r, d> decreases; bracketed secant steps find its root.
+//! Finds the motion x (one twist per body) at which the residual r(x) = response(x) - x vanishes. The
+//! response is how the bodies move under the impulses of a tool that assumed x. Both terms are monotone (the
+//! faster a body approaches the tool, the larger the impulse that repels it), so -r is the gradient of a
+//! convex function in the metric of the bodies' inertia. The function is piecewise quadratic because contacts
+//! open and close. Search directions follow Nocedal (1980, "Updating quasi-Newton matrices with limited
+//! storage", Math. Comp. 35) in that metric. The curvature pairs are kept from tick to tick, because the tool
+//! hardly changes between ticks. Along a direction d the slope <r, d> decreases; bracketed secant steps find
+//! its root.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};

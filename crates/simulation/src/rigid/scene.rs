@@ -60,7 +60,8 @@ pub struct RigidScene {
     pub(super) world: World,
     /// Workspace: the world after a trial step.
     pub(super) trial: World,
-    /// Body of each plane that the last [`Self::find_contacts`] appended, and the index of the first such plane.
+    /// Body of each plane that the last [`Self::find_contacts`] appended, and the index of the first such
+    /// plane.
     pub(super) plane_body: Vec<usize>,
     pub(super) first_plane: usize,
     pub(super) moving: Vec<Moving>,
@@ -69,8 +70,8 @@ pub struct RigidScene {
 }
 
 impl RigidScene {
-    /// The bodies at rest at their start poses. `dt_s` is the tick; gravity is in world axes and acts on free bodies; `sphere_count` is
-    /// the number of the tool's proxy spheres.
+    /// The bodies at rest at their start poses. `dt_s` is the tick; gravity is in world axes and acts on free
+    /// bodies; `sphere_count` is the number of the tool's proxy spheres.
     ///
     /// # Errors
     /// [`RigidError`]: a number is invalid.
@@ -115,8 +116,9 @@ impl RigidScene {
         })
     }
 
-    /// For each sphere and body, appends the plane at the body's nearest surface point if the gap is below `margin_m` or could close
-    /// within the tick at the current velocities. At most one plane per sphere and body.
+    /// For each sphere and body, appends the plane at the body's nearest surface point if the gap is below
+    /// `margin_m` or could close within the tick at the current velocities. At most one plane per sphere and
+    /// body.
     pub fn find_contacts(&mut self, spheres: &[ProxySphere], margin_m: f64, planes: &mut Vec<ContactPlane>) {
         self.first_plane = planes.len();
         self.plane_body.clear();
@@ -140,7 +142,8 @@ impl RigidScene {
         }
     }
 
-    /// The smallest gap between each body and these spheres, m; negative where they overlap. In the order of the definition.
+    /// The smallest gap between each body and these spheres, m; negative where they overlap. In the order of
+    /// the definition.
     pub fn gaps_m(&self, spheres: &[ProxySphere]) -> Vec<f64> {
         let gap_m = |body: &Body, sphere: &ProxySphere| {
             body.shape.nearest(&body.t_world_body, &sphere.centre_m).distance_m - sphere.radius_m
@@ -160,7 +163,8 @@ impl RigidScene {
         self.bodies.iter().map(|body| &body.t_world_body)
     }
 
-    /// Velocity of a body's centre of mass and its angular velocity, world axes, m/s and rad/s; `None` past the last.
+    /// Velocity of a body's centre of mass and its angular velocity, world axes, m/s and rad/s; `None` past
+    /// the last.
     pub fn velocity(&self, body: usize) -> Option<(Vector3<f64>, Vector3<f64>)> {
         self.bodies.get(body).map(|body| (body.motion.linear, body.motion.angular))
     }
@@ -170,7 +174,8 @@ impl RigidScene {
         self.bodies.get(body).map(|body| self.world.body(body.handle).mass())
     }
 
-    /// Body of a plane of the last [`Self::find_contacts`], by index in the list; `None` if the plane has another source.
+    /// Body of a plane of the last [`Self::find_contacts`], by index in the list; `None` if the plane has
+    /// another source.
     pub fn body_of_plane(&self, plane: usize) -> Option<usize> {
         plane.checked_sub(self.first_plane).and_then(|own| self.plane_body.get(own)).copied()
     }

@@ -43,7 +43,8 @@ pub(super) struct Stepper {
 
 impl Stepper {
     pub fn new(dt_s: f64, gravity_m_per_s2: &Vector3<f64>) -> Stepper {
-        // With the default springs (30 Hz), 10 N press a light body millimetres into its support; 1e5 Hz holds it.
+        // With the default springs (30 Hz), 10 N press a light body millimetres into its support; 1e5 Hz
+        // holds it.
         let stiff = SpringCoefficients::new(1e5, 1.0);
         let parameters = IntegrationParameters {
             dt: dt_s,

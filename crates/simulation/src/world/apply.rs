@@ -114,7 +114,8 @@ impl Simulation<'_> {
 }
 
 impl Simulation<'_> {
-    /// Reports once, to the sender of the last arm command, why the arm abandoned a motion or stopped a joint.
+    /// Reports once, to the sender of the last arm command, why the arm abandoned a motion or stopped a
+    /// joint.
     pub(super) fn report_arm_fault(&mut self) {
         let fault = self.arm.state().fault;
         if fault == self.arm_fault {

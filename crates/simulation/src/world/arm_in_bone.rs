@@ -1,8 +1,9 @@
 //! Whether the arm, the holder or the bare shaft behind the tool's base stands in bone.
 //!
-//! Nothing there collides: only the tool's spheres have contacts. The links are capsules between the origins of the arm's frames, as in
-//! a skeleton, so an upper arm that stands beside its plane is drawn into it; the wrist, which comes near to bone, is where it is. A tick
-//! looks at one piece at most, so the whole arm takes [`PERIOD_TICKS`].
+//! Nothing there collides: only the tool's spheres have contacts. The links are capsules between the origins
+//! of the arm's frames, as in a skeleton, so an upper arm that stands beside its plane is drawn into it; the
+//! wrist, which comes near to bone, is where it is. A tick looks at one piece at most, so the whole arm takes
+//! [`PERIOD_TICKS`].
 
 use core::f64::consts::TAU;
 
@@ -28,8 +29,9 @@ const DEPTH_STEP_M: f64 = 1e-3;
 /// A piece has left the bone when none is within this of it, m.
 const LEAVING_M: f64 = 2e-3;
 
-/// Names and radii of the links. The radii are those of the cylinders in Universal Robots' ROS description of the UR5 (`ur_description`,
-/// `ur5.urdf.xacro`: shoulder 60 mm, upper arm 54, forearm 40, wrists 45); other arms are given the same.
+/// Names and radii of the links. The radii are those of the cylinders in Universal Robots' ROS description of
+/// the UR5 (`ur_description`, `ur5.urdf.xacro`: shoulder 60 mm, upper arm 54, forearm 40, wrists 45); other
+/// arms are given the same.
 const LINKS: [(&str, f64); 6] = [
     ("shoulder", 0.060),
     ("upper arm", 0.054),
@@ -39,8 +41,8 @@ const LINKS: [(&str, f64); 6] = [
     ("wrist 3", 0.045),
 ];
 
-/// Names of the links of an arm of seven joints. All are given the radius of the upper arm above, which is about that of a Franka's or a
-/// KUKA LBR's links.
+/// Names of the links of an arm of seven joints. All are given the radius of the upper arm above, which is
+/// about that of a Franka's or a KUKA LBR's links.
 const SEVEN_LINKS: [&str; MAX_ARM_JOINTS] =
     ["link 1", "link 2", "link 3", "link 4", "link 5", "link 6", "link 7"];
 
@@ -86,7 +88,8 @@ fn link(index: usize, joints: usize) -> Option<(&'static str, f64)> {
     if joints == MAX_ARM_JOINTS { seven() } else { LINKS.get(index).filter(|_| index < joints).copied() }
 }
 
-/// One of the pieces: places for seven links from the base on, then the holder, then the shaft. `None` where the arm has none.
+/// One of the pieces: places for seven links from the base on, then the holder, then the shaft. `None` where
+/// the arm has none.
 pub(super) fn piece(
     index: usize,
     arm: &ArmParameters,
@@ -115,7 +118,8 @@ pub(super) fn piece(
 }
 
 impl Piece {
-    /// How far bone reaches into the piece, m, to a millimetre; `None` if there is none in it by more than a voxel.
+    /// How far bone reaches into the piece, m, to a millimetre; `None` if there is none in it by more than a
+    /// voxel.
     pub(super) fn depth_m(&self, voxels: &Voxels) -> Option<f64> {
         let (mut deepest_m, mut below_m) = (None, voxel_m(voxels));
         while below_m <= self.radius_m {
@@ -161,7 +165,8 @@ fn voxel_m(voxels: &Voxels) -> f64 {
     voxels.geometry().spacing_m.iter().copied().fold(0.0, f64::max)
 }
 
-/// Whether a point of a circle is in bone. A circle away from the volume, as most of a long link's are, is left at once.
+/// Whether a point of a circle is in bone. A circle away from the volume, as most of a long link's are, is
+/// left at once.
 fn circle_meets(
     voxels: &Voxels,
     centre_m: &Vector3<f64>,
@@ -222,8 +227,9 @@ impl Simulation<'_> {
         })
     }
 
-    /// The links and the holder that stand in bone when the tool's base is elsewhere, with their depths, m; `None` if the arm does not
-    /// reach there. The shaft is left out: it goes where the burr has drilled until then.
+    /// The links and the holder that stand in bone when the tool's base is elsewhere, with their depths, m;
+    /// `None` if the arm does not reach there. The shaft is left out: it goes where the burr has drilled
+    /// until then.
     pub(super) fn pieces_in_bone_at(
         &self,
         t_world_tool: &Isometry3<f64>,
@@ -253,7 +259,8 @@ impl Simulation<'_> {
         }
     }
 
-    /// Sets what is known of the arm to how it stands, as after a keyframe: by the state alone, whatever was known before.
+    /// Sets what is known of the arm to how it stands, as after a keyframe: by the state alone, whatever was
+    /// known before.
     pub(super) fn note_arm(&mut self) {
         self.arm_watch = ArmWatch::default();
         for index in 0..PIECES {
@@ -261,7 +268,8 @@ impl Simulation<'_> {
         }
     }
 
-    /// Whether a piece is in bone, by how it was when last looked at: it is out again only when it is clear of the bone.
+    /// Whether a piece is in bone, by how it was when last looked at: it is out again only when it is clear
+    /// of the bone.
     fn is_in_bone(&self, index: usize) -> bool {
         let (Some(bone), Some(piece)) = (&self.bone, self.piece(index)) else { return false };
         let voxels = bone.field.voxels();

@@ -1,14 +1,16 @@
 //! The burr's contacts and motor, and what cutting does to it and to the tool.
 //!
-//! A contact that presses with F and cuts with the coefficient mu pushes the burr along its surface with `mu F (w x n)`, w being the unit
-//! spin axis and n the contact's normal, toward the burr: nothing at the pole, mu F at the side. It also takes the torque `mu F r_eff` from
-//! the motor, through the drive shaft, which runs in the tube and does not turn it; torque times speed is the cutting power of
-//! [`crate::bone::cutting`]. Both are those of the last tick's contacts. A cutter that is longer than a ball is also turned by the side
-//! forces on the balls behind its front one.
+//! A contact that presses with F and cuts with the coefficient mu pushes the burr along its surface with `mu
+//! F (w x n)`, w being the unit spin axis and n the contact's normal, toward the burr: nothing at the pole,
+//! mu F at the side. It also takes the torque `mu F r_eff` from the motor, through the drive shaft, which
+//! runs in the tube and does not turn it; torque times speed is the cutting power of
+//! [`crate::bone::cutting`]. Both are those of the last tick's contacts. A cutter that is longer than a ball
+//! is also turned by the side forces on the balls behind its front one.
 //!
-//! A motor with a stall torque M_s turns at `(1 - M/M_s)` times the commanded speed: the line of a DC motor at a constant voltage. At M_s
-//! it stands, and its burr rubs and cuts nothing until it is pressed less. The friction of a drive shaft adds to M, and one that twists lets
-//! the burr lag behind the motor: [`super::drive_shaft`].
+//! A motor with a stall torque M_s turns at `(1 - M/M_s)` times the commanded speed: the line of a DC motor
+//! at a constant voltage. At M_s it stands, and its burr rubs and cuts nothing until it is pressed less. The
+//! friction of a drive shaft adds to M, and one that twists lets the burr lag behind the motor:
+//! [`super::drive_shaft`].
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -46,8 +48,8 @@ pub(super) struct BurrDriveState {
     pub torque_nm: f64,
     /// Force on the burr across its contacts, world, N.
     pub side_force_n: [f64; 3],
-    /// Torque of these forces about the burr's centre, world, N m: 0 for a ball, whose contacts push through its centre. A keyframe holds
-    /// it beside this, and only for a longer cutter.
+    /// Torque of these forces about the burr's centre, world, N m: 0 for a ball, whose contacts push through
+    /// its centre. A keyframe holds it beside this, and only for a longer cutter.
     #[serde(skip)]
     pub side_torque_nm: [f64; 3],
     /// Of a shaft that twists; a keyframe holds it beside this, and only there.

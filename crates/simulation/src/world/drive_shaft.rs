@@ -1,15 +1,17 @@
 //! The drive shaft's twist between the motor and the burr.
 //!
-//! The shaft is a torsion spring `k = G J / length`, whose wind-up `phi` is how far the motor is ahead of the burr; its own inertia is left
-//! out. The burr of inertia J turns at w, the motor at w_m; M is what cutting and the shaft's friction take:
+//! The shaft is a torsion spring `k = G J / length`, whose wind-up `phi` is how far the motor is ahead of the
+//! burr; its own inertia is left out. The burr of inertia J turns at w, the motor at w_m; M is what cutting
+//! and the shaft's friction take:
 //!
 //! ```text
 //! phi' = w_m - w        J w' = k phi + c phi' - M sign(w)        w_m = w_0 (1 - k phi / M_s), or w_0 without a stall torque M_s
 //! ```
 //!
-//! At rest that is `phi = M / k` and `w = w_0 (1 - M / M_s)`; without a stall torque the burr oscillates about it at `sqrt(k/J)`. A motor
-//! does not turn backward. Like dry friction, M also holds a burr that stands. Both are linear between the events "stands" and "turns",
-//! and are solved there in closed form, for shafts that oscillate many times in a tick as well.
+//! At rest that is `phi = M / k` and `w = w_0 (1 - M / M_s)`; without a stall torque the burr oscillates
+//! about it at `sqrt(k/J)`. A motor does not turn backward. Like dry friction, M also holds a burr that
+//! stands. Both are linear between the events "stands" and "turns", and are solved there in closed form, for
+//! shafts that oscillate many times in a tick as well.
 
 use nalgebra::{Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
@@ -101,8 +103,8 @@ impl Torsion {
         }
     }
 
-    /// Wind-up and speed after a time in which a constant torque brakes a burr that turns, and the angle of the burr meanwhile:
-    /// `x = x* + exp(A t) (x_0 - x*)`, `int x = x* t + A^-1 (x - x_0)`.
+    /// Wind-up and speed after a time in which a constant torque brakes a burr that turns, and the angle of
+    /// the burr meanwhile: `x = x* + exp(A t) (x_0 - x*)`, `int x = x* t + A^-1 (x - x_0)`.
     fn flow(&self, now: &Vector2<f64>, motor: &Motor, brake_nm: f64, time_s: f64) -> (Vector2<f64>, f64) {
         let (k, c, j) = (self.stiffness_nm_per_rad, self.damping_nms_per_rad, self.inertia_kg_m2);
         let slope = motor.slope_per_s;
@@ -186,7 +188,8 @@ mod tests {
         }
     }
 
-    /// `w - w_0 = -(T / sqrt(k J)) sin(sqrt(k/J) t)`: a step of torque on an undamped shaft, for ten periods; and its period.
+    /// `w - w_0 = -(T / sqrt(k J)) sin(sqrt(k/J) t)`: a step of torque on an undamped shaft, for ten periods;
+    /// and its period.
     #[test]
     fn a_step_of_torque_makes_the_burr_oscillate_at_the_root_of_k_over_j() {
         let (torsion, mut state, brake_nm) = (torsion(0.0), turning(), 5e-4);
@@ -223,7 +226,8 @@ mod tests {
         assert!((whole.wind_up_rad - fine.wind_up_rad).abs() < 1e-9);
     }
 
-    /// Just below the stall torque the burr turns at last; from it on it stands for good, wound up by that torque.
+    /// Just below the stall torque the burr turns at last; from it on it stands for good, wound up by that
+    /// torque.
     #[test]
     fn the_motor_stands_at_its_stall_torque_and_not_below() {
         for (share, stands) in [(0.99, false), (1.0, true), (1.5, true)] {

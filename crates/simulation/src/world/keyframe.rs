@@ -1,9 +1,10 @@
 //! The complete simulation state as bytes: the content of a log's keyframe.
 //!
-//! A keyframe holds everything that a tick changes and that a later tick depends on: the state message with its hash, the arm's motion
-//! (segment and age, from which Ruckig replans the same trajectory), joint angles, tendons, the contact solver's warm start, the strength
-//! of every touched voxel, the rigid bodies' world with its contacts, and the sensors' drift, filters and readings underway. A new process that builds the same scene and reads these bytes
-//! computes the same ticks, bit for bit.
+//! A keyframe holds everything that a tick changes and that a later tick depends on: the state message with
+//! its hash, the arm's motion (segment and age, from which Ruckig replans the same trajectory), joint angles,
+//! tendons, the contact solver's warm start, the strength of every touched voxel, the rigid bodies' world
+//! with its contacts, and the sensors' drift, filters and readings underway. A new process that builds the
+//! same scene and reads these bytes computes the same ticks, bit for bit.
 //!
 //! The bytes are a function of the scene and of u_0 … u_k, so replay compares them too.
 
@@ -54,8 +55,8 @@ impl Serialize for Bytes<'_> {
 }
 
 impl Simulation<'_> {
-    /// Writes the current state into `buffer` and returns the number of bytes used. Allocates nothing; takes time in proportion to the
-    /// number of voxel blocks that drilling has touched.
+    /// Writes the current state into `buffer` and returns the number of bytes used. Allocates nothing; takes
+    /// time in proportion to the number of voxel blocks that drilling has touched.
     ///
     /// # Errors
     /// [`KeyframeError::TooLong`].
@@ -95,8 +96,8 @@ impl Simulation<'_> {
         Ok(end)
     }
 
-    /// Continues from the bytes of [`Simulation::write_keyframe`], written by a simulation of the same scene and volume in this or
-    /// another process. After an error the simulation must not be used.
+    /// Continues from the bytes of [`Simulation::write_keyframe`], written by a simulation of the same scene
+    /// and volume in this or another process. After an error the simulation must not be used.
     ///
     /// # Errors
     /// Not a keyframe, or from another scene.

@@ -1,7 +1,7 @@
 //! Whether a computed state can be one of the tool.
 //!
-//! Extreme parameters can drive any integrator out of its range: numbers grow until they overflow. Such a tick ends the run before its
-//! state is published, so that no log holds it and no controller answers it.
+//! Extreme parameters can drive any integrator out of its range: numbers grow until they overflow. Such a
+//! tick ends the run before its state is published, so that no log holds it and no controller answers it.
 
 use nalgebra::Vector3;
 use thiserror::Error;
@@ -9,8 +9,8 @@ use thiserror::Error;
 use super::{Simulation, numbers};
 use crate::manipulator::{ManipulatorModel, ProxySphere};
 
-/// Fastest point of the tool, m/s: three times the speed of sound in air. The bent tool let go, at the lightest and stiffest that a scene
-/// allows, reaches a tenth of it.
+/// Fastest point of the tool, m/s: three times the speed of sound in air. The bent tool let go, at the
+/// lightest and stiffest that a scene allows, reaches a tenth of it.
 const MAX_SPEED_M_PER_S: f64 = 1000.0;
 /// Farthest a point of the tool may be from its base, as a multiple of its straight length.
 const MAX_STRETCH: f64 = 2.0;

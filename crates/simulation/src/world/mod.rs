@@ -3,12 +3,14 @@
 //! One tick:
 //!
 //! 1. apply the latched commands: arm goal, tendon target, burr speed;
-//! 2. move the arm along its jerk-limited path; the flange is the manipulator's base, on which a tool with an outer tube slides and turns;
+//! 2. move the arm along its jerk-limited path; the flange is the manipulator's base, on which a tool with an
+//!    outer tube slides and turns;
 //! 3. find the contact planes between the manipulator's proxy spheres and the bone and rigid bodies;
-//! 4. step the manipulator with these planes and the tendon tensions, contact impulses inside its implicit solve; free bodies
-//!    step with it; without bodies, again from 3 if a sphere came farther than its planes were looked for, or into bone that bears more;
-//! 5. let bone that was pressed beyond its strength recede, and remove bone with the burr, whose contacts press with the normal forces
-//!    of that solve;
+//! 4. step the manipulator with these planes and the tendon tensions, contact impulses inside its implicit
+//!    solve; free bodies step with it; without bodies, again from 3 if a sphere came farther than its planes
+//!    were looked for, or into bone that bears more;
+//! 5. let bone that was pressed beyond its strength recede, and remove bone with the burr, whose contacts
+//!    press with the normal forces of that solve;
 //! 6. extend the hash chain with commands, state and removed voxels; let the sensors see the state.
 
 mod apply;
@@ -192,7 +194,8 @@ struct Bone<'v> {
 }
 
 impl Simulation<'static> {
-    /// The world of a scene at tick 0, with a CT that others share: the same bits as [`Simulation::new`] with a borrowed one.
+    /// The world of a scene at tick 0, with a CT that others share: the same bits as [`Simulation::new`] with
+    /// a borrowed one.
     ///
     /// # Errors
     /// As [`Simulation::new`].
@@ -257,7 +260,8 @@ impl<'v> Simulation<'v> {
         &self.predrilled
     }
 
-    /// Voxels of bone that are gone in the present state, by linear index, ascending. Visits every voxel; not for the real-time loop.
+    /// Voxels of bone that are gone in the present state, by linear index, ascending. Visits every voxel; not
+    /// for the real-time loop.
     pub fn gone(&self) -> Vec<u32> {
         let Some(bone) = &self.bone else { return Vec::new() };
         let voxels = bone.field.voxels();
@@ -274,7 +278,8 @@ impl<'v> Simulation<'v> {
         self.uncut_voxels
     }
 
-    /// Takes memory for what the next tick may cut, so that it allocates nothing. Changes no result, which tests verify by not calling it.
+    /// Takes memory for what the next tick may cut, so that it allocates nothing. Changes no result, which
+    /// tests verify by not calling it.
     pub fn make_room(&mut self) {
         if let Some(bone) = &mut self.bone {
             // Without memory the tick counts what it cannot cut.
@@ -297,7 +302,8 @@ impl<'v> Simulation<'v> {
         &self.refusals
     }
 
-    /// The link of the arm, holder or shaft that was found in bone in the last tick, if it was outside when last looked at.
+    /// The link of the arm, holder or shaft that was found in bone in the last tick, if it was outside when
+    /// last looked at.
     pub fn arm_entry(&self) -> Option<&ArmEntry> {
         self.arm_watch.entry()
     }
@@ -305,8 +311,9 @@ impl<'v> Simulation<'v> {
     /// Computes tick k from its commands u_k, `latched`.
     ///
     /// # Errors
-    /// A component refuses its input, which does not happen with a valid scene and valid commands; [`SimulationError::Lost`]: parameters at
-    /// the ends of their ranges have driven the tool out of bounds. The simulation is unusable then.
+    /// A component refuses its input, which does not happen with a valid scene and valid commands;
+    /// [`SimulationError::Lost`]: parameters at the ends of their ranges have driven the tool out of bounds.
+    /// The simulation is unusable then.
     pub fn step(&mut self, latched: &Latched) -> Result<(), SimulationError> {
         if latched.reset != 0 {
             self.reset()?;
@@ -329,7 +336,8 @@ impl<'v> Simulation<'v> {
         Ok(())
     }
 
-    /// Moves the arm, or stops it if the tool pushed too hard on its flange in the last tick; returns the tool base's motion, including the deflection of elastic joints.
+    /// Moves the arm, or stops it if the tool pushed too hard on its flange in the last tick; returns the
+    /// tool base's motion, including the deflection of elastic joints.
     fn move_arm(&mut self) -> Result<BaseMotion, SimulationError> {
         if let Some(limit_n) = self.max_flange_force_n {
             self.arm.watch_force(self.manipulator.flange_wrench().force_n.norm(), limit_n);

@@ -1,8 +1,9 @@
 //! Moves tool and free bodies against the contact planes of their whole way.
 //!
-//! Bone that yields gets its strength only where a sphere presses hard enough to matter: at least the least strength of any contact, in
-//! the last tick or in this one. A sphere that goes in far within a tick makes its own footprint: its strength is then that at the depth
-//! it comes to, or else a long step would pass through bone.
+//! Bone that yields gets its strength only where a sphere presses hard enough to matter: at least the least
+//! strength of any contact, in the last tick or in this one. A sphere that goes in far within a tick makes
+//! its own footprint: its strength is then that at the depth it comes to, or else a long step would pass
+//! through bone.
 
 use nalgebra::Vector3;
 
@@ -14,8 +15,9 @@ use crate::contact_plane::ContactPlane;
 use crate::manipulator::{ContactResult, ManipulatorModel, SphereKind, StepInput, StepReport};
 use crate::rigid::ToolDrive;
 
-/// A contact plane of bone takes part in a tick if its gap is within the sphere's travel in the tick plus this margin, m. More of it finds
-/// more planes at a burr in its own tunnel; with less of it a tool that speeds up takes its step twice.
+/// A contact plane of bone takes part in a tick if its gap is within the sphere's travel in the tick plus
+/// this margin, m. More of it finds more planes at a burr in its own tunnel; with less of it a tool that
+/// speeds up takes its step twice.
 const CONTACT_MARGIN_M: f64 = 3.0e-5;
 /// The same for free bodies, m.
 const BODY_MARGIN_M: f64 = 1.0e-4;
@@ -23,16 +25,18 @@ const BODY_MARGIN_M: f64 = 1.0e-4;
 /// A contact whose force is this share of its strength yields: the solver leaves rounding.
 const AT_STRENGTH: f64 = 1.0 - 1e-9;
 
-/// A sphere that moves this far in a tick, m, also meets the planes of where it comes to: from afar it sees only four.
+/// A sphere that moves this far in a tick, m, also meets the planes of where it comes to: from afar it sees
+/// only four.
 const JUMP_M: f64 = 1.0e-3;
-/// Places that a sphere has come to and whose planes it meets. With the last one alone a sphere went to and fro between two places,
-/// each without the planes of the other, and stayed in the wall where the attempts ended.
+/// Places that a sphere has come to and whose planes it meets. With the last one alone a sphere went to and
+/// fro between two places, each without the planes of the other, and stayed in the wall where the attempts
+/// ended.
 const JUMPS: usize = 3;
 /// Planes of a sphere: those seen from where it starts and from where it comes to.
 pub(super) const PLANES_PER_SPHERE: usize = MOST_PLANES;
 const _: () = assert!(PLANES_PER_SPHERE == (1 + JUMPS) * MAX_PLANES, "planes of every place have room");
-/// A plane of a place that an earlier attempt came to counts only if the sphere starts before it, or behind it by less than this, m: it
-/// is the back of a plate otherwise.
+/// A plane of a place that an earlier attempt came to counts only if the sphere starts before it, or behind
+/// it by less than this, m: it is the back of a plate otherwise.
 const BEHIND_M: f64 = 1.0e-4;
 /// Cosine of two planes of a sphere of which the farther one adds nothing (5 degrees).
 const SAME_COSINE: f64 = 0.996;
@@ -53,7 +57,8 @@ pub(super) struct Reach {
     presses: bool,
     /// Motion in the tick after which the bone has that strength, m.
     expected_m: Vector3<f64>,
-    /// Motions of earlier attempts at the end of which the sphere met planes that it had not met before, m; the oldest gives way.
+    /// Motions of earlier attempts at the end of which the sphere met planes that it had not met before, m;
+    /// the oldest gives way.
     jumps_m: [Vector3<f64>; JUMPS],
     /// Such motions so far.
     jump_count: usize,
@@ -79,7 +84,8 @@ impl Reach {
         kept.map(move |(place, jump_m)| (jump_m, place == last))
     }
 
-    /// Notes a motion that is farther than [`JUMP_M`] from the start and from those that are kept; true if it is.
+    /// Notes a motion that is farther than [`JUMP_M`] from the start and from those that are kept; true if it
+    /// is.
     fn note_jump(&mut self, moved_m: &Vector3<f64>) -> bool {
         let is_new =
             moved_m.norm() > JUMP_M && self.jumps().all(|(jump_m, _)| (moved_m - jump_m).norm() > JUMP_M);
@@ -92,8 +98,9 @@ impl Reach {
 }
 
 impl Simulation<'_> {
-    /// Steps tool and free bodies. If a sphere comes farther than its planes were looked for, the tool steps again with those of its whole
-    /// way: otherwise a suddenly pulled tool, whose speed at the start of the tick tells nothing, passes through bone.
+    /// Steps tool and free bodies. If a sphere comes farther than its planes were looked for, the tool steps
+    /// again with those of its whole way: otherwise a suddenly pulled tool, whose speed at the start of the
+    /// tick tells nothing, passes through bone.
     pub(super) fn move_tool(&mut self, drive: &ToolDrive) -> Result<StepReport, SimulationError> {
         for (reach, sphere) in self.reach.iter_mut().zip(self.manipulator.proxy_spheres()) {
             reach.from_m = sphere.centre_m;
@@ -126,8 +133,8 @@ impl Simulation<'_> {
         }
     }
 
-    /// Widens the reach of every sphere that came farther than its own, and notes where those that jumped came to; true if there is any
-    /// and there is bone.
+    /// Widens the reach of every sphere that came farther than its own, and notes where those that jumped
+    /// came to; true if there is any and there is bone.
     fn widen_reach(&mut self) -> bool {
         let mut farther = false;
         for (reach, sphere) in self.reach.iter_mut().zip(self.manipulator.proxy_spheres()) {
@@ -144,7 +151,8 @@ impl Simulation<'_> {
         farther && self.bone.is_some()
     }
 
-    /// Notes the spheres that pressed harder in the last step than any bone bears at least; true if there are new ones.
+    /// Notes the spheres that pressed harder in the last step than any bone bears at least; true if there are
+    /// new ones.
     fn note_pressing(&mut self) -> bool {
         let Some(bone) = &self.bone else { return false };
         let voxels = bone.field.voxels();
@@ -169,7 +177,8 @@ impl Simulation<'_> {
         any
     }
 
-    /// Notes how far the spheres went that pressed beyond their strength; true if the bone there bears more than was assumed.
+    /// Notes how far the spheres went that pressed beyond their strength; true if the bone there bears more
+    /// than was assumed.
     fn note_depth(&mut self) -> bool {
         self.find_indentations();
         let Some(bone) = &mut self.bone else { return false };
@@ -191,7 +200,8 @@ impl Simulation<'_> {
         any
     }
 
-    /// Lists where bone was pressed beyond its strength, by how much the tool went in farther than its force explains.
+    /// Lists where bone was pressed beyond its strength, by how much the tool went in farther than its force
+    /// explains.
     pub(super) fn find_indentations(&mut self) {
         self.indentations.clear();
         let stiffness_n_per_m = self.manipulator.parameters().contact.stiffness_n_per_m;

@@ -1,9 +1,10 @@
 //! How bone recedes under the turning burr while a step lasts.
 //!
-//! What the burr cuts is known after a step: the voxels wear by the energy of the step's forces ([`crate::bone::drilling`]). A step that
-//! takes bone for rigid meanwhile presses as hard as the contact is stiff, cuts too much, and finds nothing to press on in the next; the
-//! forces jump, and the more, the longer the step. So the contacts of the burr recede within the step, together, by what their forces will
-//! cut: the cutting law at the bone that was touched in the last tick, implicit in the force.
+//! What the burr cuts is known after a step: the voxels wear by the energy of the step's forces
+//! ([`crate::bone::drilling`]). A step that takes bone for rigid meanwhile presses as hard as the contact is
+//! stiff, cuts too much, and finds nothing to press on in the next; the forces jump, and the more, the longer
+//! the step. So the contacts of the burr recede within the step, together, by what their forces will cut: the
+//! cutting law at the bone that was touched in the last tick, implicit in the force.
 
 use serde::{Deserialize, Serialize};
 

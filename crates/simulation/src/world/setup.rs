@@ -257,7 +257,8 @@ fn arm(scene: &Scene, t_world_tool: &Isometry3<f64>) -> Result<Arm, SimulationEr
     Ok(Arm::new(parameters, &joints)?)
 }
 
-/// Number of contacts that may resist a displacement of the tool's base at once: two on either side of a tunnel.
+/// Number of contacts that may resist a displacement of the tool's base at once: two on either side of a
+/// tunnel.
 const CONTACTS_AT_ONCE: f64 = 4.0;
 
 fn compliance(

@@ -9,11 +9,13 @@ use crate::manipulator::{
     TendonReach, TendonRoute, pitch_m,
 };
 
-/// The parameters of a described tool. What the description does not say, such as the contact model, is that of the standard tool.
+/// The parameters of a described tool. What the description does not say, such as the contact model, is that
+/// of the standard tool.
 ///
-/// The bending stiffness of a flexure is, in this order: its own; that of its notches, `E` times [`Notch::unit_stiffness`]; that of a piece
-/// of round tube, `k = E I / length` with `I = pi/4 (r_o^4 - r_i^4)`. The other freedoms follow from the notches or the tube by
-/// [`StiffnessRatios`]. A drive shaft lies beside the tube: see [`beside_shaft`].
+/// The bending stiffness of a flexure is, in this order: its own; that of its notches, `E` times
+/// [`Notch::unit_stiffness`]; that of a piece of round tube, `k = E I / length` with `I = pi/4 (r_o^4 -
+/// r_i^4)`. The other freedoms follow from the notches or the tube by [`StiffnessRatios`]. A drive shaft lies
+/// beside the tube: see [`beside_shaft`].
 pub(super) fn described(tool: &ToolDescription) -> ManipulatorParameters {
     let places = tool.flexures();
     let radii = tool.radii();
@@ -72,9 +74,10 @@ pub(super) fn described(tool: &ToolDescription) -> ManipulatorParameters {
     }
 }
 
-/// Adds a drive shaft to a flexure: two beams in parallel bend by the same angle, so `k = k_tube + E I / length`, in and across the plane.
-/// The shaft slides and turns in the tube, so stretch, shear and torsion stay the tube's: their ratios to the bending stiffness fall. It is
-/// straight by itself, and the two rest where their moments cancel: `q_0 = q_tube k_tube / k`.
+/// Adds a drive shaft to a flexure: two beams in parallel bend by the same angle, so `k = k_tube + E I /
+/// length`, in and across the plane. The shaft slides and turns in the tube, so stretch, shear and torsion
+/// stay the tube's: their ratios to the bending stiffness fall. It is straight by itself, and the two rest
+/// where their moments cancel: `q_0 = q_tube k_tube / k`.
 fn beside_shaft(
     shaft_nm_per_rad: f64,
     (stiffness, rest, ratios): (&mut f64, &mut f64, &mut StiffnessRatios),

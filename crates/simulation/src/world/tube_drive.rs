@@ -1,4 +1,5 @@
-//! The drive of a tool that slides out of an outer tube and turns in it: jerk-limited motion of both to a goal.
+//! The drive of a tool that slides out of an outer tube and turns in it: jerk-limited motion of both to a
+//! goal.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use scene::ToolOuterTube;
@@ -9,8 +10,8 @@ use super::{Simulation, SimulationError};
 use crate::arm::{AxisLimits, AxisState, Goal, Planner, Segment, TrajectoryError};
 use crate::manipulator::{BaseMotion, ManipulatorModel, Wrench};
 
-/// Time in which the drive reaches its speed from rest, and half of which its acceleration takes to build up, s: an assumption, the size of
-/// a small lead screw's.
+/// Time in which the drive reaches its speed from rest, and half of which its acceleration takes to build up,
+/// s: an assumption, the size of a small lead screw's.
 const SPEED_UP_S: f64 = 0.1;
 
 /// Why the tube does not take a command.
@@ -171,7 +172,8 @@ impl TubeDrive {
 }
 
 impl Simulation<'_> {
-    /// Moves the tube on the tool's base, or stops it where the arm made a protective stop; returns the motion of the tube's base.
+    /// Moves the tube on the tool's base, or stops it where the arm made a protective stop; returns the
+    /// motion of the tube's base.
     pub(super) fn slide_tube(&mut self, base: BaseMotion) -> Result<BaseMotion, SimulationError> {
         let is_stopped = self.arm.state().protective_stop.is_stopped();
         let Some(tube) = &mut self.tube else { return Ok(base) };

@@ -1,6 +1,8 @@
-//! Statics of the manipulator against another engine: a Rapier multibody of 26 hinges with implicit joint springs.
+//! Statics of the manipulator against another engine: a Rapier multibody of 26 hinges with implicit joint
+//! springs.
 //!
-//! Same chain: 35 mm, 26 hinges at the middles of equal links, bending rigidity 1.3369e-3 N m^2, 0.1 g a link.
+//! Same chain: 35 mm, 26 hinges at the middles of equal links, bending rigidity 1.3369e-3 N m^2, 0.1 g a
+//! link.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot build its chain has failed")]
 
@@ -69,7 +71,8 @@ fn rapier(moment_nm: f64) -> [f64; 2] {
         // Axis 3: the first angular one, about which a revolute joint turns.
         multibody.link_mut(id).unwrap().joint.set_spring(3, stiffness, 0.0);
     }
-    // The fixed root has its six freedoms until the first step: only then are the dampings those of the hinges.
+    // The fixed root has its six freedoms until the first step: only then are the dampings those of the
+    // hinges.
     world.step();
     let damping = 2.0 / 380.0 * stiffness;
     world.multibody_joints.get_mut(joints[0]).unwrap().0.damping_mut().fill(damping);

@@ -76,7 +76,7 @@ fn a_thousand_random_poses_agree_with_modern_robotics() {
         // Asked for: 1e-9 m.
         assert!(worst[figure].as_f64().unwrap() < 1e-9, "{figure}");
     }
-    // Their matrix logarithm takes the angle from an arc cosine near 1, good to sqrt(2 eps) = 2e-8 rad, times some ten
-    // for the inverse of the Jacobian: enough to tell that it is the same branch.
+    // Their matrix logarithm takes the angle from an arc cosine near 1, good to sqrt(2 eps) = 2e-8 rad, times
+    // some ten for the inverse of the Jacobian: enough to tell that it is the same branch.
     assert!(worst["numeric"].as_f64().unwrap() < 1e-6);
 }

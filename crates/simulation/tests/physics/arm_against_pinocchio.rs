@@ -1,4 +1,5 @@
-//! Arms out of URDF files, and the named arms, against other libraries: Pinocchio for Python (`pin`), yourdfpy and MuJoCo.
+//! Arms out of URDF files, and the named arms, against other libraries: Pinocchio for Python (`pin`),
+//! yourdfpy and MuJoCo.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use std::fmt::Write as _;
@@ -18,7 +19,8 @@ const PACKAGES: [&str; 2] = ["pin==4.1.0", "example-robot-data==6.0.0"];
 const WITNESSES: [&str; 2] = ["yourdfpy==0.0.60", "mujoco==3.3.7"];
 const POSES: usize = 1_000;
 
-/// Files of `example-robot-data`: robots of their makers' or of ROS packages, with base and tip of six or seven turning joints, and how many.
+/// Files of `example-robot-data`: robots of their makers' or of ROS packages, with base and tip of six or
+/// seven turning joints, and how many.
 const FILES: [([&str; 3], usize); 7] = [
     (["ur_description/urdf/ur3_robot.urdf", "base_link", "tool0"], 6),
     (["ur_description/urdf/ur5_robot.urdf", "base_link", "tool0"], 6),

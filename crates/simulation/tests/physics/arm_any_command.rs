@@ -1,4 +1,5 @@
-//! Commands of every kind, given to the arm at any tick: its limits hold, it opens no socket, and a snapshot continues bit for bit.
+//! Commands of every kind, given to the arm at any tick: its limits hold, it opens no socket, and a snapshot
+//! continues bit for bit.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 use crate::common::arm::{
@@ -50,7 +51,8 @@ fn any_command(uniform: &mut Uniform, arm: &Arm) -> ArmCommand {
     }
 }
 
-/// Greatest shares of the tool base's limits used on its paths: speed, acceleration, jerk; turning rate and acceleration.
+/// Greatest shares of the tool base's limits used on its paths: speed, acceleration, jerk; turning rate and
+/// acceleration.
 #[derive(Default, Debug)]
 struct UsedByTool {
     /// The arm follows a path, and has come to rest before it if it began in joint motion.
@@ -147,7 +149,8 @@ fn try_targets(start: impl Fn() -> Arm, targets: usize) -> usize {
     refused
 }
 
-/// Ruckig's crate carries a cloud client for waypoints. Whatever the arm is told, this process opens no socket.
+/// Ruckig's crate carries a cloud client for waypoints. Whatever the arm is told, this process opens no
+/// socket.
 #[test]
 #[cfg(target_os = "linux")]
 fn motion_of_every_kind_opens_no_socket() {

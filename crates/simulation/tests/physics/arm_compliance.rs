@@ -1,4 +1,5 @@
-//! Elastic joints of the arm: statics and vibration against closed forms, and stability of the exchange with the tool.
+//! Elastic joints of the arm: statics and vibration against closed forms, and stability of the exchange with
+//! the tool.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use std::path::Path;
@@ -93,8 +94,8 @@ fn a_soft_joint_swings_at_its_natural_frequency() {
         let period_s = (crossings[crossings.len() - 1] - crossings[0]) / (crossings.len() - 1) as f64;
         let frequency = std::f64::consts::TAU / period_s;
         println!("joint {}: {frequency:.3} rad/s, closed form 200", joint + 1);
-        // The other joints are not infinitely stiff: their share of the compliance is below 1e-4. Implicit Euler slows by
-        // (w h)²/3 = 5e-6.
+        // The other joints are not infinitely stiff: their share of the compliance is below 1e-4. Implicit
+        // Euler slows by (w h)²/3 = 5e-6.
         assert!((frequency / 200.0 - 1.0).abs() < 1e-3);
     }
     // Wrist 3 turns about its own axis: its tabled inertia, and its centre of mass lies in the axis.
@@ -137,7 +138,8 @@ fn play(simulation: &mut Simulation, ticks: u64, command: Command, mut look: imp
     }
 }
 
-/// In the loop: the tool's weight on elastic joints. The deflection in the state is the one of the wrench in the state.
+/// In the loop: the tool's weight on elastic joints. The deflection in the state is the one of the wrench in
+/// the state.
 #[test]
 fn in_a_scene_the_deflection_is_that_of_the_reported_wrench() {
     let scene = scene(1.0, Some((STIFFNESS, 0.02)), "gravity_m_per_s2 = [0.0, 9.81, 0.0]");
@@ -175,12 +177,14 @@ fn in_a_scene_the_deflection_is_that_of_the_reported_wrench() {
     assert!(worst < 1e-9 && moved.norm() > 1e-7);
 }
 
-/// The burr is pushed 0.5 mm into a wall, over stiffness and step: nothing grows, and the thrust is that of any step.
+/// The burr is pushed 0.5 mm into a wall, over stiffness and step: nothing grows, and the thrust is that of
+/// any step.
 #[test]
 fn pressing_on_a_wall_is_stable_over_stiffness_and_step() {
     for dt_ms in [0.2, 1.0, 5.0, 10.0] {
         for stiffness in [1e2, 1e4, 1e6] {
-            // Near critical for the joints at the base, whose inertia is about 3 kg m², so that 2 s suffice to settle.
+            // Near critical for the joints at the base, whose inertia is about 3 kg m², so that 2 s suffice
+            // to settle.
             let damping = 2.0 * f64::sqrt(3.0 / stiffness);
             // Without friction, since a burr that stands still would stick where it touches.
             let smooth = "contact = { friction = 0.0 }";
@@ -211,8 +215,8 @@ fn pressing_on_a_wall_is_stable_over_stiffness_and_step() {
             );
             // 5 mm/s of feed over lever arms of some 0.1 m; a swing that grew would pass both bounds.
             assert!(peak < 0.05 && late < 0.15 * peak, "dt {dt_ms} ms, {stiffness} N m/rad");
-            // The thrust does not depend on the step: the stabilising mass is not in the statics. At 5 ms and more it lets
-            // the softest joints move so slowly that they have not arrived after 2 s.
+            // The thrust does not depend on the step: the stabilising mass is not in the statics. At 5 ms and
+            // more it lets the softest joints move so slowly that they have not arrived after 2 s.
             if stiffness > 1e3 {
                 assert!((force_n / -1.32 - 1.0).abs() < 0.02, "{force_n} N");
             } else if dt_ms <= 1.0 {

@@ -1,5 +1,5 @@
-//! The arm's guided motions: joint rates, insertion along an axis, remote centre of motion, and targets of every kind
-//! that change at any tick.
+//! The arm's guided motions: joint rates, insertion along an axis, remote centre of motion, and targets of
+//! every kind that change at any tick.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 use crate::common::arm::{DT_S, Uniform, Used, about_pivot, finish_looking, guided_arm, run, t_flange_tool};
@@ -77,7 +77,8 @@ fn rates_are_reached_and_kept_and_a_joint_stops_at_the_end_of_its_range() {
     assert!(arm.command(ArmCommand::ServoJv { qd_rad_s: fast }).is_err());
 }
 
-/// `insert` at the feeds of orthopaedic drilling; the line and the orientation are kept, the time is the length by the feed.
+/// `insert` at the feeds of orthopaedic drilling; the line and the orientation are kept, the time is the
+/// length by the feed.
 #[test]
 fn an_insertion_keeps_its_line_its_orientation_and_its_feed() {
     let (mut off_m, mut off_rad) = (0.0f64, 0.0f64);
@@ -100,7 +101,8 @@ fn an_insertion_keeps_its_line_its_orientation_and_its_feed() {
             ticks
         };
         let ticks = go(&mut arm, 0.4e-3);
-        // Jerk-limited ends: at 5 m/s³ from 0 to 0.15 mm/s takes 2 sqrt(v/j) = 11 ms, at the mean half the feed.
+        // Jerk-limited ends: at 5 m/s³ from 0 to 0.15 mm/s takes 2 sqrt(v/j) = 11 ms, at the mean half the
+        // feed.
         let expected = 0.4e-3 / feed_m_s / DT_S;
         assert!((ticks as f64 - expected).abs() < 15.0, "{ticks} ticks, {expected} expected");
         go(&mut arm, 0.6e-3);
@@ -136,7 +138,8 @@ fn an_insertion_can_be_deepened_paused_and_slowed_on_its_way() {
     arm.command(insert(8e-3, 2e-3)).unwrap();
     finish_looking(&mut arm, |_| ());
     assert!((depth(&arm) - 8e-3).abs() < 1e-12);
-    // An axis that is rounded anew is the same one: it began an insertion of its own, whose depth counted from here.
+    // An axis that is rounded anew is the same one: it began an insertion of its own, whose depth counted
+    // from here.
     let rounded = axis_world + Vector3::new(1e-9, -2e-9, 1e-9);
     arm.command(ArmCommand::Insert { axis_world: rounded, depth_m: 9e-3, feed_m_s: 2e-3 }).unwrap();
     finish_looking(&mut arm, |_| ());
@@ -194,7 +197,8 @@ fn the_pivot_stays_on_the_axis_of_the_tool() {
     assert!(accepted >= 25);
 }
 
-/// A stop on the way keeps the pivot, and so does the next goal; axes that miss the pivot are refused with the distance.
+/// A stop on the way keeps the pivot, and so does the next goal; axes that miss the pivot are refused with
+/// the distance.
 #[test]
 fn a_motion_about_a_pivot_can_be_changed_on_its_way_and_needs_the_pivot_on_the_axis() {
     let mut arm = guided_arm();

@@ -46,7 +46,8 @@ fn mounted(offset_mm: f64) -> String {
     format!("{TUNNEL}[arm]\ntool_position_mm = [0.0, 0.0, {offset_mm}]\n")
 }
 
-/// The flange starts 1.5 mm before the block and goes in by 4.5 mm; the holder on it is in bone from the start.
+/// The flange starts 1.5 mm before the block and goes in by 4.5 mm; the holder on it is in bone from the
+/// start.
 #[test]
 fn a_wrist_that_enters_bone_is_told_once() {
     let bone = bone();

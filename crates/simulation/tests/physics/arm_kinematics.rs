@@ -25,8 +25,8 @@ impl Uniform {
     }
 }
 
-/// Product of exponentials of the UR5: Lynch and Park, "Modern Robotics" (2017), example 4.5. Its space frame is ours
-/// turned by 180° about z; its joint angles and end frame are ours.
+/// Product of exponentials of the UR5: Lynch and Park, "Modern Robotics" (2017), example 4.5. Its space frame
+/// is ours turned by 180° about z; its joint angles and end frame are ours.
 fn product_of_exponentials(q: &Joints, lengths: [f64; 6]) -> Matrix4<f64> {
     let [l1, l2, w1, w2, h1, h2] = lengths;
     let screws = [
@@ -59,8 +59,8 @@ fn product_of_exponentials(q: &Joints, lengths: [f64; 6]) -> Matrix4<f64> {
 
 #[test]
 fn forward_kinematics_match_published_poses() {
-    // Universal Robots' URDF at zero: tool0 at (0.81725, 0.19145, -0.005491) of base_link, which is our base turned by
-    // 180° about z.
+    // Universal Robots' URDF at zero: tool0 at (0.81725, 0.19145, -0.005491) of base_link, which is our base
+    // turned by 180° about z.
     let zero = UR5.forward(&Joints::default()).translation.vector;
     assert!((zero - Vector3::new(-0.81725, -0.19145, -0.005491)).norm() < 1e-12, "{zero}");
     // Straight up, flange at 1.001059 m.
@@ -152,7 +152,8 @@ fn jacobian_matches_finite_differences_and_its_determinant_the_closed_form() {
         worst_bias = worst_bias.max((frames.bias_acceleration(&rates) - change).amax());
     }
     println!("Jacobian against central differences: {worst:.1e}; J̇q̇: {worst_bias:.1e}");
-    // Central differences at h = 1e-6: truncation 1e-12, rounding 1e-16 / 1e-6 = 1e-10; J̇q̇ is a product of 12 of them.
+    // Central differences at h = 1e-6: truncation 1e-12, rounding 1e-16 / 1e-6 = 1e-10; J̇q̇ is a product of
+    // 12 of them.
     assert!(worst < 1e-9 && worst_bias < 1e-8);
 }
 

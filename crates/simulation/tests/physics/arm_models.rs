@@ -1,4 +1,5 @@
-//! Every arm that a scene can have: inverse and Jacobian as properties, masses, and arms described joint by joint.
+//! Every arm that a scene can have: inverse and Jacobian as properties, masses, and arms described joint by
+//! joint.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use nalgebra::{Isometry3, Vector3, Vector6};
@@ -37,8 +38,9 @@ fn denavit_hartenberg<const N: usize>(rows: [[f64; 3]; N]) -> ArmGeometry {
     ArmGeometry::Serial(SerialGeometry::new(joints, 2))
 }
 
-/// The PUMA 560: Corke and Armstrong-Helouvry, "A search for consensus among model parameters reported for the PUMA 560 robot",
-/// IEEE ICRA 1994, table 1, with a flange 56.25 mm before the wrist. A spherical wrist and a shoulder offset: nothing like a UR.
+/// The PUMA 560: Corke and Armstrong-Helouvry, "A search for consensus among model parameters reported for
+/// the PUMA 560 robot", IEEE ICRA 1994, table 1, with a flange 56.25 mm before the wrist. A spherical wrist
+/// and a shoulder offset: nothing like a UR.
 fn puma() -> ArmGeometry {
     denavit_hartenberg([
         [0.0, 0.0, FRAC_PI_2],
@@ -50,8 +52,8 @@ fn puma() -> ArmGeometry {
     ])
 }
 
-/// A KUKA LBR iiwa 14 R820, seven joints: shoulder, elbow and wrist 360, 420 and 400 mm apart, flange 126 mm before the wrist (KUKA, "LBR
-/// iiwa 7 R800, LBR iiwa 14 R820, Specification", main dimensions).
+/// A KUKA LBR iiwa 14 R820, seven joints: shoulder, elbow and wrist 360, 420 and 400 mm apart, flange 126 mm
+/// before the wrist (KUKA, "LBR iiwa 7 R800, LBR iiwa 14 R820, Specification", main dimensions).
 fn lbr_iiwa_14() -> ArmGeometry {
     denavit_hartenberg([
         [0.0, 0.36, -FRAC_PI_2],
@@ -120,7 +122,8 @@ fn every_arm_comes_back_to_the_joints_that_its_pose_is_of() {
                 (0..geometry.joints()).fold(worst_joint, |worst, i| worst.max((found[i] - q[i]).abs()));
         }
         println!("{name}: worst pose {worst_pose:.1e} (m, rad), worst joint {worst_joint:.1e} rad");
-        // What the numeric inverse promises, and the joints off by that over the least singular value of J at |det J| >= 1e-3 m³.
+        // What the numeric inverse promises, and the joints off by that over the least singular value of J at
+        // |det J| >= 1e-3 m³.
         assert!(worst_pose < 2e-12 && worst_joint < 1e-9, "{name}");
     }
 }
@@ -156,7 +159,8 @@ fn every_jacobian_is_the_derivative_of_the_pose_and_its_determinant_the_manipula
     }
 }
 
-/// From the standard start the tool can move 100 mm in every direction, as the scenes that name no start need.
+/// From the standard start the tool can move 100 mm in every direction, as the scenes that name no start
+/// need.
 #[test]
 fn every_named_arm_starts_comfortably() {
     for model in MODELS {
@@ -174,7 +178,8 @@ fn every_named_arm_starts_comfortably() {
     }
 }
 
-/// A mass matrix is symmetric and positive definite, and the energy of the base's turn is that of the links about its axis.
+/// A mass matrix is symmetric and positive definite, and the energy of the base's turn is that of the links
+/// about its axis.
 #[test]
 fn every_named_arm_has_masses() {
     // Sums of Universal Robots' table.
@@ -216,7 +221,8 @@ fn an_arm_described_joint_by_joint_is_the_named_one() {
     assert!(worst < 1e-14);
 }
 
-/// Far goals, from a start that has nothing to do with them: the numeric inverse finds most, within the ranges, and always the same.
+/// Far goals, from a start that has nothing to do with them: the numeric inverse finds most, within the
+/// ranges, and always the same.
 #[test]
 fn the_numeric_inverse_finds_far_goals_within_the_ranges() {
     let (_, geometry, [lower, upper]) = arms().pop().unwrap();

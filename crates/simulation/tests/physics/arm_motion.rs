@@ -23,7 +23,8 @@ fn ruckig_takes_the_closed_form_time_from_rest_to_rest() {
         worst = worst.max((duration_s / rest_to_rest_s(distance, v, a, j) - 1.0).abs());
     }
     println!("Ruckig's duration against the closed form: worst relative difference {worst:.1e}");
-    // Ruckig accepts 1e-8 of the end position; of the smallest distance 1e-3 the third root is 3e-6, seldom reached.
+    // Ruckig accepts 1e-8 of the end position; of the smallest distance 1e-3 the third root is 3e-6, seldom
+    // reached.
     assert!(worst < 3e-6);
 }
 
@@ -58,7 +59,8 @@ fn joint_moves_keep_their_limits_end_exactly_and_in_proportion() {
     used.check(1e-9);
 }
 
-/// A target that jumps about, also at the limits of the joints, at random ticks, with holds and speed changes.
+/// A target that jumps about, also at the limits of the joints, at random ticks, with holds and speed
+/// changes.
 #[test]
 fn a_hostile_servo_never_leaves_the_limits() {
     let mut uniform = Uniform(6);
@@ -103,8 +105,8 @@ fn a_servo_follows_a_slow_sine_closely() {
         arm.step();
         worst = worst.max((arm.state().q_rad[0] - q_rad[0]).abs());
     }
-    // The target comes without its velocity, and each plan can stop on it: the lag is the stopping distance's, 0.11 s at
-    // 0.63 rad/s and 5 rad/s².
+    // The target comes without its velocity, and each plan can stop on it: the lag is the stopping
+    // distance's, 0.11 s at 0.63 rad/s and 5 rad/s².
     println!("servo_jp behind a 0.5 Hz, 0.2 rad sine by at most {worst:.3} rad");
     assert!(worst < 0.12);
 }
@@ -278,7 +280,8 @@ fn random_command(uniform: &mut Uniform, state: &ArmState) -> ArmCommand {
     }
 }
 
-/// Snapshot at random ticks into an arm with another past: both continue bit for bit, through later commands too.
+/// Snapshot at random ticks into an arm with another past: both continue bit for bit, through later commands
+/// too.
 #[test]
 fn a_restored_arm_continues_bit_for_bit() {
     let mut uniform = Uniform(9);

@@ -82,7 +82,8 @@ fn on_a_path_the_redundant_joint_stands_and_the_tool_is_where_the_path_says() {
     }
 }
 
-/// Goals anywhere in the ranges: those that the hand cannot reach with the third joint where it is are reached by moving it.
+/// Goals anywhere in the ranges: those that the hand cannot reach with the third joint where it is are
+/// reached by moving it.
 #[test]
 fn a_pose_that_needs_the_redundant_joint_is_pursued_with_it() {
     let mut arm = seven_joint_arm("");
@@ -115,7 +116,8 @@ fn a_pose_that_needs_the_redundant_joint_is_pursued_with_it() {
     assert!(matches!(refused, Err(ArmError::Goal(_))), "{refused:?}");
 }
 
-/// The elbow turns about the line from shoulder to wrist by joint rates from the Jacobian's null space, and the tool stands.
+/// The elbow turns about the line from shoulder to wrist by joint rates from the Jacobian's null space, and
+/// the tool stands.
 #[test]
 fn the_elbow_moves_by_joint_rates_while_the_tool_stands() {
     let mut arm = seven_joint_arm("");
@@ -138,7 +140,8 @@ fn the_elbow_moves_by_joint_rates_while_the_tool_stands() {
     assert!(turned.abs() > 0.05 && worst < 1e-3);
 }
 
-/// Joint commands reach all seven; a snapshot continues bit for bit; an arm of six refuses an angle for a seventh.
+/// Joint commands reach all seven; a snapshot continues bit for bit; an arm of six refuses an angle for a
+/// seventh.
 #[test]
 fn all_seven_joints_are_commanded_and_six_refuse_a_seventh() {
     let mut arm = seven_joint_arm("");

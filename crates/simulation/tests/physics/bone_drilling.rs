@@ -1,5 +1,5 @@
-//! Drilling against the energy balance: rate independent of voxel size and time step, energy conserved, skiving at a
-//! density boundary, reset and snapshots.
+//! Drilling against the energy balance: rate independent of voxel size and time step, energy conserved,
+//! skiving at a density boundary, reset and snapshots.
 
 #![allow(clippy::unwrap_used, reason = "a helper that cannot build its block fails the test")]
 
@@ -15,7 +15,8 @@ use simulation::bone::{
 const SPEED_RAD_S: f64 = 235.6;
 const ENERGY_J_M3: f64 = 1.0e7;
 
-/// Moves the burr along `wish` as far as the contact planes allow: the nearest point of the half-spaces' intersection.
+/// Moves the burr along `wish` as far as the contact planes allow: the nearest point of the half-spaces'
+/// intersection.
 fn move_burr(field: &BoneField, position: Vector3<f64>, wish: Vector3<f64>) -> Vector3<f64> {
     let mut buffer = ContactBuffer::with_capacity(16);
     field.voxels().contact_planes(0, &position, RADIUS_M, 0.3e-3, &mut buffer);
@@ -67,8 +68,8 @@ fn drill(
     Ok(run)
 }
 
-/// Depth of a ball pressed into a flat face when the removed volume is known: the cap pi d^2 (3R - d)/3 to d = R, then a
-/// cylinder.
+/// Depth of a ball pressed into a flat face when the removed volume is known: the cap pi d^2 (3R - d)/3 to d
+/// = R, then a cylinder.
 fn depth_of_volume(volume_m3: f64, radius_m: f64) -> f64 {
     let pi = core::f64::consts::PI;
     let half_ball = 2.0 / 3.0 * pi * radius_m * radius_m * radius_m;
@@ -83,7 +84,8 @@ fn depth_of_volume(volume_m3: f64, radius_m: f64) -> f64 {
     low
 }
 
-/// The requirement is 5 %; the closed form neglects the reach in the shape of the bottom and the voxels' roundness.
+/// The requirement is 5 %; the closed form neglects the reach in the shape of the bottom and the voxels'
+/// roundness.
 #[test]
 fn depth_depends_neither_on_voxel_size_nor_on_time_step() {
     let force_n = 2.0;
@@ -127,8 +129,9 @@ fn depth_depends_neither_on_voxel_size_nor_on_time_step() {
     }
 }
 
-/// The burr runs along a 1:10 boundary: it must drift to the soft side, and in homogeneous bone it must not. Prototype
-/// figures with 0.3 mm voxels, 5 N, 8 mm: -0.6 to -1.9 mm at 1:10, at most 0.33 mm without (physics notes, section 4).
+/// The burr runs along a 1:10 boundary: it must drift to the soft side, and in homogeneous bone it must not.
+/// Prototype figures with 0.3 mm voxels, 5 N, 8 mm: -0.6 to -1.9 mm at 1:10, at most 0.33 mm without (physics
+/// notes, section 4).
 #[test]
 fn burr_skives_to_the_soft_side_only_at_a_boundary() {
     let middle = 6.0e-3;
@@ -214,8 +217,8 @@ fn a_burr_whose_edges_only_plough_cuts_nothing() {
     assert!(above.energy_used_j > 0.0);
 }
 
-/// In bone too weak to use the burr's energy the feed is limited by the teeth, not by the tick. Where two layers of voxels lie
-/// within the reach both recede, so the limit is met within reach / voxel (20 % here).
+/// In bone too weak to use the burr's energy the feed is limited by the teeth, not by the tick. Where two
+/// layers of voxels lie within the reach both recede, so the limit is met within reach / voxel (20 % here).
 #[test]
 fn feed_limit_does_not_depend_on_the_time_step() {
     let feed = |dt_s: f64| {
@@ -247,7 +250,8 @@ fn fingerprint(field: &BoneField) -> Vec<u64> {
     all
 }
 
-/// Seed defect S6: a reset must bring back the strength as well as the voxels; the pilot hole is the scene's and stays.
+/// Seed defect S6: a reset must bring back the strength as well as the voxels; the pilot hole is the scene's
+/// and stays.
 #[test]
 fn reset_restores_voxels_and_strength_and_a_second_run_is_the_same() {
     let mut block = block([9e-3, 9e-3, 9e-3], 0.5e-3, proportional(), |_| 400).unwrap();

@@ -80,8 +80,8 @@ fn flat_wall_is_exact_anisotropic_rotated_and_far_away() {
     }
 }
 
-/// A bed of balls, the published contact: the distance to the nearest of them, and its direction. A sphere that slides over a
-/// flat wall is rocked, where planes are not: the figures are printed.
+/// A bed of balls, the published contact: the distance to the nearest of them, and its direction. A sphere
+/// that slides over a flat wall is rocked, where planes are not: the figures are printed.
 #[test]
 fn voxels_as_balls_give_the_distance_to_the_nearest_ball() {
     let h = 0.5e-3;
@@ -173,7 +173,8 @@ fn tunnel_holds_from_opposite_sides() {
     assert!(least > 0.3, "a plane without one on the other side");
 }
 
-/// A slanted wall: the staircase's corners stand out from the plane; normal and gap must stay near the plane's.
+/// A slanted wall: the staircase's corners stand out from the plane; normal and gap must stay near the
+/// plane's.
 #[test]
 fn slanted_wall_has_little_staircase_noise() {
     let geometry = GridGeometry::axis_aligned([64; 3], [0.5e-3; 3], Vector3::zeros());
@@ -272,8 +273,9 @@ fn brute_force_distance(field: &BoneField, point: &Vector3<f64>) -> f64 {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]
 
-    /// Random bone (scattered to nearly full), random anisotropic rotated grid, random sphere: a sphere in reach of bone
-    /// has a plane, one out of reach has none, and the nearest gap is the brute-force one, widened by at most half a voxel.
+    /// Random bone (scattered to nearly full), random anisotropic rotated grid, random sphere: a sphere in
+    /// reach of bone has a plane, one out of reach has none, and the nearest gap is the brute-force one,
+    /// widened by at most half a voxel.
     #[test]
     fn no_sphere_in_bone_lacks_a_contact(
         bits in prop::collection::vec(any::<u8>(), 14 * 13 * 12),

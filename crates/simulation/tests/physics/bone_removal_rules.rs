@@ -32,7 +32,8 @@ fn published_rules_of_removal_do_what_they_say() {
         assert_eq!(capped, [10, 10]);
         assert_eq!(removed_by(Removal::Capped, 0.3e-3, hu, 2, 0.5 * RULE_SPEED_RAD_S), [5, 5]);
     }
-    // Decrement: 150 ticks at the reference density (2000), a tenth of them at a tenth of it; half the speed, twice the time.
+    // Decrement: 150 ticks at the reference density (2000), a tenth of them at a tenth of it; half the speed,
+    // twice the time.
     let ends = |hu, speed: f64| {
         removed_by(Removal::Decrement, 0.3e-3, hu, 400, speed).iter().position(|count| *count > 0).unwrap()
             + 1

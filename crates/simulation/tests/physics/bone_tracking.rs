@@ -20,7 +20,8 @@ const MARGIN_M: f64 = 0.2e-3;
 const DRIFT_STEPS: usize = 400;
 /// Ticks of [`hash_chain`]: enough that the burr removes voxels.
 const TICKS: usize = 800;
-/// Ticks that begin with a reset: the burr has cut a little by then, and has not moved far enough to be searched for again.
+/// Ticks that begin with a reset: the burr has cut a little by then, and has not moved far enough to be
+/// searched for again.
 const RESETS: [usize; 3] = [8, 20, 45];
 /// The chain of a simulation that keeps its caches.
 static KEPT: OnceLock<Vec<[u64; 2]>> = OnceLock::new();
@@ -30,7 +31,8 @@ static KEPT: OnceLock<Vec<[u64; 2]>> = OnceLock::new();
 enum Event {
     /// The spheres move by this, m.
     Move([f64; 3]),
-    /// A burr cuts where sphere 0 is, for some ticks without a query between them, and then does not press for some.
+    /// A burr cuts where sphere 0 is, for some ticks without a query between them, and then does not press
+    /// for some.
     Drill {
         force_n: f64,
         ticks: usize,
@@ -82,7 +84,8 @@ fn scattered(spacing_m: [f64; 3], scatter: u64) -> (GridGeometry, Vec<i16>) {
     (geometry, hu)
 }
 
-/// What happens; the voxels' size, the burr's radius, how scattered the bone is (0: solid), where in the grid it begins.
+/// What happens; the voxels' size, the burr's radius, how scattered the bone is (0: solid), where in the grid
+/// it begins.
 fn drilled() -> impl Strategy<Value = (Vec<Event>, [f64; 3], f64, u64, [f64; 3])> {
     (
         prop::collection::vec(event(), 1..60),
@@ -93,8 +96,8 @@ fn drilled() -> impl Strategy<Value = (Vec<Event>, [f64; 3], f64, u64, [f64; 3])
     )
 }
 
-/// A sphere in a hole that is a quarter of a millimetre wider drifts to the wall by 2 um a step, while a burr at its end cuts: it meets each
-/// plane in the step in which a new search finds it.
+/// A sphere in a hole that is a quarter of a millimetre wider drifts to the wall by 2 um a step, while a burr
+/// at its end cuts: it meets each plane in the step in which a new search finds it.
 #[test]
 fn a_sphere_that_drifts_to_a_wall_meets_it_in_the_same_step_as_a_new_search() {
     let (radius_m, margin_m) = (3.0e-3, 3.0e-5);
@@ -134,8 +137,8 @@ fn a_sphere_that_drifts_to_a_wall_meets_it_in_the_same_step_as_a_new_search() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(150))]
 
-    /// Solid bone with a hole, or scattered voxels (more than a track holds), in a rotated anisotropic grid with wide and
-    /// narrow tents; three spheres of one size near the hole's end.
+    /// Solid bone with a hole, or scattered voxels (more than a track holds), in a rotated anisotropic grid
+    /// with wide and narrow tents; three spheres of one size near the hole's end.
     #[test]
     fn tracked_planes_are_the_fresh_ones_bit_for_bit(
         (events, spacing, radius_m, scatter, place) in drilled(),
@@ -191,7 +194,8 @@ proptest! {
         }
     }
 
-    /// Two fields drilled alike; one of them is saved and restored before every tick, after which it remembers nothing.
+    /// Two fields drilled alike; one of them is saved and restored before every tick, after which it
+    /// remembers nothing.
     #[test]
     fn a_burr_that_was_searched_before_cuts_what_a_fresh_one_cuts_bit_for_bit(
         (events, spacing, radius_m, scatter, place) in drilled(),
@@ -248,8 +252,8 @@ proptest! {
     }
 }
 
-/// 3 mm/s along +z with the burr on and 3 N on tendon 0; the state's hash after every tick. `rebuilds` says for each tick whether the
-/// caches are made afresh before it.
+/// 3 mm/s along +z with the burr on and 3 N on tendon 0; the state's hash after every tick. `rebuilds` says
+/// for each tick whether the caches are made afresh before it.
 fn hash_chain(bone: &(GridGeometry, Vec<i16>), ticks: usize, rebuilds: &[bool]) -> Vec<[u64; 2]> {
     let ct = CtView { geometry: bone.0, hu: &bone.1 };
     let mut simulation = Simulation::new(&common::scene(common::TUNNEL), Some(ct)).unwrap();

@@ -76,7 +76,8 @@ fn burr_contacts(state: &State) -> (f64, Vector3<f64>, f64) {
     (force_n, push, lever_nm)
 }
 
-/// `mu F / k` across contact and axis, on the side that the burr's spin says, and none without the key. k is measured on the tool alone.
+/// `mu F / k` across contact and axis, on the side that the burr's spin says, and none without the key. k is
+/// measured on the tool alone.
 #[test]
 fn cutting_with_the_side_pushes_an_isotropic_tool_across_by_its_force_over_its_stiffness() {
     let (geometry, hu) = wall();
@@ -125,8 +126,9 @@ fn cutting_with_the_side_pushes_an_isotropic_tool_across_by_its_force_over_its_s
     }
 }
 
-/// The motor's speed falls in a line with the torque that the contacts take, which is the cutting power over the speed; beyond the stall
-/// torque it stands, cuts nothing, says so once, and turns again when it is released. A keyframe continues bit for bit.
+/// The motor's speed falls in a line with the torque that the contacts take, which is the cutting power over
+/// the speed; beyond the stall torque it stands, cuts nothing, says so once, and turns again when it is
+/// released. A keyframe continues bit for bit.
 #[test]
 fn a_motor_slows_stands_and_turns_again() {
     let (geometry, hu) = wall();
@@ -182,8 +184,8 @@ fn scene_with_shaft(keys: &str) -> Scene {
     Scene::parse_with(&text, Path::new("side.toml"), &read).unwrap()
 }
 
-/// A shaft winds up by `M L / (G J)` under what bone and friction take; its burr stands from the stall torque on, is told so once, and the
-/// event names the key; a keyframe continues bit for bit.
+/// A shaft winds up by `M L / (G J)` under what bone and friction take; its burr stands from the stall torque
+/// on, is told so once, and the event names the key; a keyframe continues bit for bit.
 #[test]
 fn a_burr_on_a_shaft_lags_stands_and_continues() {
     let (geometry, hu) = wall();

@@ -1,4 +1,5 @@
-//! The contact solver in the four tunnels of the published experiment, with its step and finer ones, and in every model.
+//! The contact solver in the four tunnels of the published experiment, with its step and finer ones, and in
+//! every model.
 
 #![allow(clippy::unwrap_used, reason = "a scene that cannot be built is a failed test")]
 

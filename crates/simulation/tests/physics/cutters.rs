@@ -1,10 +1,12 @@
-//! Cutters that are longer than a ball, against closed forms: the volume that they sweep, and the force at which they are fed.
+//! Cutters that are longer than a ball, against closed forms: the volume that they sweep, and the force at
+//! which they are fed.
 //!
-//! A cutter fed at v in bone of the specific energy u needs the power `u A v`, A being the cross-section of what it sweeps, and has
-//! `mu w L N`, N being the sum of its normal forces. A cylinder pressed sideways has L = R, since all of its surface is R from the axis, and
-//! N is the force against the feed. A bit's point that bores its hole has L = 2R/3 under an even pressure, the mean distance of a disc's
-//! points from its centre, and without friction along the flanks, half the point's angle a from the axis, a thrust of `N sin a`. Both cut
-//! `reach` beyond their surface.
+//! A cutter fed at v in bone of the specific energy u needs the power `u A v`, A being the cross-section of
+//! what it sweeps, and has `mu w L N`, N being the sum of its normal forces. A cylinder pressed sideways has
+//! L = R, since all of its surface is R from the axis, and N is the force against the feed. A bit's point
+//! that bores its hole has L = 2R/3 under an even pressure, the mean distance of a disc's points from its
+//! centre, and without friction along the flanks, half the point's angle a from the axis, a thrust of `N sin
+//! a`. Both cut `reach` beyond their surface.
 
 #![allow(clippy::unwrap_used, reason = "a scene that cannot be built fails the test")]
 
@@ -142,8 +144,8 @@ fn assert_closed_form(what: &str, fed: &Fed, force_n: f64, swept_m3: f64) {
     assert!(is_within(fed.cut_m3, swept_m3, 0.05), "{} mm^3", 1e9 * fed.cut_m3);
 }
 
-/// The tip's round front, whose normal lies along the axis, takes part of the thrust from the flanks, and the grid's phase moves the wall of
-/// whole voxels: 4 and 3 % were measured. 5 % each.
+/// The tip's round front, whose normal lies along the axis, takes part of the thrust from the flanks, and the
+/// grid's phase moves the wall of whole voxels: 4 and 3 % were measured. 5 % each.
 #[test]
 fn a_bit_bores_its_hole_with_the_thrust_of_the_closed_form() {
     let (feed_m_per_s, length_m) = (1.0e-3, 12.0e-3);
@@ -164,8 +166,8 @@ fn a_bit_bores_its_hole_with_the_thrust_of_the_closed_form() {
     }
 }
 
-/// Volume below a plane that a cutter, grown by its reach, has bored, its front ball's centre being `depth_m` below the plane: by slices of
-/// the envelope of its corners, the cone tangent to the tip and the cylinder.
+/// Volume below a plane that a cutter, grown by its reach, has bored, its front ball's centre being `depth_m`
+/// below the plane: by slices of the envelope of its corners, the cone tangent to the tip and the cylinder.
 fn bored_m3(cutter: &Cutter, depth_m: f64, reach_m: f64) -> f64 {
     let (tip_m, wide_m) = (cutter.front_radius_m() + reach_m, cutter.widest_radius_m() + reach_m);
     let flank = FLANK_DEG.to_radians();
@@ -183,7 +185,8 @@ fn bored_m3(cutter: &Cutter, depth_m: f64, reach_m: f64) -> f64 {
         .sum()
 }
 
-/// A plate through which a cylinder mills a slot with its side: both ends of the cylinder stand out of the plate.
+/// A plate through which a cylinder mills a slot with its side: both ends of the cylinder stand out of the
+/// plate.
 #[test]
 fn a_cylinder_mills_a_slot_with_the_force_of_the_closed_form_whatever_its_number_of_balls() {
     let (feed_m_per_s, length_m, thick_m) = (0.5e-3, 8.0e-3, 4.0e-3);
@@ -212,7 +215,8 @@ fn a_longer_cutter_has_its_balls_behind_the_tip_and_its_mass_at_its_own_centre()
     let long = parameters(&cylinder(0.05));
     assert_eq!(long.burr_centre_m(), 50.0e-3 + 14.0e-3);
     let solid = long.cutter.solid();
-    // The cylinder's middle is 4 mm behind its front ball's centre. A union of balls is symmetric as the cylinder is.
+    // The cylinder's middle is 4 mm behind its front ball's centre. A union of balls is symmetric as the
+    // cylinder is.
     assert!((solid.behind_m - 4.0e-3).abs() < 1e-12, "{}", solid.behind_m);
     let mass = |p: &ManipulatorParameters| p.burr_mass_kg;
     assert_eq!(mass(&long), 1.0e-3);

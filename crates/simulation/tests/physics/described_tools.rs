@@ -104,7 +104,8 @@ fn settled(rung: Rung, mut p: ManipulatorParameters, tension_n: [f64; 4]) -> Any
     tool
 }
 
-/// Ends of arcs in series behind a straight piece, then a straight piece: (x, z). Each arc is its length and its bend.
+/// Ends of arcs in series behind a straight piece, then a straight piece: (x, z). Each arc is its length and
+/// its bend.
 fn arcs(straight_m: f64, arcs: &[[f64; 2]], behind_m: f64) -> [f64; 2] {
     let (mut angle, mut x, mut z) = (0.0_f64, 0.0, straight_m);
     for [length_m, bend] in arcs {
@@ -143,7 +144,8 @@ fn a_pre_curved_tool_comes_to_its_arc_within_10_um() {
     }
 }
 
-/// Two arcs: in front every tendon bends, behind only those to the tip. A flexure settles where `k q = d T cos(q/2)`.
+/// Two arcs: in front every tendon bends, behind only those to the tip. A flexure settles where `k q = d T
+/// cos(q/2)`.
 #[test]
 fn two_segments_come_to_two_arcs() {
     let p = described("two_segments.toml");
@@ -163,14 +165,16 @@ fn two_segments_come_to_two_arcs() {
         let tip_m = arcs(start_m, &two, p.tip_offset_m - 0.5 * pitch_m);
         for rung in [Rung::Planar, Rung::Spatial, Rung::Full] {
             let mut p = p.clone();
-            // Every flexure alike, which the first and the last are not quite; nothing is compressed or sheared.
+            // Every flexure alike, which the first and the last are not quite; nothing is compressed or
+            // sheared.
             p.joint_stiffness_nm_per_rad = vec![k; 24];
             p.section = simulation::manipulator::Section::Tube;
             p.tube_radii_m = [1e-5, 0.0];
             let tool = settled(rung, p, tension_n);
             let off_m = distance_m(&tool, tip_m);
             println!("{tension_n:?}, {}: {:.2} µm", rung.name(), off_m * 1e6);
-            // A chain of 24 hinges against arcs: its error is the bend squared over 24 n squared of the length.
+            // A chain of 24 hinges against arcs: its error is the bend squared over 24 n squared of the
+            // length.
             assert!(off_m < 10e-6, "{tension_n:?}, {rung:?}: {off_m}");
         }
     }
@@ -346,7 +350,8 @@ fn pulled(rung: Rung, p: &ManipulatorParameters, tendon: usize, is_length: bool)
     (tool.joint_positions_rad().to_vec(), tool.last_report().tendon_displacement_m)
 }
 
-/// A tendon of its own friction and stiffness moves the tool bit for bit as if all had them; what it stretches is tension over stiffness.
+/// A tendon of its own friction and stiffness moves the tool bit for bit as if all had them; what it
+/// stretches is tension over stiffness.
 #[test]
 fn a_tendon_with_friction_and_stiffness_of_its_own_pulls_as_if_all_had_them() {
     let mixed = two_tendons(["friction = 0.3\nstiffness_n_per_m = 2e4", "stiffness_n_per_m = 5e4"], "");
@@ -363,7 +368,8 @@ fn a_tendon_with_friction_and_stiffness_of_its_own_pulls_as_if_all_had_them() {
                 assert_eq!(own.1[tendon], all.1[tendon], "{rung:?}, tendon {tendon}");
             }
         }
-        // The same shape on a tendon that does not stretch by more than 3 nm: the lengths differ by the stretch.
+        // The same shape on a tendon that does not stretch by more than 3 nm: the lengths differ by the
+        // stretch.
         let stiff = two_tendons(["", ""], "stiffness_n_per_m = 1e9");
         let stretch_m = pulled(rung, &mixed, 1, false).1[1] - pulled(rung, &stiff, 1, false).1[1];
         assert!((stretch_m - 3.0 / 5e4).abs() < 4e-9, "{rung:?}: {stretch_m}");

@@ -20,8 +20,9 @@ fn fed(voxel_mm: f64, insertion_m: f64) -> (feed::Fed, f64) {
     (fed, drilled_mm3)
 }
 
-/// Bug: at 0.061 mm the burr was thrown 28 mm aside: its 256 nearest voxels were all those of one patch of the wall around it, so it had
-/// one contact plane, and the memory for partly cut voxels ended. The whole feed at 0.06 and 0.03 mm is in `lab/physics/examples/fine_voxels.rs`.
+/// Bug: at 0.061 mm the burr was thrown 28 mm aside: its 256 nearest voxels were all those of one patch of
+/// the wall around it, so it had one contact plane, and the memory for partly cut voxels ended. The whole
+/// feed at 0.06 and 0.03 mm is in `lab/physics/examples/fine_voxels.rs`.
 #[test]
 fn a_straight_feed_has_the_same_path_and_depth_at_every_voxel_size() {
     for (voxel_mm, insertion_m) in [(0.12, 36.0e-3), (0.06, 20.0e-3)] {

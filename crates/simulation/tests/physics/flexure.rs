@@ -5,8 +5,8 @@ use simulation::manipulator::{ManipulatorParameters, Notch, Section, StiffnessRa
 
 const RADII_M: [f64; 2] = [3.0e-3, 2.0e-3];
 
-/// For 1 Pa, from `trabecula-lab chart flexure` (scikit-fem, the middle one of three, 0.15 mm), at the pitch of the first, the middle and the
-/// last flexure.
+/// For 1 Pa, from `trabecula-lab chart flexure` (scikit-fem, the middle one of three, 0.15 mm), at the pitch
+/// of the first, the middle and the last flexure.
 #[test]
 fn the_formulas_are_within_a_tenth_of_finite_elements() {
     for (pitch_m, elements) in [
@@ -29,7 +29,8 @@ fn the_formulas_are_within_a_tenth_of_finite_elements() {
     }
 }
 
-/// The table of bending stiffnesses is published, the geometry is the CAD's: one modulus of nitinol joins them. It is not used.
+/// The table of bending stiffnesses is published, the geometry is the CAD's: one modulus of nitinol joins
+/// them. It is not used.
 #[test]
 fn one_modulus_gives_the_published_bending_stiffness_of_every_flexure() {
     let tool = ManipulatorParameters::jhu_27();

@@ -89,7 +89,8 @@ fn any_command(uniform: &mut Uniform, arm: &Arm) -> ArmCommand {
     }
 }
 
-/// The state holds the pose's exact derivatives: central differences over a tick agree to their own error, a sixth of the jerk's change.
+/// The state holds the pose's exact derivatives: central differences over a tick agree to their own error, a
+/// sixth of the jerk's change.
 fn derivatives_agree(three: &[ArmState; 3], jerk_m_s3: f64) -> bool {
     let [before, now, after] = three.map(|state| state.t_world_tool.translation.vector);
     let [velocity, acceleration] =

@@ -1,7 +1,8 @@
 //! The gap between a sphere and bone changes about as fast as the sphere moves, wherever it is.
 //!
-//! Bug: the gap was the distance to the nearest voxel, widened afterwards by how far its corner stands out, and a voxel that was cut hid
-//! others behind it. It jumped by 0.08 mm within 0.02 mm of motion at the edge between a pilot hole and a tunnel.
+//! Bug: the gap was the distance to the nearest voxel, widened afterwards by how far its corner stands out,
+//! and a voxel that was cut hid others behind it. It jumped by 0.08 mm within 0.02 mm of motion at the edge
+//! between a pilot hole and a tunnel.
 
 #![allow(clippy::unwrap_used, reason = "a field that cannot be built is a failed test")]
 
@@ -14,7 +15,8 @@ const BEND_M: f64 = 20e-3;
 /// A walk: length in m, and its steps.
 const WALK_M: f64 = 0.02e-3;
 const STEPS: usize = 20;
-/// Most that the gap may change in a walk, m. Half again of the way, because the widening changes with the place too.
+/// Most that the gap may change in a walk, m. Half again of the way, because the widening changes with the
+/// place too.
 const CHANGE_M: f64 = 0.03e-3;
 
 /// A linear congruential generator with 64 bits (Steele and Vigna 2021), 0 to 1.
@@ -31,7 +33,8 @@ impl Draw {
     }
 }
 
-/// Where the burr's centre is after `way_m` along a path that bends toward +x from the origin, and `beside_m` off it.
+/// Where the burr's centre is after `way_m` along a path that bends toward +x from the origin, and `beside_m`
+/// off it.
 fn on_path(way_m: f64, beside_m: f64) -> Vector3<f64> {
     if way_m < 0.0 {
         return Vector3::new(beside_m, 0.0, way_m);
@@ -93,7 +96,8 @@ fn gap_m(field: &BoneField, centre_m: &Vector3<f64>, radius_m: f64) -> Option<f6
     buffer.planes().iter().map(|plane| plane.gap_m).min_by(f64::total_cmp)
 }
 
-/// Walks of spheres that nearly touch, from places that `place` draws: how many, the largest change of the gap in one and in a step, m.
+/// Walks of spheres that nearly touch, from places that `place` draws: how many, the largest change of the
+/// gap in one and in a step, m.
 fn walk(field: &BoneField, draw: &mut Draw, place: impl Fn(&mut Draw) -> Vector3<f64>) -> (usize, f64, f64) {
     let (mut walks, mut most_m, mut step_m) = (0, 0.0f64, 0.0f64);
     for number in 0..1500 {

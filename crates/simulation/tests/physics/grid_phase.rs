@@ -1,9 +1,10 @@
-//! Where the voxels lie changes little: a tunnel goes the same way when the CT is shifted or turned within its grid, and a hole has the
-//! volume that was swept.
+//! Where the voxels lie changes little: a tunnel goes the same way when the CT is shifted or turned within
+//! its grid, and a hole has the volume that was swept.
 //!
-//! Bug: a pilot hole was made of whole voxels, and what was left of a voxel beside the burr's path fell off at once if it was less than
-//! half. The tunnels of 4 mm ended up to 1.0 mm apart when the CT was shifted by a part of a voxel, although the problem is well posed:
-//! starting the tool 0.1 mm to the side moves the end by less than 0.05 mm.
+//! Bug: a pilot hole was made of whole voxels, and what was left of a voxel beside the burr's path fell off
+//! at once if it was less than half. The tunnels of 4 mm ended up to 1.0 mm apart when the CT was shifted by
+//! a part of a voxel, although the problem is well posed: starting the tool 0.1 mm to the side moves the end
+//! by less than 0.05 mm.
 
 #![allow(clippy::unwrap_used, reason = "a scene that cannot be built is a failed test")]
 
@@ -14,8 +15,8 @@ use simulation::{CtView, Simulation};
 
 const DT_MS: f64 = 2.0;
 
-/// The front of the burr every 0.1 s, mm, in a tunnel in foam whose voxels are shifted by parts of a voxel and turned about y; the tool
-/// starts beside the pilot hole's axis.
+/// The front of the burr every 0.1 s, mm, in a tunnel in foam whose voxels are shifted by parts of a voxel
+/// and turned about y; the tool starts beside the pilot hole's axis.
 fn path(tension_n: f64, shift: [f64; 3], turn_deg: f64, start_mm: f64) -> Vec<Vector3<f64>> {
     let (mut geometry, hu) = foam();
     let direction = Rotation3::from_axis_angle(&Vector3::y_axis(), turn_deg.to_radians()).into_inner();
@@ -50,8 +51,9 @@ fn apart_mm(paths: &[Vec<Vector3<f64>>]) -> (f64, f64) {
 const SHIFTS: [[f64; 3]; 5] =
     [[0.0; 3], [0.5, 0.0, 0.0], [0.25, 0.25, 0.25], [0.1, 0.4, 0.3], [0.37, 0.08, 0.44]];
 
-/// The requirement, 0.1 mm (0.5 mm voxels), holds for the ends up to 10 N; on the way 0.117 mm are seen, and a tenth more is allowed. At
-/// 25 N the tool is jammed, its walls carry 100 N and more and the bone yields: there the bound is what is seen, 0.21 mm, and a fifth.
+/// The requirement, 0.1 mm (0.5 mm voxels), holds for the ends up to 10 N; on the way 0.117 mm are seen, and
+/// a tenth more is allowed. At 25 N the tool is jammed, its walls carry 100 N and more and the bone yields:
+/// there the bound is what is seen, 0.21 mm, and a fifth.
 #[test]
 fn a_tunnel_goes_the_same_way_wherever_the_voxels_lie() {
     for tension_n in [3.0, 6.0, 10.0, 25.0] {
@@ -62,8 +64,9 @@ fn a_tunnel_goes_the_same_way_wherever_the_voxels_lie() {
     }
 }
 
-/// The ends are within the requirement's 0.1 mm. On the way the paths are up to 0.16 mm apart at 6 N, where the burr leaves the pilot
-/// hole and cuts its edge, which does not meet the requirement: the bound there is that and an eighth.
+/// The ends are within the requirement's 0.1 mm. On the way the paths are up to 0.16 mm apart at 6 N, where
+/// the burr leaves the pilot hole and cuts its edge, which does not meet the requirement: the bound there is
+/// that and an eighth.
 #[test]
 fn a_tunnel_goes_the_same_way_however_the_grid_is_turned() {
     for tension_n in [3.0, 6.0, 10.0] {
@@ -102,8 +105,9 @@ fn capsule_m3(radius_m: f64) -> f64 {
     core::f64::consts::PI * radius_m * radius_m * (2.0 * HALF_M + 4.0 / 3.0 * radius_m)
 }
 
-/// The removed volume was up to 33 % above the swept one in voxels of 1 mm. The requirement is 5 %, which holds for burrs of 6 mm and more.
-/// A burr of three voxels is too round for the cut of a voxel by one plane: 12 % are seen, and the bound is 15.
+/// The removed volume was up to 33 % above the swept one in voxels of 1 mm. The requirement is 5 %, which
+/// holds for burrs of 6 mm and more. A burr of three voxels is too round for the cut of a voxel by one plane:
+/// 12 % are seen, and the bound is 15.
 #[test]
 fn a_hole_has_the_swept_volume_in_voxels_of_a_millimetre() {
     let mut worst = Vec::new();

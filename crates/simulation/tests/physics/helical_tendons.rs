@@ -39,8 +39,8 @@ fn settled(rung: Rung, p: &ManipulatorParameters, command: TendonCommand) -> Any
     m
 }
 
-/// Three equal pulls balance in bending, and wind a straight tool by `3 T r sin b` over its torsional stiffness: `GJ`, by Poisson's ratio
-/// `EI / (1 + nu)`, along its whole length. b is the angle of the helix.
+/// Three equal pulls balance in bending, and wind a straight tool by `3 T r sin b` over its torsional
+/// stiffness: `GJ`, by Poisson's ratio `EI / (1 + nu)`, along its whole length. b is the angle of the helix.
 #[test]
 fn three_helical_tendons_wind_a_straight_tool_as_the_closed_form_says() {
     for twist in [-60.0, 60.0] {
@@ -56,7 +56,8 @@ fn three_helical_tendons_wind_a_straight_tool_as_the_closed_form_says() {
             tip.rotation.scaled_axis().z
         };
         let ratio = beam(8, 3, twist).stiffness_ratios(0).torsion;
-        // The winding turns the helix itself; at equilibrium its twist is less or more by the angle per length.
+        // The winding turns the helix itself; at equilibrium its twist is less or more by the angle per
+        // length.
         let exact = {
             let mut wound = 0.0;
             for _ in 0..50 {

@@ -86,7 +86,8 @@ fn stiff_wall_holds_without_jitter_and_transmits_the_force() {
         assert!(jitter < 1e-9);
         // At rest the flange feels exactly the wall.
         assert!((report.flange_wrench.force_n - force).norm() < 1e-5 * force.norm());
-        // Virtual work of one free flexure: tendon torque = spring + wall moment, for each flexure within its stop.
+        // Virtual work of one free flexure: tendon torque = spring + wall moment, for each flexure within its
+        // stop.
         for (i, &q) in m.joint_positions_rad().iter().enumerate() {
             if q.abs() > 0.95 * m.parameters().joint_limit_rad {
                 continue;
@@ -179,8 +180,8 @@ fn tight_tunnel_with_opposing_walls_stays_finite() {
             r.contact_iterations,
             r.contact_residual_m_per_s
         );
-        // Beyond what a tunnel that is too narrow imposes on both sides: some newtons on 1e6 N/m each, and a transient
-        // while a 0.3 mm overlap on 34 spheres is pushed out from both sides at once.
+        // Beyond what a tunnel that is too narrow imposes on both sides: some newtons on 1e6 N/m each, and a
+        // transient while a 0.3 mm overlap on 34 spheres is pushed out from both sides at once.
         let imposed = (-clearance).max(0.0);
         assert!(late - imposed < 20e-6 && worst - imposed < 0.3e-3, "{worst} {late}");
     }
@@ -210,7 +211,8 @@ fn deep_first_overlap_is_pushed_out_at_a_bounded_speed() {
     assert!(m.last_report().max_overlap_m < 20e-6);
 }
 
-/// Bug: the bound was a speed, so a step of 5 ms threw a tool that overlapped a wall out by a quarter of a millimetre.
+/// Bug: the bound was a speed, so a step of 5 ms threw a tool that overlapped a wall out by a quarter of a
+/// millimetre.
 #[test]
 fn a_long_step_pushes_no_more_overlap_out_than_a_short_one() {
     for dt_s in [1e-3, 5e-3, 1e-2] {

@@ -1,4 +1,5 @@
-//! Dynamics of the manipulator: modes, order of accuracy, moving base, bit-exactness, stability where methods fail.
+//! Dynamics of the manipulator: modes, order of accuracy, moving base, bit-exactness, stability where methods
+//! fail.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot build its tool has failed")]
 
@@ -43,8 +44,9 @@ fn first_mode_is_the_cantilevers() {
             "n={joints}: first mode {hz:.3} Hz, cantilever {exact:.3} Hz, {:+.3} %",
             (hz / exact - 1.0) * 100.0
         );
-        // Euler-Bernoulli cantilever, w = 1.87510407^2 sqrt(EI / (rho A L^4)). The eigenvalues of a chain with its flexures in the
-        // middle of its pieces, without rotary inertia, are 0.28 % off at n = 9 and 0.03 % at n = 27.
+        // Euler-Bernoulli cantilever, w = 1.87510407^2 sqrt(EI / (rho A L^4)). The eigenvalues of a chain
+        // with its flexures in the middle of its pieces, without rotary inertia, are 0.28 % off at n = 9 and
+        // 0.03 % at n = 27.
         assert!((hz / exact - 1.0).abs() < if joints == 9 { 3.1e-3 } else { 4e-4 });
     }
     // The stepped chain rings at that frequency: release from a small bend, count zero crossings of the tip.
@@ -117,9 +119,10 @@ fn hybrid_is_second_order_and_euler_first() {
         println!("{integrator:?} dt={:.3} ms: RMS tip error {:.1} um", 1.0 / per_ms as f64, error * 1e6);
         errors.push(error);
     }
-    // The second-order Rosenbrock method is ROS2 of Verwer, Spee, Blom and Hundsdorfer 1999 (SIAM J. Sci. Comput. 20, 1456). A
-    // prototype (0 -> 15 N, 0.3 s, against RK4 at 0.5 us) was off by 170 / 12 / 2 um at 1 / 0.25 / 0.1 ms with ROS2 and by 1887 um at
-    // 1 ms with linearly implicit Euler. Its chain had other rotary inertias, so the order of magnitude is asserted.
+    // The second-order Rosenbrock method is ROS2 of Verwer, Spee, Blom and Hundsdorfer 1999 (SIAM J. Sci.
+    // Comput. 20, 1456). A prototype (0 -> 15 N, 0.3 s, against RK4 at 0.5 us) was off by 170 / 12 / 2 um at
+    // 1 / 0.25 / 0.1 ms with ROS2 and by 1887 um at 1 ms with linearly implicit Euler. Its chain had other
+    // rotary inertias, so the order of magnitude is asserted.
     assert!(errors[0] < 400e-6 && errors[1] < 30e-6 && errors[2] < 6e-6, "{errors:?}");
     assert!(errors[1] < errors[0] / 8.0 && errors[2] < errors[1] / 4.0, "second order: {errors:?}");
     assert!(errors[5] < errors[4] && errors[4] < errors[3] && errors[3] < 4e-3, "{errors:?}");
@@ -237,7 +240,8 @@ fn steps_are_bit_reproducible_and_snapshots_continue_identically() {
 
 #[test]
 fn violent_tension_never_blows_up() {
-    // (stiffness factor, mass factor, dt): of 14 such cases a prototype with ROS2 alone blew up in five, with linearly implicit Euler in none.
+    // (stiffness factor, mass factor, dt): of 14 such cases a prototype with ROS2 alone blew up in five, with
+    // linearly implicit Euler in none.
     let cases: [(f64, f64, f64); 14] = [
         (1.0, 1.0, 0.5e-3),
         (1.0, 1.0, 1e-3),
@@ -327,7 +331,8 @@ fn displacement_steps_with_stiff_tendons_stay_bounded() {
                 most.to_degrees(),
                 m.tendon_tensions_n()
             );
-            // Geometry: take-up 3 mm at 2.5 mm offset is 68.8 deg, some overshoot allowed by the stops at 135.
+            // Geometry: take-up 3 mm at 2.5 mm offset is 68.8 deg, some overshoot allowed by the stops at
+            // 135.
             assert!(most.to_degrees() < 140.0);
         }
     }

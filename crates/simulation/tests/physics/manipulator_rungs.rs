@@ -69,11 +69,12 @@ fn pure_end_moment_bends_every_rung_to_the_arc() {
     }
 }
 
-/// (P L^2 / EI, lateral / L, axial / L): the elastica by an independent Runge-Kutta shooting, see `elastica` below.
+/// (P L^2 / EI, lateral / L, axial / L): the elastica by an independent Runge-Kutta shooting, see `elastica`
+/// below.
 const LOADS: [f64; 7] = [0.25, 0.5, 1.0, 2.0, 4.0, 6.0, 10.0];
 
-/// Tip of the elastica under a dead tip force across, over L: theta'' = -a cos theta, theta(0) = 0, theta'(1) = 0, by
-/// shooting with RK4 in 4000 steps.
+/// Tip of the elastica under a dead tip force across, over L: theta'' = -a cos theta, theta(0) = 0, theta'(1)
+/// = 0, by shooting with RK4 in 4000 steps.
 fn elastica(a: f64) -> [f64; 2] {
     let shoot = |k0: f64| {
         let n = 4000;
@@ -101,8 +102,9 @@ fn elastica(a: f64) -> [f64; 2] {
 
 #[test]
 fn tip_force_follows_the_elastica() {
-    // Mattiasson 1981 (Numerical results from large deflection beam and frame problems analysed by means of elliptic integrals,
-    // Int. J. Numer. Methods Eng. 17, 145), cantilever with an end load: checks the shooting itself.
+    // Mattiasson 1981 (Numerical results from large deflection beam and frame problems analysed by means of
+    // elliptic integrals, Int. J. Numer. Methods Eng. 17, 145), cantilever with an end load: checks the
+    // shooting itself.
     for (a, lateral, shortening) in
         [(1.0, 0.30172, 0.05643), (5.0, 0.71379, 0.38763), (10.0, 0.81061, 0.55500)]
     {
@@ -201,8 +203,8 @@ fn isotropic_load_at_any_angle_gives_the_planar_answer() {
             // In the plane of one freedom: the planar answer, to rounding of the mount's 1e9 N/m.
             assert!(fine < 1e-9, "{fine}");
         } else {
-            // A flexure's turns about two axes differ from one turn by the square of its angle: second order in the links,
-            // and below the chain's own error against the elastica.
+            // A flexure's turns about two axes differ from one turn by the square of its angle: second order
+            // in the links, and below the chain's own error against the elastica.
             assert!(fine < coarse / 3.0 && fine < 6e-6, "{coarse} {fine}");
         }
     }
@@ -235,8 +237,8 @@ fn one_freedom_a_flexure_is_the_planar_rung() {
             "{integrator:?}: tips at most {worst:.1e} m apart, spatial {worst_spatial:.1e} m, {touched} steps in contact"
         );
         assert!(touched > 50);
-        // Two solvers of the same contact problem, each to 1e-6 m/s a row and step of 1 ms: a nanometre a step, which the
-        // restoring springs do not let add up beyond a few dozen steps.
+        // Two solvers of the same contact problem, each to 1e-6 m/s a row and step of 1 ms: a nanometre a
+        // step, which the restoring springs do not let add up beyond a few dozen steps.
         assert!(worst < 1e-7 && worst_spatial < 1e-7, "{worst} {worst_spatial}");
     }
 }
@@ -276,7 +278,8 @@ fn natural_frequencies_are_the_cantilevers() {
                 rung.name(),
                 (hz / exact - 1.0) * 100.0
             );
-            // The discrete modes are off by O(mode^2 / n^2): the eigenvalues of 27 links without rotary inertia by 0.03, 0.11, 0.18 %.
+            // The discrete modes are off by O(mode^2 / n^2): the eigenvalues of 27 links without rotary
+            // inertia by 0.03, 0.11, 0.18 %.
             assert!((hz / exact - 1.0).abs() < [1e-3, 4e-3, 1.2e-2][mode], "{hz} {exact}");
         }
     }
@@ -287,8 +290,8 @@ fn static_shape_load(p: ManipulatorParameters) -> ManipulatorParameters {
     ManipulatorParameters { integrator: Integrator::Hybrid, ..p }
 }
 
-/// Drives the straight tool at its tip by a small force at the frequency that the beam should have and around it; the
-/// frequency of the largest answer, refined by a parabola through the logarithms around it.
+/// Drives the straight tool at its tip by a small force at the frequency that the beam should have and around
+/// it; the frequency of the largest answer, refined by a parabola through the logarithms around it.
 fn ringing_hz(m: AnyManipulator, mode: usize, expected_hz: f64) -> f64 {
     let start = m.snapshot();
     let mut m = m;
@@ -361,7 +364,8 @@ fn free_swing_never_gains_energy() {
                 rung.name(),
                 gained / start
             );
-            // Second order may give back within a swing what its error took: below a thousandth of the energy.
+            // Second order may give back within a swing what its error took: below a thousandth of the
+            // energy.
             assert!(gained < 2e-3 * start && last < 0.9 * start, "{gained} {start} {last}");
         }
     }

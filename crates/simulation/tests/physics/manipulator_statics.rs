@@ -72,9 +72,9 @@ fn end_moment_bends_to_a_circle() {
     assert!(last < 10e-6);
 }
 
-/// (a = P L^2 / EI, lateral / L, axial / L, tip angle) of the elastica under a dead tip force (Bisshopp and Drucker 1945, Large
-/// deflection of cantilever beams, Q. Appl. Math. 3, 272), integrated to 12 digits; at a = 1 and 10 the digits are also those of
-/// Mattiasson 1981 (Int. J. Numer. Methods Eng. 17, 145).
+/// (a = P L^2 / EI, lateral / L, axial / L, tip angle) of the elastica under a dead tip force (Bisshopp and
+/// Drucker 1945, Large deflection of cantilever beams, Q. Appl. Math. 3, 272), integrated to 12 digits; at a
+/// = 1 and 10 the digits are also those of Mattiasson 1981 (Int. J. Numer. Methods Eng. 17, 145).
 const ELASTICA: [(f64, f64, f64, f64); 6] = [
     (0.5, 0.16214, 0.98408, 0.24453),
     (1.0, 0.30172, 0.94357, 0.46135),
@@ -127,7 +127,8 @@ fn routed_tendon_bends_the_reference_chain() {
             t.x * 1e3,
             t.z * 1e3
         );
-        // The equilibrium k q = T (d cos(q/2) + g/2 sin(q/2)) of 26 hinges, solved apart: 90.9 deg, tip (22.06, 22.40) mm.
+        // The equilibrium k q = T (d cos(q/2) + g/2 sin(q/2)) of 26 hinges, solved apart: 90.9 deg, tip
+        // (22.06, 22.40) mm.
         assert!((sign * m.bend_rad().to_degrees() - 90.9).abs() < 0.06);
         assert!((t.z * 1e3 - 22.06).abs() < 0.006 && (sign * t.x * 1e3 - 22.40).abs() < 0.006);
         // Equilibrium of every flexure, to the last digits.
@@ -155,15 +156,17 @@ fn jhu(friction: f64, tension_n: f64) -> f64 {
 
 #[test]
 fn finite_element_table_with_and_without_capstan_friction() {
-    // Friction coefficient, bend at 6 and at 10 N, degrees: k_i q_i = T_i d, T_{i+1} = T_i exp(-mu q_i) (Euler's and Eytelwein's
-    // capstan) with d = 2.5 mm and the 27 finite-element stiffnesses of htp2/continuum-manip-volumetric-drilling-plugin, branch devel,
-    // scripts/replace_cm_joint_properties.py, which are N m per degree there.
+    // Friction coefficient, bend at 6 and at 10 N, degrees: k_i q_i = T_i d, T_{i+1} = T_i exp(-mu q_i)
+    // (Euler's and Eytelwein's capstan) with d = 2.5 mm and the 27 finite-element stiffnesses of
+    // htp2/continuum-manip-volumetric-drilling-plugin, branch devel, scripts/replace_cm_joint_properties.py,
+    // which are N m per degree there.
     let table = [(0.0, 51.9, 86.5), (0.1, 49.6, 80.4), (0.2, 47.6, 75.2), (0.3, 45.7, 70.9)];
     for (mu, six, ten) in table {
         let (a, b) = (jhu(mu, 6.0), jhu(mu, 10.0));
         println!("FE table mu={mu}: 6 N {a:.2} deg (table {six}), 10 N {b:.2} deg (table {ten})");
-        // Table rounding 0.05 deg; cos(q/2) < 1 in the routed torque, up to 0.08 % of 86.5 deg; and the table lets the
-        // tension fall by a flexure's whole wrap before that flexure, ours by half: mu q/2 of the bend, 0.5 deg at most.
+        // Table rounding 0.05 deg; cos(q/2) < 1 in the routed torque, up to 0.08 % of 86.5 deg; and the table
+        // lets the tension fall by a flexure's whole wrap before that flexure, ours by half: mu q/2 of the
+        // bend, 0.5 deg at most.
         let allowed = |bend: f64| 0.1 + mu * 0.5 * 0.06 * bend;
         assert!((a - six).abs() < allowed(six) && (b - ten).abs() < allowed(ten), "mu={mu}: {a} {b}");
     }
@@ -171,8 +174,8 @@ fn finite_element_table_with_and_without_capstan_friction() {
 
 #[test]
 fn capstan_friction_follows_the_continuous_channel() {
-    // EI q' = T d and the capstan's T' = -mu q' T give T(s) = T0 / (1 + mu k0 s), end angle (1/mu) ln(1 + mu k0 L) with
-    // k0 = T0 d / EI.
+    // EI q' = T d and the capstan's T' = -mu q' T give T(s) = T0 / (1 + mu k0 s), end angle (1/mu) ln(1 + mu
+    // k0 L) with k0 = T0 d / EI.
     let (mu, k0_length): (f64, f64) = (0.3, 2.0);
     let exact = (1.0 + mu * k0_length).ln() / mu;
     let mut errors = [0.0; 2];

@@ -42,7 +42,8 @@ fn tip(m: &AnyManipulator) -> Vector3<f64> {
     m.t_world_tip().translation.vector
 }
 
-/// A tunnel of the review: straight, then an arc toward +x; the tool's axis may be `clearance_m` off its middle.
+/// A tunnel of the review: straight, then an arc toward +x; the tool's axis may be `clearance_m` off its
+/// middle.
 #[derive(Clone, Copy)]
 struct Tunnel {
     radius_m: f64,
@@ -75,7 +76,8 @@ impl Tunnel {
     }
 }
 
-/// A problem of the review (`physics-review.md`, section 5): tension of tendon 0, force on the burr across, tunnel.
+/// A problem of the review (`physics-review.md`, section 5): tension of tendon 0, force on the burr across,
+/// tunnel.
 struct Problem {
     name: &'static str,
     tension_n: f64,
@@ -144,7 +146,8 @@ fn five_modes_rest_within_25_um_of_27_flexures_on_every_problem_of_the_review() 
     }
 }
 
-/// Friction keeps what happened before, so both tools go through the same: up to a tension and part of the way back.
+/// Friction keeps what happened before, so both tools go through the same: up to a tension and part of the
+/// way back.
 #[test]
 fn with_friction_of_tendon_and_walls_five_modes_rest_near_27_flexures() {
     let mut p = tool();
@@ -236,8 +239,8 @@ fn flexures_on_their_stops_are_said_and_held() {
     }
 }
 
-/// During a run the modal rung says which flexure is past its stop, and how far, from the tension on at which the statics of the single
-/// flexures have the softest there. The planar rung holds there and says nothing.
+/// During a run the modal rung says which flexure is past its stop, and how far, from the tension on at which
+/// the statics of the single flexures have the softest there. The planar rung holds there and says nothing.
 #[test]
 fn a_run_says_from_which_tension_on_the_modes_are_not_valid() {
     let p = ManipulatorParameters::jhu_27();
@@ -312,7 +315,8 @@ fn plain_instructions_give_the_same_bits() {
     }
 }
 
-/// A wall that the tool did not come near before: the first step of a sudden pull already ends at it, as in the planar rung.
+/// A wall that the tool did not come near before: the first step of a sudden pull already ends at it, as in
+/// the planar rung.
 #[test]
 fn a_sudden_pull_ends_at_a_wall_within_the_first_step() {
     let p = tool();
@@ -334,7 +338,8 @@ fn a_sudden_pull_ends_at_a_wall_within_the_first_step() {
         }
         let force_n = tools.each_ref().map(|m| m.last_report().burr_normal_force_n.norm());
         assert!(force_n[0] > 0.1 && (force_n[1] / force_n[0] - 1.0).abs() < 0.05, "{k}: {force_n:?} N");
-        // The overlap of a contact that carries this force, and what the turning of the shape in a step leaves.
+        // The overlap of a contact that carries this force, and what the turning of the shape in a step
+        // leaves.
         for (overlap_m, force_n) in overlap_m.iter().zip(&force_n) {
             assert!(*overlap_m < force_n / p.contact.stiffness_n_per_m + 20e-6, "{k}: {overlap_m} m");
         }

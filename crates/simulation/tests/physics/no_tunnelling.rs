@@ -61,7 +61,8 @@ fn nothing_tunnels_at_a_metre_a_second() {
     }
 }
 
-/// A whole tool that starts inside bone, in a tunnel narrower than itself: pushed out or held, and every number stays one.
+/// A whole tool that starts inside bone, in a tunnel narrower than itself: pushed out or held, and every
+/// number stays one.
 #[test]
 fn a_tool_that_starts_inside_bone_stays_finite() {
     let dims = [48, 48, 240];

@@ -1,5 +1,5 @@
-//! A tool that slides out of a straight outer tube, turns in it and drills: shape and stiffness against closed forms, its drive against the
-//! double-S, the rest by what must hold.
+//! A tool that slides out of a straight outer tube, turns in it and drills: shape and stiffness against
+//! closed forms, its drive against the double-S, the rest by what must hold.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a helper that fails is a failed test")]
 
 use crate::common;
@@ -109,7 +109,8 @@ fn a_partly_covered_tube_rests_on_two_arcs() {
                 tool.bend_rad().to_degrees(),
                 bend.to_degrees()
             );
-            // Hinges in the middle of straight pieces: h² / 24 R times the length, and once more where the outer tube ends within a piece.
+            // Hinges in the middle of straight pieces: h² / 24 R times the length, and once more where the
+            // outer tube ends within a piece.
             assert!(off_um < 10.0 && (tool.bend_rad() - bend).abs() < 1e-9, "{off_um}");
         }
     }
@@ -147,7 +148,8 @@ fn a_straight_tube_in_its_outer_tube_yields_as_a_cantilever_of_two_pieces() {
                     1e6 * moved_m,
                     1e6 * closed_m
                 );
-                // Flexures of 1.25 mm: the square of a piece over that of the length, and its place at the outer tube's end.
+                // Flexures of 1.25 mm: the square of a piece over that of the length, and its place at the
+                // outer tube's end.
                 assert!((moved_m / closed_m - 1.0).abs() < 5e-3, "{moved_m} {closed_m}");
             }
         }
@@ -377,7 +379,8 @@ fn a_goal_beyond_the_travel_and_a_tool_without_outer_tube_are_refused_and_nothin
     }
 }
 
-/// The wrench on the flange is about the tool's base, from which the tube slides away: by as much its weight's lever grows.
+/// The wrench on the flange is about the tool's base, from which the tube slides away: by as much its
+/// weight's lever grows.
 #[test]
 fn the_flange_feels_the_tubes_weight_at_a_longer_lever() {
     let at = |simulation: &mut Simulation, deployed_mm: f64| {
@@ -407,7 +410,8 @@ fn the_flange_feels_the_tubes_weight_at_a_longer_lever() {
     assert!((grown - 0.04 * force_n.x).abs() < 1e-3 * grown.abs(), "{grown}");
 }
 
-/// A burr at rest that is pushed into the hole's end: the arm's limit stops the tube, and `hold` of the arm lets it be drawn back.
+/// A burr at rest that is pushed into the hole's end: the arm's limit stops the tube, and `hold` of the arm
+/// lets it be drawn back.
 #[test]
 fn a_protective_stop_stops_the_tube_too() {
     let more = "volume = { phantom = \"block\" }\narm = { max_force_n = 4.0 }\n[[predrill]]\nfrom_mm = [0.0, 0.0, -110.0]\nto_mm = [0.0, 0.0, 0.0]\ndiameter_mm = 5.6\n";
@@ -428,7 +432,8 @@ fn a_protective_stop_stops_the_tube_too() {
     assert_eq!(simulation.state().tube_deployed_m, 0.0);
 }
 
-/// Thin and thick, soft and stiff, slow and fast, at every step: the tool stays whole, and ends at rest where it was sent.
+/// Thin and thick, soft and stiff, slow and fast, at every step: the tool stays whole, and ends at rest where
+/// it was sent.
 #[test]
 fn an_outer_tube_at_the_ends_of_its_ranges_loses_no_tool() {
     let ends: [(f64, f64, f64, f64, f64, f64); 5] = [

@@ -1,9 +1,10 @@
 //! What replay rests on: golden hashes of three short runs, and keyframes that continue bit for bit.
 //!
-//! The golden hashes hold for one target and C library: Ruckig, which plans the arm's motion, takes `cbrt`, `acos` and
-//! others from the C library. They change with the physics; the failing test prints the new ones.
+//! The golden hashes hold for one target and C library: Ruckig, which plans the arm's motion, takes `cbrt`,
+//! `acos` and others from the C library. They change with the physics; the failing test prints the new ones.
 //!
-//! The debug build makes the same hashes: `cargo test -p simulation --test physics promise` (about a minute when cold).
+//! The debug build makes the same hashes: `cargo test -p simulation --test physics promise` (about a minute
+//! when cold).
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use messages::{
@@ -174,8 +175,8 @@ fn vector_instructions_change_no_golden_hash() {
     }
 }
 
-/// A keyframe, restored in a simulation that has never run, makes the same states, the same removed voxels and the same
-/// later keyframes.
+/// A keyframe, restored in a simulation that has never run, makes the same states, the same removed voxels
+/// and the same later keyframes.
 #[test]
 fn promise_5_save_and_restore_a_keyframe_at_any_tick_continues_bit_for_bit() {
     let bone = bone();

@@ -333,7 +333,8 @@ fn a_heavy_fragment_moves_by_half_f_t_squared_over_m() {
         moved_m * 1e6,
         exact_m * 1e6
     );
-    // Semi-implicit Euler: n (n + 1) instead of n^2, 2 % at n = 50; 0.3 % for the force, which falls a little.
+    // Semi-implicit Euler: n (n + 1) instead of n^2, 2 % at n = 50; 0.3 % for the force, which falls a
+    // little.
     assert!((moved_m / (exact_m * 51.0 / 50.0) - 1.0).abs() < 3e-3);
 }
 

@@ -20,8 +20,8 @@ const SCENES: [&str; 5] = [
      [[body]]\nname = \"fragment\"\ncuboid = { half_extents_mm = [8.0, 8.0, 4.0] }\nmotion = \"free\"\nposition_mm = [1.0, 0.5, 7.6]\n",
 ];
 
-/// One has 105 kB, and making it takes several times that. Whoever keeps several puts each into a box as it is made: an array of four took
-/// more than the 2 MB that a thread has.
+/// One has 105 kB, and making it takes several times that. Whoever keeps several puts each into a box as it
+/// is made: an array of four took more than the 2 MB that a thread has.
 #[test]
 fn simulations_are_built_stepped_and_restored_in_a_small_stack() {
     let work = || {

@@ -1,6 +1,6 @@
-//! Bug: the planes of a tick were those within reach of the speed at its start, so a suddenly pulled tool passed through bone.
-//! Bug: a burr that jumped met only the planes of the last place that it had come to, went to and fro between two places, and one of 60
-//! pulls ended 1.9 mm in the wall.
+//! Bug: the planes of a tick were those within reach of the speed at its start, so a suddenly pulled tool
+//! passed through bone. Bug: a burr that jumped met only the planes of the last place that it had come to,
+//! went to and fro between two places, and one of 60 pulls ended 1.9 mm in the wall.
 
 #![allow(clippy::unwrap_used, reason = "a scene that cannot be built is a failed test")]
 

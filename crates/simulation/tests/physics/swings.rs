@@ -74,7 +74,8 @@ fn m_scale(start_j: f64, tension_n: f64) -> f64 {
     if tension_n == 0.0 { start_j } else { start_j.abs().max(1e-3 * tension_n) }
 }
 
-/// Bug: `spatial` and `full` with `hybrid` gained energy out of the plane at small damping: 3.4 times at 1 ms and 0.001.
+/// Bug: `spatial` and `full` with `hybrid` gained energy out of the plane at small damping: 3.4 times at 1 ms
+/// and 0.001.
 #[test]
 fn no_swing_in_space_gains_energy() {
     for rung in [Rung::Planar, Rung::Spatial, Rung::Full] {

@@ -1,11 +1,12 @@
 //! A stiff tool widens a pilot hole: the sum of the burr's contact forces, and its thrust, in closed form.
 //!
-//! A burr that advances by v dt removes dA v dt of bone, where dA is the area of the ring between hole and burr, seen along the feed. With
-//! u the bone's specific energy this takes u dA v dt, and the contacts give mu S w r_eff dt, where S is the sum of their normal forces and
-//! r_eff their mean lever (2r/3 for the burr's end, 8r/(3 pi) for its side). So S = K dA v / (w r_eff), K = u / mu. The thrust is what S
-//! has along the feed: contacts that are seen from the burr's centre at the angle theta from the feed give S cos(theta). Where the burr
-//! fills its hole its contact is at the pole, theta = 0. In a pilot hole of radius a it touches the ring from a outward, so that
-//! cos(theta) is at most sqrt(1 - a^2/r^2), and above 0.
+//! A burr that advances by v dt removes dA v dt of bone, where dA is the area of the ring between hole and
+//! burr, seen along the feed. With u the bone's specific energy this takes u dA v dt, and the contacts give
+//! mu S w r_eff dt, where S is the sum of their normal forces and r_eff their mean lever (2r/3 for the burr's
+//! end, 8r/(3 pi) for its side). So S = K dA v / (w r_eff), K = u / mu. The thrust is what S has along the
+//! feed: contacts that are seen from the burr's centre at the angle theta from the feed give S cos(theta).
+//! Where the burr fills its hole its contact is at the pole, theta = 0. In a pilot hole of radius a it
+//! touches the ring from a outward, so that cos(theta) is at most sqrt(1 - a^2/r^2), and above 0.
 
 #![allow(clippy::unwrap_used, reason = "a scene that cannot be built fails the test")]
 
@@ -76,7 +77,8 @@ struct Means {
     area_m2: f64,
 }
 
-/// Mean distance from the axis over the half of a unit ball that faces a contact, weighted by projected area: midpoints on the disc.
+/// Mean distance from the axis over the half of a unit ball that faces a contact, weighted by projected area:
+/// midpoints on the disc.
 fn lever_by_integration(axis_cosine: f64) -> f64 {
     let (sine, steps) = ((1.0 - axis_cosine * axis_cosine).max(0.0).sqrt(), 100);
     let (mut sum, mut weight) = (0.0, 0.0);
@@ -95,7 +97,8 @@ fn lever_by_integration(axis_cosine: f64) -> f64 {
     sum / weight
 }
 
-/// The end and the side in closed form; between them the integral, to what four terms of the series and 100 x 100 points leave out.
+/// The end and the side in closed form; between them the integral, to what four terms of the series and 100 x
+/// 100 points leave out.
 #[test]
 fn the_lever_of_a_contact_is_the_mean_distance_of_its_half_from_the_axis() {
     assert!(
@@ -144,10 +147,11 @@ fn widen(hole_mm: f64, voxel_m: f64, (edge_mpa, feed_m_per_s): (f64, f64)) -> Me
     means
 }
 
-/// 5 % is what is asked of the law; voxels round the ring and the partly cut ones beside it. In a hole of 6.3 mm the ring that the burr
-/// touches is 0.05 mm wide, less than a fifth of a voxel of 0.25 mm: the staircase of the hole then meets the burr a layer at a time, and
-/// spends forces that cut nothing. It is widened in voxels of 0.0625 mm, and the area is that of the bone that was cut: the last 0.1 mm of
-/// the ring lie beyond the burr, within its reach, and the burr does not stay long enough to take all of it.
+/// 5 % is what is asked of the law; voxels round the ring and the partly cut ones beside it. In a hole of 6.3
+/// mm the ring that the burr touches is 0.05 mm wide, less than a fifth of a voxel of 0.25 mm: the staircase
+/// of the hole then meets the burr a layer at a time, and spends forces that cut nothing. It is widened in
+/// voxels of 0.0625 mm, and the area is that of the bone that was cut: the last 0.1 mm of the ring lie beyond
+/// the burr, within its reach, and the burr does not stay long enough to take all of it.
 #[test]
 fn the_force_that_widens_a_hole_is_in_proportion_to_the_bone_cut() {
     let cutting = CuttingLaw::default();
@@ -178,14 +182,16 @@ fn the_force_that_widens_a_hole_is_in_proportion_to_the_bone_cut() {
         assert!((of_cut - 1.0).abs() < 0.05, "{hole_mm} mm: {of_cut}");
         assert!(hole_mm > 6.0 || (ratio - 1.0).abs() < 0.05, "{hole_mm} mm: {ratio}");
         assert!(cosine > 0.0 && cosine < most + 1e-3, "{hole_mm} mm: {cosine} of {most}");
-        // The burr that fills its hole: all of the force is thrust, but for what the bottom's voxels turn aside.
+        // The burr that fills its hole: all of the force is thrust, but for what the bottom's voxels turn
+        // aside.
         assert!(hole_mm > 0.0 || cosine > 0.95, "{cosine}");
     }
 }
 
-/// The forces on a burr that fills its hole add up to `p_e(rho) pi (r + reach)^2 + K A v / (w r_eff)`: the edge's part whatever the feed,
-/// and the cut's in proportion to it. 5 %, as above, in voxels of any size: with the hole's rim left out, S was 11 % too small in voxels of
-/// 0.5 mm and 27 % in voxels of 1 mm. Up to a tenth of the forces is not thrust: at such forces the planes beside the pole carry some.
+/// The forces on a burr that fills its hole add up to `p_e(rho) pi (r + reach)^2 + K A v / (w r_eff)`: the
+/// edge's part whatever the feed, and the cut's in proportion to it. 5 %, as above, in voxels of any size:
+/// with the hole's rim left out, S was 11 % too small in voxels of 0.5 mm and 27 % in voxels of 1 mm. Up to a
+/// tenth of the forces is not thrust: at such forces the planes beside the pole carry some.
 #[test]
 fn the_force_of_an_edge_is_a_constant_and_a_part_in_proportion_to_the_feed() {
     let edge_mpa = 2.3;

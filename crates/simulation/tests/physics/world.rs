@@ -38,12 +38,13 @@ run = { mode = "lockstep", duration_s = 3.0 }
 volume = { phantom = "block" }
 "#;
 
-/// Bug: planes beyond 96 were dropped, and with them those of the burr, which stands last; it then cut nothing, and the
-/// arm pressed with hundreds of newtons.
+/// Bug: planes beyond 96 were dropped, and with them those of the burr, which stands last; it then cut
+/// nothing, and the arm pressed with hundreds of newtons.
 ///
-/// The tunnel is one of the CT: its whole voxels touch a sphere on all sides with the corners of their staircase. The wall of a pilot hole is
-/// round, and a tube with 0.3 mm of play has planes within the margin of 0.03 mm only up to 26 degrees about the line it rests on
-/// (0.3 (1 - cos 26°) = 0.03): 61 in all, which is right there and too few to fill 96.
+/// The tunnel is one of the CT: its whole voxels touch a sphere on all sides with the corners of their
+/// staircase. The wall of a pilot hole is round, and a tube with 0.3 mm of play has planes within the margin
+/// of 0.03 mm only up to 26 degrees about the line it rests on (0.3 (1 - cos 26°) = 0.03): 61 in all, which
+/// is right there and too few to fill 96.
 #[test]
 fn the_burr_cuts_in_a_tunnel_in_which_every_sphere_has_several_planes() {
     let scene = scene(WHOLE_VOXELS);

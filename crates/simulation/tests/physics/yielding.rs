@@ -1,4 +1,5 @@
-//! Bone that is pressed beyond its strength: force against depth in closed form, energy, and what does not yield.
+//! Bone that is pressed beyond its strength: force against depth in closed form, energy, and what does not
+//! yield.
 
 #![allow(clippy::unwrap_used, reason = "a block that cannot be built fails the test")]
 
@@ -59,7 +60,8 @@ fn foam(voxel_m: f64, turn: &Rotation3<f64>, up: &Vector3<f64>, removal: Removal
     (BoneField::new(geometry, &hu, parameters).unwrap(), hu)
 }
 
-/// The spheres of a cylinder along `along`, with its lower side at `depth_m` below the surface through the origin.
+/// The spheres of a cylinder along `along`, with its lower side at `depth_m` below the surface through the
+/// origin.
 fn cylinder(along: &Vector3<f64>, up: &Vector3<f64>, depth_m: f64) -> Vec<Vector3<f64>> {
     let middle = 0.5 * (SPHERES - 1) as f64;
     (0..SPHERES).map(|k| along * ((k as f64 - middle) * PITCH_M) + up * (RADIUS_M - depth_m)).collect()
@@ -79,7 +81,8 @@ fn planes(field: &mut BoneField, hu: &[i16], centre_m: &Vector3<f64>) -> Vec<Con
     planes
 }
 
-/// Area of the spheres' caps cut off by a plane `depth_m` deep, seen along the plane's normal: discs along a line.
+/// Area of the spheres' caps cut off by a plane `depth_m` deep, seen along the plane's normal: discs along a
+/// line.
 fn footprint_m2(depth_m: f64) -> f64 {
     let radius_m = (RADIUS_M * RADIUS_M - (RADIUS_M - depth_m).powi(2)).sqrt();
     let middle = 0.5 * (SPHERES - 1) as f64;
@@ -141,9 +144,10 @@ fn press(voxel_m: f64, turn: &Rotation3<f64>, up: &Vector3<f64>, to_m: f64) -> P
     pressed
 }
 
-/// A cylinder pressed into foam needs strength x footprint, at any size and direction of the voxels. The bound of 10 % is the requirement;
-/// single depths scatter with the voxels that the rim enters, so each is a mean over a voxel's depth, and above the first half voxel,
-/// where the footprint is narrower than a voxel is wide.
+/// A cylinder pressed into foam needs strength x footprint, at any size and direction of the voxels. The
+/// bound of 10 % is the requirement; single depths scatter with the voxels that the rim enters, so each is a
+/// mean over a voxel's depth, and above the first half voxel, where the footprint is narrower than a voxel is
+/// wide.
 #[test]
 fn a_cylinder_pressed_into_foam_needs_strength_times_footprint() {
     let z = Vector3::z();
@@ -179,8 +183,8 @@ fn a_cylinder_pressed_into_foam_needs_strength_times_footprint() {
     }
 }
 
-/// Bug: walls bore any force. At 25 N the arm pushed with 139 N, one segment carried 58 N (7.5 MPa on foam that bears 1.3), and flexures
-/// stood 0.8 degrees past their stops.
+/// Bug: walls bore any force. At 25 N the arm pushed with 139 N, one segment carried 58 N (7.5 MPa on foam
+/// that bears 1.3), and flexures stood 0.8 degrees past their stops.
 #[test]
 fn a_jammed_tool_crushes_the_wall_instead_of_passing_its_stops() {
     let (geometry, hu) = tunnel_foam();

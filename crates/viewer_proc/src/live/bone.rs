@@ -221,8 +221,8 @@ impl RemovalQueue {
         }
     }
 
-    /// Skips lost removals. A log holds removals in order, so the next one will never come if the log, read up to number `logged`, is past
-    /// it. Returns whether any were skipped.
+    /// Skips lost removals. A log holds removals in order, so the next one will never come if the log, read
+    /// up to number `logged`, is past it. Returns whether any were skipped.
     fn step_over_lost(&mut self, logged: u64) -> bool {
         let lost = self.lacks_next() && logged > self.last;
         if lost {

@@ -43,7 +43,8 @@ pub(super) struct Control {
     told: Option<f64>,
 }
 
-/// Runs the simulation slower: pauses it and requests as many ticks as the elapsed time allows. Pure: the caller supplies the elapsed time.
+/// Runs the simulation slower: pauses it and requests as many ticks as the elapsed time allows. Pure: the
+/// caller supplies the elapsed time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Pace {
     speed: f64,
@@ -234,7 +235,8 @@ mod tests {
         assert_eq!(steps, 1);
     }
 
-    /// A speed requested while the physics starts must not be lost, or the page waits 10 s for an answer that never comes.
+    /// A speed requested while the physics starts must not be lost, or the page waits 10 s for an answer that
+    /// never comes.
     #[test]
     fn what_is_asked_before_the_physics_listens_is_sent_when_it_is_heard_of() {
         let plan = SessionPlan {

@@ -15,7 +15,8 @@ use crate::board::Board;
 use crate::info::{CONTROLLER, unit};
 use crate::services::{CArm, Call, Drive, Reply, Request};
 
-/// Dead-man timeout: without a request for this long the insertion stops, because whoever held the key is gone.
+/// Dead-man timeout: without a request for this long the insertion stops, because whoever held the key is
+/// gone.
 const HAND_LIMIT: Duration = Duration::from_millis(300);
 /// Longest time between two polls for calls.
 const POLL_PERIOD: Duration = Duration::from_millis(20);
@@ -31,8 +32,8 @@ pub(super) struct Driver {
 }
 
 impl Driver {
-    /// Starts the thread if the scene names the controller. A tick waits for an optional controller only after its first command, so the
-    /// thread joins on first use.
+    /// Starts the thread if the scene names the controller. A tick waits for an optional controller only
+    /// after its first command, so the thread joins on first use.
     pub(super) fn start(session: &Path, scene: &Scene, over: Arc<AtomicBool>, board: Arc<Board>) -> Driver {
         let frames =
             (!turns_the_c_arm(scene)).then(|| FrameRequests::start(session, scene, Arc::clone(&over)));
@@ -249,8 +250,9 @@ impl Inputs {
     }
 }
 
-/// Pose of a C-arm from DICOM's angles (DICOM PS3.3, C.8.7.5.1.2): primary 0 puts the detector in front of the chest and grows toward the
-/// patient's left, secondary grows toward the head. Axes: rows to the right, columns down, z to the source.
+/// Pose of a C-arm from DICOM's angles (DICOM PS3.3, C.8.7.5.1.2): primary 0 puts the detector in front of
+/// the chest and grows toward the patient's left, secondary grows toward the head. Axes: rows to the right,
+/// columns down, z to the source.
 pub(super) fn c_arm_pose(c_arm: &CArm, drr: &Drr) -> Result<Pose, String> {
     let angle = |given: Option<f64>, scene: f64, name: &str| {
         within(name, given.unwrap_or(scene), -180.0, 180.0).map(f64::to_radians)
@@ -329,7 +331,8 @@ mod tests {
         refused(r#"{"insert_m_per_s": 5}"#, &[Drives::Arm], "-1 to 1");
     }
 
-    /// Checked against the definition of the angles: AP has the detector in front of the chest, 90° at the patient's left.
+    /// Checked against the definition of the angles: AP has the detector in front of the chest, 90° at the
+    /// patient's left.
     #[test]
     fn the_c_arm_turns_by_dicoms_angles() {
         let text =

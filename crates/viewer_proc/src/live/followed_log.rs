@@ -7,8 +7,8 @@ use run_log::EndReason;
 
 use crate::log::file::LogFile;
 
-/// The folder in which a session is recorded; `None` if it is not, or not yet said. The launcher says so in the session's folder, which
-/// goes with the run.
+/// The folder in which a session is recorded; `None` if it is not, or not yet said. The launcher says so in
+/// the session's folder, which goes with the run.
 pub(super) fn recorded_in(session: &Path) -> Option<PathBuf> {
     std::fs::read_to_string(session.join(OUTPUT_FILE)).ok().map(PathBuf::from)
 }
@@ -35,7 +35,8 @@ impl FollowedLog {
         self.folder.is_some()
     }
 
-    /// The run's folder, once both files have their index, which is written last; and why the run ended, as its log has it.
+    /// The run's folder, once both files have their index, which is written last; and why the run ended, as
+    /// its log has it.
     pub(super) fn whole(&self) -> Option<(PathBuf, Option<EndReason>)> {
         let folder = self.folder.as_ref()?;
         let [run, timing] = ["run.mcap", "timing.mcap"].map(|name| LogFile::open(&folder.join(name)).ok());

@@ -45,8 +45,9 @@ const LOG_LIMIT: Duration = Duration::from_secs(130);
 const RUN_ENDED: &str = "the run has ended";
 const HUB_DIED: &str = "the hub has died: its launcher is gone, and the run with it";
 
-/// Watches the session in a folder until it ends or the process is asked to end. Calls `shapes` for those of tool and arm, and `ready` when
-/// pages can be opened. Returns the log of the run, whole, if the run came to its end, was recorded, and somebody is still watching.
+/// Watches the session in a folder until it ends or the process is asked to end. Calls `shapes` for those of
+/// tool and arm, and `ready` when pages can be opened. Returns the log of the run, whole, if the run came to
+/// its end, was recorded, and somebody is still watching.
 ///
 /// # Errors
 /// The session cannot be joined.
@@ -121,8 +122,8 @@ struct Live {
 enum Ended {
     /// The run said that it came to its end.
     Heard,
-    /// Its host has put it away, or another has cleared it away after a host that died: only its log knows. A short run may be over before
-    /// this viewer listens.
+    /// Its host has put it away, or another has cleared it away after a host that died: only its log knows. A
+    /// short run may be over before this viewer listens.
     Unheard,
     /// Its host died, or the viewer was asked to end.
     Otherwise,
@@ -158,7 +159,8 @@ impl Live {
         }
     }
 
-    /// What has become of a session whose host is gone. A host that ends puts its session away before it lets go of it.
+    /// What has become of a session whose host is gone. A host that ends puts its session away before it lets
+    /// go of it.
     fn without_host(&mut self, session: &Session) -> Result<Ended, ViewerError> {
         // What it sent since the last poll.
         self.subscriptions.poll(&self.board)?;
@@ -179,8 +181,8 @@ impl Live {
         Ok(Ended::Unheard)
     }
 
-    /// Whether the run has said that it came to its end. A killed host leaves its announcement behind; the physics then ends too, and
-    /// reports it.
+    /// Whether the run has said that it came to its end. A killed host leaves its announcement behind; the
+    /// physics then ends too, and reports it.
     fn has_said_its_end(&mut self, session: &Session) -> bool {
         let said = self.subscriptions.run_has_ended() && (session.host_is_alive() || !session.is_announced());
         if said {

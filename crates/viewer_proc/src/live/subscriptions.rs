@@ -65,8 +65,8 @@ impl<M: Logged> Forward for Forwarded<M> {
     }
 }
 
-/// Forwards queued messages: all of them if anybody subscribes to the topic, otherwise only the newest. Skips malformed ones. Returns how
-/// many arrived.
+/// Forwards queued messages: all of them if anybody subscribes to the topic, otherwise only the newest. Skips
+/// malformed ones. Returns how many arrived.
 fn forward<M: Message>(
     subscriber: &Subscriber<M>,
     topic: &str,

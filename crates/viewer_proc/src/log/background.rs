@@ -86,7 +86,8 @@ impl Reader {
         }
     }
 
-    /// One pass over a file for the fields of some topics; `each` gets every message too. Returns the stream at its end.
+    /// One pass over a file for the fields of some topics; `each` gets every message too. Returns the stream
+    /// at its end.
     fn pass(
         &self,
         path: &Path,

@@ -23,8 +23,8 @@ impl LogBone {
         LogBone { bone: Bone::new(volume.grid, threshold_hu), hu: volume.hu, removals, taken: 0 }
     }
 
-    /// Brings the bone to a time. Going forward applies the removals in between. Going backward restarts at the last reset before that
-    /// time, because the log says what was removed but not what a reset restored.
+    /// Brings the bone to a time. Going forward applies the removals in between. Going backward restarts at
+    /// the last reset before that time, because the log says what was removed but not what a reset restored.
     pub(super) fn go_to(&mut self, time_ns: u64) {
         let wanted = self.removals.partition_point(|(time, _, _)| *time <= time_ns);
         if wanted < self.taken {

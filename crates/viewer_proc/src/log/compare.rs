@@ -30,8 +30,9 @@ pub(super) fn first_difference(a: &LogFile, b: &LogFile, time_ns: u64) -> Result
     Ok(String::new())
 }
 
-/// Fields in which two states differ, at most [`MOST_ROWS`]. The state's own fields come before those of its poses and contacts; within
-/// each group the largest relative difference comes first. For an array, its most different element.
+/// Fields in which two states differ, at most [`MOST_ROWS`]. The state's own fields come before those of its
+/// poses and contacts; within each group the largest relative difference comes first. For an array, its most
+/// different element.
 fn differing_fields(a: &[u8], b: &[u8]) -> Vec<Value> {
     let number = |scalar: Option<Scalar>| scalar.map(Scalar::nearest_f64);
     let mut rows: Vec<(f64, String, f64, f64)> = difference::all_differences(State::DESCRIPTION, a, b)

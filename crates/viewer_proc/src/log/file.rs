@@ -174,7 +174,8 @@ impl LogFile {
     fn chunk(&self, offset: u64, length: usize) -> Result<Vec<u8>, PlayError> {
         let read_error = |cause| PlayError::Read { path: self.path.clone(), cause };
         let mut bytes = Vec::new();
-        // A forged length must not allocate memory: it grows only as bytes are read. Several threads read, so none moves the file's position.
+        // A forged length must not allocate memory: it grows only as bytes are read. Several threads read, so
+        // none moves the file's position.
         while bytes.len() < length {
             let begin = bytes.len();
             bytes.resize(begin + READ_BYTES.min(length - begin), 0);
@@ -203,7 +204,8 @@ impl Reading {
         })
     }
 
-    /// The next message, without a copy: what `take` makes of its topic, its time and its CDR header, struct and tail.
+    /// The next message, without a copy: what `take` makes of its topic, its time and its CDR header, struct
+    /// and tail.
     ///
     /// # Errors
     /// [`PlayError`].

@@ -104,8 +104,8 @@ impl Outline {
         }
     }
 
-    /// Keeps a removal while the total is physically possible and fits into memory: an untrusted log may pack any number of them into few
-    /// bytes.
+    /// Keeps a removal while the total is physically possible and fits into memory: an untrusted log may pack
+    /// any number of them into few bytes.
     fn remove(&mut self, time_ns: u64, removed: Removed, voxels: Vec<u32>) {
         // A removal without voxels takes memory too.
         let count = voxels.len().max(1) as u64;
@@ -130,8 +130,8 @@ impl Outline {
     }
 }
 
-/// The first tick that both logs have with different chained hashes, or the first tick after the shorter log's end. A gap in one log is no
-/// divergence: the chain continues after it.
+/// The first tick that both logs have with different chained hashes, or the first tick after the shorter
+/// log's end. A gap in one log is no divergence: the chain continues after it.
 pub(super) fn part(
     first: impl Iterator<Item = (u64, [u64; 2])>,
     second: impl Iterator<Item = (u64, [u64; 2])>,
@@ -151,8 +151,8 @@ pub(super) fn part(
     }
 }
 
-/// Events and missed ticks of a timing lane. Each is placed at the tick it names, because the log's own time is when the recorder received
-/// it.
+/// Events and missed ticks of a timing lane. Each is placed at the tick it names, because the log's own time
+/// is when the recorder received it.
 pub(super) struct Events {
     dt_ns: u64,
     events: Vec<Mark>,

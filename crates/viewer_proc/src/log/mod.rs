@@ -1,7 +1,7 @@
 //! Logs on a time line: play, seek, step, plot, and compare two of them.
 //!
-//! A log opens from its index. What needs all of it (marks, drilled voxels, fields for plots) is read in the background, so that a log of an
-//! hour opens as quickly as one of a second.
+//! A log opens from its index. What needs all of it (marks, drilled voxels, fields for plots) is read in the
+//! background, so that a log of an hour opens as quickly as one of a second.
 
 mod background;
 mod bone;

@@ -38,7 +38,8 @@ const LONGEST_STRIDE_NS: u64 = 500_000_000;
 /// Slots of the playback topic: a new client gets the marks first, then the position.
 const MARKS_SLOT: u32 = 0;
 const POSITION_SLOT: u32 = 1;
-/// How much history other viewers get after a jump, and how long after it. The delay, because dragging the slider makes many jumps.
+/// How much history other viewers get after a jump, and how long after it. The delay, because dragging the
+/// slider makes many jumps.
 const HISTORY_NS: u64 = 10_000_000_000;
 const HISTORY_STATES: u64 = 400;
 const HISTORY_DELAY: Duration = Duration::from_millis(150);
@@ -346,7 +347,8 @@ impl LogPlayback {
         Ok(())
     }
 
-    /// Sends other viewers, which plot what they receive, the history before a jump: a sample of the states, all tick timings.
+    /// Sends other viewers, which plot what they receive, the history before a jump: a sample of the states,
+    /// all tick timings.
     fn send_history(&mut self) -> Result<(), PlayError> {
         if self.jumped.is_none_or(|jumped| jumped.elapsed() < HISTORY_DELAY) {
             return Ok(());
@@ -370,8 +372,8 @@ impl LogPlayback {
         self.show_newest(now)
     }
 
-    /// Publishes the position if it has changed, and with it the state and the comparison of that very time, so that slider, readouts and
-    /// table agree. The marks only when they have changed.
+    /// Publishes the position if it has changed, and with it the state and the comparison of that very time,
+    /// so that slider, readouts and table agree. The marks only when they have changed.
     fn tell(&mut self) -> Result<(), PlayError> {
         let now = Told {
             time_ns: self.player.time_ns(),

@@ -35,7 +35,8 @@ const END_CHECK_PERIOD: Duration = Duration::from_millis(100);
 
 type Socket = WebSocketStream<TcpStream>;
 
-/// Answers a request, and serves the WebSocket if it opens one. A client with permission to watch is no longer a pending connection.
+/// Answers a request, and serves the WebSocket if it opens one. A client with permission to watch is no
+/// longer a pending connection.
 pub(super) async fn answer(
     mut stream: TcpStream,
     head: Result<Option<Head>, Refusal>,
@@ -136,8 +137,8 @@ impl From<Error> for End {
     }
 }
 
-/// Serves a client. One without permission to watch gets only the reason: a browser shows the page the reason for a closed WebSocket, but
-/// none for one that never opened.
+/// Serves a client. One without permission to watch gets only the reason: a browser shows the page the reason
+/// for a closed WebSocket, but none for one that never opened.
 async fn serve(mut socket: Socket, shared: &Shared, may_watch: bool) {
     let end = match may_watch {
         true => {
@@ -200,7 +201,8 @@ struct ClientSession<'a> {
     shared: &'a Shared,
     /// Channel for the answers to calls, with the service's number.
     answers: mpsc::UnboundedSender<(u32, Message)>,
-    /// Slices asked for and not sent yet: what a client holds up is limited, because it reads them before it asks on.
+    /// Slices asked for and not sent yet: what a client holds up is limited, because it reads them before it
+    /// asks on.
     slices: usize,
 }
 

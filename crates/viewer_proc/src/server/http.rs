@@ -134,8 +134,8 @@ pub struct Origins {
 }
 
 impl Origins {
-    /// Refuses requests from other pages, by the origin that a browser always sends. Also compares the host exactly, so that a foreign name
-    /// pointed at this machine (DNS rebinding) is not taken for ours.
+    /// Refuses requests from other pages, by the origin that a browser always sends. Also compares the host
+    /// exactly, so that a foreign name pointed at this machine (DNS rebinding) is not taken for ours.
     ///
     /// # Errors
     /// Another host or origin; a header that is missing or repeated.
@@ -156,7 +156,8 @@ impl Origins {
     }
 }
 
-/// Whether a request's host is this server: an address or the name of loopback, with its port. Browsers omit port 80.
+/// Whether a request's host is this server: an address or the name of loopback, with its port. Browsers omit
+/// port 80.
 fn is_ours(host: &str, own: SocketAddr, reach: Reach) -> bool {
     let name = match host.strip_suffix(&format!(":{}", own.port())) {
         Some(name) => name,

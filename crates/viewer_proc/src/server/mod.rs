@@ -57,8 +57,8 @@ pub(crate) struct Shared {
     pub end: Arc<AtomicBool>,
 }
 
-/// An open port and the token that belongs to it. What is shown behind it may change (a scene, its run, the run's log); page and address
-/// stay.
+/// An open port and the token that belongs to it. What is shown behind it may change (a scene, its run, the
+/// run's log); page and address stay.
 #[derive(Debug)]
 pub struct Door {
     listener: std::net::TcpListener,

@@ -1,5 +1,6 @@
-//! Pending connections: connections that have not shown the token, such as an incomplete request or a file of the page in transit. Anybody can open
-//! them, so their number is limited and a new one evicts an old one: opening idle connections locks nobody out.
+//! Pending connections: connections that have not shown the token, such as an incomplete request or a file of
+//! the page in transit. Anybody can open them, so their number is limited and a new one evicts an old one:
+//! opening idle connections locks nobody out.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -37,7 +38,8 @@ pub(super) struct PendingConnection {
 }
 
 impl PendingConnections {
-    /// Admits a pending connection. If there are too many, closes the oldest pending connection of the address that has the most.
+    /// Admits a pending connection. If there are too many, closes the oldest pending connection of the
+    /// address that has the most.
     pub fn admit(&self, peer: IpAddr) -> PendingConnection {
         let mut list = self.0.borrow_mut();
         if list.entries.len() >= MAX_PENDING

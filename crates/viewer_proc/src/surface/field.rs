@@ -66,9 +66,9 @@ impl Field {
         self.removed.iter().enumerate().filter(|(_, bits)| **bits != 0).flat_map(bits).collect()
     }
 
-    /// HU above the threshold at the voxels of a row along i, starting at `first`; negative is outside. Outside the grid there is no bone,
-    /// so the surface is closed. A drilled voxel is as far outside as it was inside, so the surface runs half-way between it and its
-    /// neighbours.
+    /// HU above the threshold at the voxels of a row along i, starting at `first`; negative is outside.
+    /// Outside the grid there is no bone, so the surface is closed. A drilled voxel is as far outside as it
+    /// was inside, so the surface runs half-way between it and its neighbours.
     pub fn row(&self, hu: &[i16], first: [i64; 3], values: &mut [f32]) {
         values.fill(OUTSIDE);
         let [ni, nj, nk] = self.grid.dims();

@@ -9,8 +9,8 @@ const STEPS: f64 = 65_534.0;
 /// Least length of a step, m: that of a mesh without extent.
 const LEAST_STEP_M: f64 = 1e-9;
 
-/// The mesh of the link that moves with frame `frame` of the arm, from triangles in that frame, m, counterclockwise seen from outside.
-/// Every facet keeps its own normal, so edges of a housing stay sharp.
+/// The mesh of the link that moves with frame `frame` of the arm, from triangles in that frame, m,
+/// counterclockwise seen from outside. Every facet keeps its own normal, so edges of a housing stay sharp.
 pub fn link_mesh(frame: u32, triangles_m: &[[[f64; 3]; 3]]) -> BlockMesh {
     let (mut least, mut most) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
     for corner in triangles_m.iter().flatten() {

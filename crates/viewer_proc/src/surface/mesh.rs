@@ -59,8 +59,9 @@ impl BlockMesh {
         self.steps(vertex).map(|steps| steps as f64 * self.scale_m)
     }
 
-    /// Wire format, little-endian: magic, version, block, number of vertices and of indices (u32), origin (3 f32, m), scale (f32, m),
-    /// positions (3 u16), padding to 4 bytes, normals (x, y, z, 0 as i8), indices (u32).
+    /// Wire format, little-endian: magic, version, block, number of vertices and of indices (u32), origin (3
+    /// f32, m), scale (f32, m), positions (3 u16), padding to 4 bytes, normals (x, y, z, 0 as i8), indices
+    /// (u32).
     pub fn bytes(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(40 + self.positions.len() * 10 + self.indices.len() * 4);
         let counts = [self.positions.len() as u32, self.indices.len() as u32];

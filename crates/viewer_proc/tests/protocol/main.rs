@@ -193,7 +193,8 @@ fn the_page_is_served_and_nothing_else() {
     });
 }
 
-/// All connections that the server takes were idle ones, for five seconds and again, and the page did not come.
+/// All connections that the server takes were idle ones, for five seconds and again, and the page did not
+/// come.
 #[test]
 fn idle_connections_keep_nobody_from_the_page() {
     with_server(async |running| {
@@ -327,7 +328,8 @@ fn slice(columns: u64) -> Value {
     json!({"centre_m": [0, 0, 0], "right": [1, 0, 0], "down": [0, 1, 0], "side_m": [0.1, 0.1], "columns": columns, "rows": 4})
 }
 
-/// A client that asks for a thousand slices has few under way; what it asks for beyond them is refused at once, and it stays connected.
+/// A client that asks for a thousand slices has few under way; what it asks for beyond them is refused at
+/// once, and it stays connected.
 #[test]
 fn a_client_has_few_slices_under_way_and_the_rest_is_refused() {
     with_server(async |running| {

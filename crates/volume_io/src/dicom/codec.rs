@@ -1,13 +1,16 @@
-//! Decoders of packed pixels, each behind checks that its crate does not make: sizes before memory, and no invented pixels.
+//! Decoders of packed pixels, each behind checks that its crate does not make: sizes before memory, and no
+//! invented pixels.
 
 use super::pixels::Shape;
 use crate::error::VolumeError;
 use std::path::Path;
 
-/// Most pixels per byte of JPEG data: 8 in a lossless image, where every pixel takes at least a bit; 512 in one coded in blocks of 64,
-/// where a block's first coefficient takes at least a bit (ITU-T T.81, annexes F to H).
+/// Most pixels per byte of JPEG data: 8 in a lossless image, where every pixel takes at least a bit; 512 in
+/// one coded in blocks of 64, where a block's first coefficient takes at least a bit (ITU-T T.81, annexes F
+/// to H).
 const JPEG_PIXELS_PER_BYTE: u64 = 512;
-/// JPEG-LS codes runs, so the format has no useful bound. This limit is ours, as for bzip2: far above what any image with noise reaches, beyond what an empty slice of 2048 x 2048 pixels needs.
+/// JPEG-LS codes runs, so the format has no useful bound. This limit is ours, as for bzip2: far above what
+/// any image with noise reaches, beyond what an empty slice of 2048 x 2048 pixels needs.
 const RUN_PIXELS_PER_BYTE: u64 = 2000;
 const RUN_FREE_PIXELS: u64 = 1 << 22;
 
@@ -21,7 +24,8 @@ pub(super) fn corrupt(path: &Path, codec: &'static str, reason: impl Into<String
     VolumeError::Corrupt { path: path.into(), codec, reason: reason.into() }
 }
 
-/// RLE lossless (PS3.5 annex G): a header of 16 u32, then one PackBits segment a byte plane, most significant first.
+/// RLE lossless (PS3.5 annex G): a header of 16 u32, then one PackBits segment a byte plane, most significant
+/// first.
 pub(super) fn rle(path: &Path, fragment: &[u8], shape: Shape) -> Result<Vec<u32>, VolumeError> {
     let planes = shape.bytes as usize;
     rle_planes(fragment, shape.count(), planes)
@@ -82,7 +86,8 @@ pub(super) struct StatedSize {
     pub columns: usize,
 }
 
-/// Checks that the data are whole and can hold as many pixels as `shape` says, of a frame whose own header says `stated`.
+/// Checks that the data are whole and can hold as many pixels as `shape` says, of a frame whose own header
+/// says `stated`.
 pub(super) fn check_frame(
     path: &Path,
     codec: &'static str,
@@ -221,7 +226,8 @@ pub(super) fn jpeg_ls(path: &Path, data: &[u8], shape: Shape) -> Result<Vec<u32>
     Ok(samples.into_iter().map(u32::from).collect())
 }
 
-/// Checks what the decoder trusts: the scan's parameters and the presets (T.87, tables C.1 and C.3, section C.2.4.1.1).
+/// Checks what the decoder trusts: the scan's parameters and the presets (T.87, tables C.1 and C.3, section
+/// C.2.4.1.1).
 fn check_presets(parts: &[(u8, &[u8])], bits: u8) -> Option<()> {
     let (_, scan) = parts.iter().find(|(marker, _)| *marker == START_OF_SCAN)?;
     // One component, its number and table; NEAR, interleave, point transform.

@@ -1,4 +1,5 @@
-//! A DICOM file in memory: with its preamble or without, its data set unpacked and every length in it checked.
+//! A DICOM file in memory: with its preamble or without, its data set unpacked and every length in it
+//! checked.
 //!
 //! Source: DICOM PS3.10 section 7 (preamble, file meta group), PS3.5 annex A.5 (deflate).
 
@@ -75,7 +76,8 @@ impl DicomFile {
     /// Reads and checks a file.
     ///
     /// # Errors
-    /// `NotAVolume` without any of the known beginnings; `Truncated`, `Header`, `Unsupported` or `Corrupt` by [`scan`].
+    /// `NotAVolume` without any of the known beginnings; `Truncated`, `Header`, `Unsupported` or `Corrupt` by
+    /// [`scan`].
     pub fn open(path: &Path) -> Result<DicomFile, VolumeError> {
         let bytes = read_bytes(path)?;
         let (transfer, begin) = match start(&bytes) {

@@ -13,7 +13,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use voxel_grid::Volume;
 
-/// Deepest folder below the one named that is looked into, and most entries in all: a CD of one patient stays far below both.
+/// Deepest folder below the one named that is looked into, and most entries in all: a CD of one patient stays
+/// far below both.
 const MAX_DEPTH: usize = 8;
 const MAX_ENTRIES: usize = 200_000;
 /// Series named in an error; the rest is counted.
@@ -169,8 +170,9 @@ impl Found {
         Ok(found)
     }
 
-    /// Collects the DICOM files of a folder and of those below, without their index. Refuses a link to such a file elsewhere unless
-    /// `where_to` allows it: an untrusted folder may hold links to the user's own images.
+    /// Collects the DICOM files of a folder and of those below, without their index. Refuses a link to such a
+    /// file elsewhere unless `where_to` allows it: an untrusted folder may hold links to the user's own
+    /// images.
     fn look_into(&mut self, root: &Path, folder: &Path, depth: usize) -> Result<(), VolumeError> {
         for entry in std::fs::read_dir(folder).map_err(input::io_error(folder, "list"))? {
             let path = entry.map_err(input::io_error(folder, "list"))?.path();

@@ -1,7 +1,8 @@
-//! JPEG 2000 of one grey component. The decoder takes memory for whatever headers promise and fills in what is missing, so the codestream's
-//! headers and the chain of its tile-parts are checked first.
+//! JPEG 2000 of one grey component. The decoder takes memory for whatever headers promise and fills in what
+//! is missing, so the codestream's headers and the chain of its tile-parts are checked first.
 //!
-//! Source: ITU-T T.800 (ISO/IEC 15444-1), annexes A (codestream) and B (tiles, precincts, code-blocks); DICOM PS3.5 annex A.4.4.
+//! Source: ITU-T T.800 (ISO/IEC 15444-1), annexes A (codestream) and B (tiles, precincts, code-blocks); DICOM
+//! PS3.5 annex A.4.4.
 
 use super::codec::{StatedSize, check_frame, corrupt};
 use super::pixels::{Bits, Shape};
@@ -12,12 +13,13 @@ use std::path::Path;
 const CODEC: &str = "JPEG 2000";
 /// Most pixels of a frame: 4096 x 4096, which the decoder unpacks in 300 MB.
 const MOST_PIXELS: usize = 1 << 24;
-/// Empty code-blocks take no data, so the format has no useful bound. These limits are ours: beyond what an empty slice of 2048 x 2048 pixels
-/// needs, and what the data of larger ones hold at a loss that leaves no picture. A hostile pixel costs 1 to 2 µs, a usual one 0.2.
+/// Empty code-blocks take no data, so the format has no useful bound. These limits are ours: beyond what an
+/// empty slice of 2048 x 2048 pixels needs, and what the data of larger ones hold at a loss that leaves no
+/// picture. A hostile pixel costs 1 to 2 µs, a usual one 0.2.
 const PIXELS_PER_BYTE: u64 = 128;
 const FREE_PIXELS: u64 = 1 << 22;
-/// Most precincts and layers of code-blocks that the decoder keeps a record of (about 100 bytes each), by pixels and by data. An image in
-/// code-blocks of 32 x 32 and ten layers has one in 77 pixels.
+/// Most precincts and layers of code-blocks that the decoder keeps a record of (about 100 bytes each), by
+/// pixels and by data. An image in code-blocks of 32 x 32 and ten layers has one in 77 pixels.
 const PIXELS_PER_PART: u64 = 8;
 const PARTS_PER_BYTE: u64 = 4;
 const FREE_PARTS: u64 = 1 << 14;
@@ -45,7 +47,8 @@ fn fail(path: &Path, reason: impl Into<String>) -> VolumeError {
     corrupt(path, CODEC, reason)
 }
 
-/// Whether the packed bytes of a file can hold its frames. One limit for all of them, else a file of many tiny frames had no bound.
+/// Whether the packed bytes of a file can hold its frames. One limit for all of them, else a file of many
+/// tiny frames had no bound.
 ///
 /// # Errors
 /// `Corrupt` if they cannot.
@@ -60,7 +63,8 @@ pub(super) fn check_file(path: &Path, frames: usize, shape: Shape, bytes: u64) -
 /// Unpacks a frame, lossless or lossy. Samples are numbers in two's complement.
 ///
 /// # Errors
-/// `Corrupt` if the codestream is damaged, incomplete or contradicts the slice's header; `Unsupported` for what the decoder is not asked for.
+/// `Corrupt` if the codestream is damaged, incomplete or contradicts the slice's header; `Unsupported` for
+/// what the decoder is not asked for.
 pub(super) fn jpeg_2000(path: &Path, data: &[u8], shape: Shape, bits: Bits) -> Result<Vec<u32>, VolumeError> {
     let component = check(path, data, shape)?;
     // Readers agree on samples of the other sign only if both headers mean the same bits.
@@ -246,7 +250,8 @@ fn check_header(
     Ok(style)
 }
 
-/// The QCD segment (T.800 A.6.4): as many values as its style has for the subbands, of which there are 3 a decomposition and 1.
+/// The QCD segment (T.800 A.6.4): as many values as its style has for the subbands, of which there are 3 a
+/// decomposition and 1.
 fn check_quantization(content: &[u8]) -> Option<()> {
     let (style, values) = content.split_first()?;
     let most = 3 * usize::from(DECOMPOSITIONS) + 1;
@@ -320,8 +325,8 @@ mod tests {
         assert!(error.to_string().contains("25600 bytes cannot hold 536870912 pixels"), "{error}");
     }
 
-    /// As T.800 counts them: 512 x 512 pixels, 5 decompositions, blocks of 64 x 64. Subbands of 256, 128 and so on down to 16 pixels have
-    /// 16, 4, 1, 1 and 1 blocks, three of each size, and one of 16 more.
+    /// As T.800 counts them: 512 x 512 pixels, 5 decompositions, blocks of 64 x 64. Subbands of 256, 128 and
+    /// so on down to 16 pixels have 16, 4, 1, 1 and 1 blocks, three of each size, and one of 16 more.
     #[test]
     fn no_part_of_a_tile_is_left_out_of_the_count() {
         let style = CodingStyle::read(&[0, 0, 0, 10, 0, 5, 4, 4, 0, 1]).unwrap();

@@ -70,7 +70,8 @@ impl Bits {
         })
     }
 
-    /// The number in a stored sample: the bits up to and including `high`, sign-extended if signed; drops overlay bits above.
+    /// The number in a stored sample: the bits up to and including `high`, sign-extended if signed; drops
+    /// overlay bits above.
     fn value(self, sample: u32) -> f64 {
         let shifted = u64::from(sample) >> (self.high + 1 - self.stored);
         let bits = shifted & ((1 << self.stored) - 1);
@@ -145,8 +146,8 @@ fn wrong(path: &Path, given: String, expected: &str) -> VolumeError {
     VolumeError::header(path, FIELD, given, expected)
 }
 
-/// The bytes of native pixels, least significant first. Words of a big-endian file are turned (`order` says how the pixels
-/// are stored); samples of 32 bits in words have no defined order there.
+/// The bytes of native pixels, least significant first. Words of a big-endian file are turned (`order` says
+/// how the pixels are stored); samples of 32 bits in words have no defined order there.
 fn little_endian<'a>(
     path: &Path,
     bytes: &'a [u8],
@@ -173,8 +174,8 @@ fn frame_of<'a>(path: &Path, all: &'a [u8], slice: &Slice, width: usize) -> Resu
     Ok(&all[start as usize..end as usize])
 }
 
-/// The packed data of the slice's frame: all fragments of a single frame, one fragment of several frames, or those that the basic offset
-/// table tells (PS3.5 annex A.4).
+/// The packed data of the slice's frame: all fragments of a single frame, one fragment of several frames, or
+/// those that the basic offset table tells (PS3.5 annex A.4).
 fn packed_frame<'a>(
     path: &Path,
     slice: &Slice,

@@ -1,6 +1,8 @@
-//! Checks the structure of a DICOM file before handing it to a parser that allocates whatever a length field promises.
+//! Checks the structure of a DICOM file before handing it to a parser that allocates whatever a length field
+//! promises.
 //!
-//! Source: DICOM PS3.5 section 7 (data element structure, sequences, encapsulated pixel data) and PS3.10 section 7 (file meta group).
+//! Source: DICOM PS3.5 section 7 (data element structure, sequences, encapsulated pixel data) and PS3.10
+//! section 7 (file meta group).
 
 use crate::error::VolumeError;
 use dicom_core::VR;
@@ -95,7 +97,8 @@ fn transfer(path: &Path, uid: &str) -> Result<Transfer, VolumeError> {
 /// Reads the file meta group from byte `at` on; returns the transfer syntax and where the data set begins.
 ///
 /// # Errors
-/// `Truncated` if a length reaches past the file; `Header` for a malformed group; `Unsupported` for an unsupported transfer syntax.
+/// `Truncated` if a length reaches past the file; `Header` for a malformed group; `Unsupported` for an
+/// unsupported transfer syntax.
 pub(crate) fn meta_group(path: &Path, bytes: &[u8], start: usize) -> Result<(Transfer, usize), VolumeError> {
     let meta = Scanner { path, bytes, explicit_vr: true, big_endian: false };
     let mut at = start;
@@ -132,8 +135,8 @@ pub(crate) enum Vr {
     Implicit,
 }
 
-/// The transfer syntax of a data set that stands without a file meta group: implicit, or explicit where a value representation follows the
-/// first tag (PS3.5 section 7.1).
+/// The transfer syntax of a data set that stands without a file meta group: implicit, or explicit where a
+/// value representation follows the first tag (PS3.5 section 7.1).
 pub(crate) fn bare(vr: Vr) -> Transfer {
     let (explicit_vr, name) = match vr {
         Vr::Explicit => (true, "explicit VR little-endian"),
@@ -142,7 +145,8 @@ pub(crate) fn bare(vr: Vr) -> Transfer {
     Transfer { explicit_vr, big_endian: false, deflated: false, codec: PixelCodec::Native, name }
 }
 
-/// Checks every length in a data set against the bytes; returns its pixels and the byte at which they begin, the end without pixels.
+/// Checks every length in a data set against the bytes; returns its pixels and the byte at which they begin,
+/// the end without pixels.
 ///
 /// # Errors
 /// `Truncated` if a length reaches past the bytes; `Header` for a malformed structure.
@@ -236,8 +240,9 @@ impl Scanner<'_> {
         }
     }
 
-    /// Bytes per number in an element's value. The parser reads whole numbers and continues after the last one: if the value ends in a
-    /// partial number, it takes those bytes for the next element, lengths and all.
+    /// Bytes per number in an element's value. The parser reads whole numbers and continues after the last
+    /// one: if the value ends in a partial number, it takes those bytes for the next element, lengths and
+    /// all.
     fn unit(&self, element: &Element) -> u32 {
         let vr = if self.explicit_vr {
             VR::from_binary(element.vr)
@@ -369,7 +374,8 @@ impl Scanner<'_> {
         }))
     }
 
-    /// Encapsulated pixel data: items of defined length up to the sequence delimiter, whose places are collected; returns their end.
+    /// Encapsulated pixel data: items of defined length up to the sequence delimiter, whose places are
+    /// collected; returns their end.
     fn fragments(
         &self,
         mut at: usize,

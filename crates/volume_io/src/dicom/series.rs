@@ -17,7 +17,8 @@ use voxel_grid::Volume;
 const POSITION: &str = "(0020,0032) ImagePositionPatient";
 const ORIENTATION: &str = "(0020,0037) ImageOrientationPatient";
 
-/// Slice directions that differ by more than this count as different orientations; the rounding of DICOM decimals stays below it.
+/// Slice directions that differ by more than this count as different orientations; the rounding of DICOM
+/// decimals stays below it.
 const SAME_DIRECTION: f64 = 1e-3;
 /// Largest sideways drift of the stack that counts as straight, metres (rounded decimals of the positions).
 const STRAIGHT_M: f64 = 5e-5;
@@ -81,7 +82,8 @@ pub(super) fn assemble(
     Ok(described(placed(path, dims, geometry, hu)?, &slices, notes))
 }
 
-/// The pixels of all slices in order. Frames of one file mostly follow each other: it is opened once for them.
+/// The pixels of all slices in order. Frames of one file mostly follow each other: it is opened once for
+/// them.
 fn read_pixels(slices: &[Slice], notes: &mut Vec<String>) -> Result<Vec<i16>, VolumeError> {
     let mut sink = HuSink::default();
     let mut open: Option<(&Path, DicomFile)> = None;
@@ -150,7 +152,8 @@ fn described(volume: Volume, slices: &[Slice], mut notes: Vec<String>) -> (Volum
     (volume, info)
 }
 
-/// Notes CT values that need not be Hounsfield units. Without RescaleType they are (DICOM PS3.3, table C.8-3).
+/// Notes CT values that need not be Hounsfield units. Without RescaleType they are (DICOM PS3.3, table
+/// C.8-3).
 fn note_unit(slices: &[Slice], notes: &mut Vec<String>) {
     if slices.iter().any(|slice| !slice.has_intercept) {
         notes.push(
@@ -169,7 +172,8 @@ fn is_hu(rescale_type: &str) -> bool {
     matches!(rescale_type, "HU" | "HU_MOD")
 }
 
-/// Notes a tilt that the tags state and the positions do not show: slices that were resampled upright, or positions that ignore the tilt.
+/// Notes a tilt that the tags state and the positions do not show: slices that were resampled upright, or
+/// positions that ignore the tilt.
 fn note_tilt(slices: &[Slice], notes: &mut Vec<String>) {
     let tilt_deg = slices
         .iter()
@@ -291,7 +295,8 @@ fn check_apart(path: &Path, slices: &[Slice], along_m: &[f64]) -> Result<(), Vol
     )))
 }
 
-/// The distance between neighbouring slices, metres; `along_m` are their ascending positions along the normal.
+/// The distance between neighbouring slices, metres; `along_m` are their ascending positions along the
+/// normal.
 fn slice_distance(
     path: &Path,
     slices: &[Slice],

@@ -1,6 +1,7 @@
 //! The slices of a DICOM file: the header fields needed, of one image or of each frame of an enhanced one.
 //!
-//! Source: DICOM PS3.3 section C.7.6.2 (image plane), C.7.6.16 (multi-frame functional groups), C.8.15 (enhanced CT).
+//! Source: DICOM PS3.3 section C.7.6.2 (image plane), C.7.6.16 (multi-frame functional groups), C.8.15
+//! (enhanced CT).
 
 use super::fields::Fields;
 use super::file::DicomFile;
@@ -129,7 +130,8 @@ pub(super) fn read_headers(path: &Path) -> Result<Vec<Slice>, VolumeError> {
     .collect()
 }
 
-/// Where the elements of a frame stand: in its own functional groups, in those that all frames share, or in a classic image itself.
+/// Where the elements of a frame stand: in its own functional groups, in those that all frames share, or in a
+/// classic image itself.
 struct Groups<'a> {
     own: Fields<'a>,
     shared: Option<Fields<'a>>,

@@ -72,7 +72,8 @@ impl Axes {
         Ok(Self { dims: [i, j, k], spatial: [0, 1, 2], other: None })
     }
 
-    /// Three spatial axes and one other, which `space directions` or `kinds` or a size of 1 tells; `None` if nothing does.
+    /// Three spatial axes and one other, which `space directions` or `kinds` or a size of 1 tells; `None` if
+    /// nothing does.
     fn of_four(header: &Header<'_>, sizes: &[usize], kinds: &[String]) -> Option<Self> {
         let directions = super::geometry::split_vectors(header.get("space directions").unwrap_or(""));
         let only = |is: &dyn Fn(usize) -> bool| {
@@ -109,7 +110,8 @@ impl Axes {
         })
     }
 
-    /// What a field with one entry an axis says of the spatial ones; a field of three entries speaks of them alone.
+    /// What a field with one entry an axis says of the spatial ones; a field of three entries speaks of them
+    /// alone.
     pub fn pick<T: Clone>(&self, entries: &[T]) -> Option<[T; 3]> {
         if entries.len() == 3 {
             return <[T; 3]>::try_from(entries.to_vec()).ok();

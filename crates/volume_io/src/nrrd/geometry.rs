@@ -137,8 +137,9 @@ impl Header<'_> {
         Ok(vectors)
     }
 
-    /// Origin of a file without a space: `axis mins`, or zero. The minimum of an axis of cells, which axes are unless the file says `node`,
-    /// is the first cell's outer face (Definition of NRRD, "axis mins" and "centers"; teem's nrrdOriginCalculate, which ITK calls).
+    /// Origin of a file without a space: `axis mins`, or zero. The minimum of an axis of cells, which axes
+    /// are unless the file says `node`, is the first cell's outer face (Definition of NRRD, "axis mins" and
+    /// "centers"; teem's nrrdOriginCalculate, which ITK calls).
     fn axis_minima(
         &self,
         axes: &Axes,

@@ -1,6 +1,8 @@
-//! NRRD files: attached (.nrrd) and detached (.nhdr, one data file or several), raw, gzip, bzip2, hex or text; segmentations of 3D Slicer.
+//! NRRD files: attached (.nrrd) and detached (.nhdr, one data file or several), raw, gzip, bzip2, hex or
+//! text; segmentations of 3D Slicer.
 //!
-//! Source: "Definition of NRRD File Format", teem.sourceforge.net/nrrd/format.html. No well-kept crate reads this format.
+//! Source: "Definition of NRRD File Format", teem.sourceforge.net/nrrd/format.html. No well-kept crate reads
+//! this format.
 
 mod axes;
 mod data;

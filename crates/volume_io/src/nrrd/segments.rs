@@ -1,6 +1,7 @@
 //! Segmentations as 3D Slicer writes them (`.seg.nrrd`): segments by name, in one layer or several.
 //!
-//! Source: Slicer's developer guide, "Segmentations", `Segment<n>_Name`, `Segment<n>_LabelValue`, `Segment<n>_Layer`.
+//! Source: Slicer's developer guide, "Segmentations", `Segment<n>_Name`, `Segment<n>_LabelValue`,
+//! `Segment<n>_Layer`.
 
 use super::axes::Axes;
 use super::header::Header;

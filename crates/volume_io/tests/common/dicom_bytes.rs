@@ -143,8 +143,8 @@ fn element(out: &mut Vec<u8>, at: (u16, u16), vr: &[u8; 2], value: &[u8]) {
     out.extend(value);
 }
 
-/// A lossless JPEG (process 14, first-order prediction) of 5 × 4 pixels of 11 bits, all at the initial prediction 2^10 = 1024: one Huffman
-/// code, one bit a pixel (ITU-T T.81 annex H).
+/// A lossless JPEG (process 14, first-order prediction) of 5 × 4 pixels of 11 bits, all at the initial
+/// prediction 2^10 = 1024: one Huffman code, one bit a pixel (ITU-T T.81 annex H).
 pub const LOSSLESS_JPEG: [u8; 54] = [
     0xff, 0xd8, 0xff, 0xc3, 0, 11, 11, 0, 4, 0, 5, 1, 1, 0x11, 0, 0xff, 0xc4, 0, 20, 0, 1, 0, 0, 0, 0, 0, 0,
     0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0xff, 0xda, 0, 8, 1, 1, 0, 1, 0, 0, 0, 0, 0x0f, 0xff, 0xd9, 0, 0,
@@ -153,8 +153,9 @@ pub const LOSSLESS_JPEG: [u8; 54] = [
 /// Transfer syntaxes of JPEG 2000: lossless, and either.
 pub const JPEG_2000_SYNTAXES: [&str; 2] = ["1.2.840.10008.1.2.4.90", "1.2.840.10008.1.2.4.91"];
 
-/// A JPEG 2000 codestream (ITU-T T.800 annex A) of signed 16 bits: one tile, one code-block, one packet of arbitrary bits. Bytes of the
-/// headers: SIZ from 2 on, COD from 45 on, QCD from 59 on, SOT from 65 on, the packet from 79 on.
+/// A JPEG 2000 codestream (ITU-T T.800 annex A) of signed 16 bits: one tile, one code-block, one packet of
+/// arbitrary bits. Bytes of the headers: SIZ from 2 on, COD from 45 on, QCD from 59 on, SOT from 65 on, the
+/// packet from 79 on.
 pub fn jpeg_2000(rows: u16, columns: u16) -> Vec<u8> {
     // Its header: present, block included, 6 empty bit-planes, 31 coding passes, 20 bytes.
     let packet =

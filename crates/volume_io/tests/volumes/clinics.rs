@@ -1,4 +1,5 @@
-//! What clinics and 3D Slicer have: choices between series and labels, and packed frames that claim what they do not hold.
+//! What clinics and 3D Slicer have: choices between series and labels, and packed frames that claim what they
+//! do not hold.
 
 // Helpers of tests may fail a test.
 #![allow(clippy::unwrap_used)]

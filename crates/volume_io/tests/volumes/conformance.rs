@@ -1,7 +1,8 @@
 //! The readers against files of other projects (shared data), and against the `nifti` crate.
 //!
-//! Expected figures come from the files' own projects (pynrrd, nifti-rs, nibabel, pydicom, mdai-utils, TotalSegmentator) as opened with
-//! SimpleITK, nibabel and pydicom. Skipped, loudly, where the shared data are absent.
+//! Expected figures come from the files' own projects (pynrrd, nifti-rs, nibabel, pydicom, mdai-utils,
+//! TotalSegmentator) as opened with SimpleITK, nibabel and pydicom. Skipped, loudly, where the shared data
+//! are absent.
 
 // Helpers of tests may fail a test.
 #![allow(clippy::unwrap_used)]

@@ -330,7 +330,8 @@ fn hash_is_of_geometry_and_voxels() {
     let hash = volume_hash(&volume(0.0, 1));
     assert_eq!(volume_hash(&volume(-0.0, 1)), hash);
     let text: String = hash.iter().map(|b| format!("{b:02x}")).collect();
-    // Python: hashlib.sha256(b'trabecula volume v1\0' + struct.pack('<3Q15d2h', 2,1,1, *[1e-3]*3, 0,0,0, 1,0,0,0,1,0,0,0,1, 1,-2))
+    // Python: hashlib.sha256(b'trabecula volume v1\0' + struct.pack('<3Q15d2h', 2,1,1, *[1e-3]*3, 0,0,0,
+    // 1,0,0,0,1,0,0,0,1, 1,-2))
     assert_eq!(text, EXPECTED_HASH);
     assert_ne!(volume_hash(&volume(1e-9, 1)), hash);
     assert_ne!(volume_hash(&volume(0.0, 2)), hash);
@@ -347,7 +348,8 @@ fn writing_refuses_an_inconsistent_volume() {
     assert!(matches!(write_nrrd(Path::new("/nonexistent/v.nrrd"), &whole), Err(VolumeError::Output(_))));
 }
 
-/// Slices that were resampled upright keep the tag, and positions that ignore the tilt make a sheared volume: nothing said so.
+/// Slices that were resampled upright keep the tag, and positions that ignore the tilt make a sheared volume:
+/// nothing said so.
 #[test]
 fn a_gantry_tilt_in_the_tags_alone_is_noted() {
     let notes = |gantry_tilt| {
@@ -364,8 +366,8 @@ fn a_gantry_tilt_in_the_tags_alone_is_noted() {
     assert_eq!(notes(None), "");
 }
 
-/// Axes of four decimals (dcm2niix of some series) passed every check and ended a run that had begun; they are made perpendicular, and it is
-/// said.
+/// Axes of four decimals (dcm2niix of some series) passed every check and ended a run that had begun; they
+/// are made perpendicular, and it is said.
 #[test]
 fn axes_of_four_decimals_are_made_perpendicular_with_a_note() {
     let (row, column) = ([0.9141_f32, 0.393, -0.0998], [-0.3688_f32, 0.9082, 0.1977]);

@@ -1,4 +1,5 @@
-//! JPEG 2000 in DICOM: codestreams that lie about themselves are refused before they take memory, and no pixel is made up.
+//! JPEG 2000 in DICOM: codestreams that lie about themselves are refused before they take memory, and no
+//! pixel is made up.
 //!
 //! Whole files of other programs, voxel for voxel: `variants`.
 
@@ -136,7 +137,8 @@ fn tiles_that_are_not_there_are_refused() {
     assert!(refusal(|data| put(data, SOT + 6, &[0xff; 4])).contains("no whole tile-part at byte 65"));
 }
 
-/// A quantization of 65532 values would be copied for every tile; layers and small precincts multiply what is kept of each block.
+/// A quantization of 65532 values would be copied for every tile; layers and small precincts multiply what is
+/// kept of each block.
 #[test]
 fn headers_that_multiply_memory_are_refused() {
     let said = refusal(|data| {

@@ -1,4 +1,5 @@
-//! Random truncation and mutation of valid files: the readers return, with a volume of as many voxels as its grid has or an error; never a panic.
+//! Random truncation and mutation of valid files: the readers return, with a volume of as many voxels as its
+//! grid has or an error; never a panic.
 
 // Helpers of tests may fail a test.
 #![allow(clippy::unwrap_used)]
@@ -11,7 +12,8 @@ use std::path::Path;
 use volume_io::{read, write_nrrd};
 use voxel_grid::{Volume, VoxelGrid};
 
-/// Bytes to overwrite as (place as a fraction of the part that is mutated, value), and the fraction of the file to keep.
+/// Bytes to overwrite as (place as a fraction of the part that is mutated, value), and the fraction of the
+/// file to keep.
 type Damage = (Vec<(f64, u8)>, f64);
 
 fn damage() -> impl Strategy<Value = Damage> {
@@ -118,7 +120,8 @@ proptest! {
         attempt("v.dcm", &DicomSlice { fragment: Some(fragment), ..slice }.bytes(), 0, &(vec![], 1.0));
     }
 
-    /// Damage in the codestream alone, and not in its tile-part's length, so that most cases reach the decoder.
+    /// Damage in the codestream alone, and not in its tile-part's length, so that most cases reach the
+    /// decoder.
     #[test]
     fn dicom_jpeg_2000(damage in damage()) {
         let mut fragment = jpeg_2000(64, 80);

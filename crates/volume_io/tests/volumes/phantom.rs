@@ -1,4 +1,5 @@
-//! The phantoms: anatomy against its own numbers in closed form, the same shape at every spacing, the same bits for every thread count.
+//! The phantoms: anatomy against its own numbers in closed form, the same shape at every spacing, the same
+//! bits for every thread count.
 
 // Helpers of tests may fail a test.
 #![allow(clippy::unwrap_used)]
@@ -93,7 +94,8 @@ fn default_femur() {
     println!("{hu:?}");
     assert!(hu.min_hu >= -1000 && hu.max_hu <= 1700 && hu.max_hu > 1400);
 
-    // A straight hole from the lateral cortex to the head centre: cortex first, then bone or marrow all the way.
+    // A straight hole from the lateral cortex to the head centre: cortex first, then bone or marrow all the
+    // way.
     let ray = |s: f64| hu_between(&volume, along(marks.entry_point_m, marks.neck_axis, s));
     assert!(ray(-1.5e-3) < 150.0, "soft tissue outside the entry point: {}", ray(-1.5e-3));
     assert!(ray(1.0e-3) > 700.0, "cortex inside the entry point: {}", ray(1.0e-3));

@@ -1,4 +1,5 @@
-//! Every refused input gives its own error, and says the file, the field, what was given and what is expected.
+//! Every refused input gives its own error, and says the file, the field, what was given and what is
+//! expected.
 
 // Helpers of tests may fail a test.
 #![allow(clippy::unwrap_used)]
@@ -136,7 +137,8 @@ fn more_promised_than_there_is() {
     assert!(matches!(refuse("v.nii.gz", &encoder.finish().unwrap()), VolumeError::Truncated { .. }));
 }
 
-/// Behind raw voxels ITK and nibabel pass over what follows; of anything else more data mean a header that is wrong.
+/// Behind raw voxels ITK and nibabel pass over what follows; of anything else more data mean a header that is
+/// wrong.
 #[test]
 fn more_data_than_the_header_says_is_refused_or_noted() {
     let header = |error: VolumeError| assert!(matches!(error, VolumeError::Header { .. }), "{error}");
@@ -309,8 +311,8 @@ fn dicom_files() {
     );
 }
 
-/// An `SL` of two bytes: the parser read no number of it, took its bytes for the next element and 1.3 GB for that one's
-/// value, of a file of 524 bytes.
+/// An `SL` of two bytes: the parser read no number of it, took its bytes for the next element and 1.3 GB for
+/// that one's value, of a file of 524 bytes.
 #[test]
 fn a_dicom_value_with_a_part_of_a_number_is_refused() {
     let mut explicit = DicomSlice::default().bytes();
@@ -322,7 +324,8 @@ fn a_dicom_value_with_a_part_of_a_number_is_refused() {
     };
     let refused = field(refuse("v.dcm", &explicit));
     assert_eq!(refused, ("(0028,0002)".to_owned(), "a multiple of 4 bytes".to_owned()));
-    // Without VRs in the file the dictionary knows them: 2 bytes of (0008,1160), an IS, and 3 of (0028,0010), an US.
+    // Without VRs in the file the dictionary knows them: 2 bytes of (0008,1160), an IS, and 3 of (0028,0010),
+    // an US.
     let mut implicit = DicomSlice { transfer_syntax: "1.2.840.10008.1.2", ..DicomSlice::default() }.bytes();
     let data_set = implicit.windows(6).position(|w| w == b"\x08\0\x60\0CS").unwrap();
     implicit.truncate(data_set);

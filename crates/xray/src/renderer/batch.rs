@@ -1,6 +1,8 @@
-//! Many frames of one volume: each thread renders frames of its own, so that none waits for another between the stages of a frame.
+//! Many frames of one volume: each thread renders frames of its own, so that none waits for another between
+//! the stages of a frame.
 //!
-//! The frames share the copies of the volume and the removed voxels. A thread that finds no frame left helps with those of the others.
+//! The frames share the copies of the volume and the removed voxels. A thread that finds no frame left helps
+//! with those of the others.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -51,12 +53,13 @@ pub(super) struct Lane {
 }
 
 impl DrrRenderer {
-    /// Renders a frame of each C-arm, all of the voxels present now, with the bits of [`DrrRenderer::render_to`]. On several threads this
-    /// is faster than one frame after the other. Every frame is computed whole; the cache of the stationary C-arm stays.
+    /// Renders a frame of each C-arm, all of the voxels present now, with the bits of
+    /// [`DrrRenderer::render_to`]. On several threads this is faster than one frame after the other. Every
+    /// frame is computed whole; the cache of the stationary C-arm stays.
     ///
     /// # Errors
-    /// As [`DrrRenderer::render_to`], with the number of the frame; nothing has been rendered then. One of the frames' memory is needed for
-    /// each thread.
+    /// As [`DrrRenderer::render_to`], with the number of the frame; nothing has been rendered then. One of
+    /// the frames' memory is needed for each thread.
     pub fn render_batch(
         &mut self,
         view: &VolumeView<'_>,

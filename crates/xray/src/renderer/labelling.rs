@@ -19,8 +19,8 @@ use crate::solids::SolidLayer;
 use crate::tool::{PreparedPart, SeenPart, join_intervals};
 
 impl DrrRenderer {
-    /// The labels of a frame of the present voxels. A function of the same inputs as a frame, apart from its seed; reads and changes no
-    /// cache.
+    /// The labels of a frame of the present voxels. A function of the same inputs as a frame, apart from its
+    /// seed; reads and changes no cache.
     ///
     /// # Errors
     /// The view has another grid; the C-arm or the tool is invalid.
@@ -285,7 +285,8 @@ impl Labeller<'_> {
         along
     }
 
-    /// Attenuation of the anatomy around the tool, and what the metal adds: as the renderer computes them with Siddon's projector.
+    /// Attenuation of the anatomy around the tool, and what the metal adds: as the renderer computes them
+    /// with Siddon's projector.
     fn attenuations(&self, ray: &IndexRay, voxels: &AlongVoxels, tool: &mut AlongTool) -> (f64, f64) {
         let (mut tissue, mut cortical) = (voxels.tissue, voxels.cortical);
         if !tool.envelopes.is_empty() {

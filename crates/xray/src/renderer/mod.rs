@@ -78,7 +78,8 @@ impl DrrRenderer {
                 (tissue, Some(MuTable::of(air, |hu| mixture.of(hu).1)), Some(table))
             }
         };
-        // One Hounsfield unit of water scaling, so that this law is stored without rounding. A spectrum's fractions are near 1.
+        // One Hounsfield unit of water scaling, so that this law is stored without rounding. A spectrum's
+        // fractions are near 1.
         let unit_per_m = match spectrum {
             None => Material::Water.mu_per_m(parameters.energy_kev)? / 1000.0,
             Some(_) => 1e-3,
@@ -101,8 +102,9 @@ impl DrrRenderer {
         })
     }
 
-    /// Creates the reordered copy of the volume that this C-arm needs, and the memory of its images, so that the first frame does not wait
-    /// for them: the system gives a page of memory only when it is first written to.
+    /// Creates the reordered copy of the volume that this C-arm needs, and the memory of its images, so that
+    /// the first frame does not wait for them: the system gives a page of memory only when it is first
+    /// written to.
     ///
     /// # Errors
     /// The view has another grid, the C-arm is invalid, or the copy does not fit into free memory.
@@ -136,7 +138,8 @@ impl DrrRenderer {
         self.standing.as_ref().map_or(&[], |s| &s.anatomy)
     }
 
-    /// Attenuation (-ln of the transmission) of anatomy, tool and arm in the last frame, row-major; empty before the first.
+    /// Attenuation (-ln of the transmission) of anatomy, tool and arm in the last frame, row-major; empty
+    /// before the first.
     pub fn line_integrals(&self) -> Vec<f64> {
         let metal = Metal { tool: &self.tool, arm: &self.arm, aluminium_per_m: self.aluminium_per_m };
         let attenuation =
@@ -144,8 +147,8 @@ impl DrrRenderer {
         self.standing.as_ref().map_or(Vec::new(), attenuation)
     }
 
-    /// Removes voxels by linear index; ignores those already removed. Returns the number of newly removed voxels. Order and grouping into
-    /// batches do not affect the result.
+    /// Removes voxels by linear index; ignores those already removed. Returns the number of newly removed
+    /// voxels. Order and grouping into batches do not affect the result.
     ///
     /// # Errors
     /// The view has another grid, or an index is outside the volume; then the whole batch is refused.
@@ -191,7 +194,8 @@ impl DrrRenderer {
     /// Renders a frame into `image` (rows from top to bottom, one u16 per pixel).
     ///
     /// # Errors
-    /// The view has another grid, the C-arm or tool is invalid, or the image has the wrong size. The cache remains valid.
+    /// The view has another grid, the C-arm or tool is invalid, or the image has the wrong size. The cache
+    /// remains valid.
     pub fn render(
         &mut self,
         view: &VolumeView<'_>,
@@ -247,8 +251,8 @@ impl DrrRenderer {
         Ok(FrameReport { kind, rays_traced, tool_pixels, window })
     }
 
-    /// Same as [`DrrRenderer::render`], for a C-arm used for one frame only. Keeps the cache of the stationary C-arm, so that its next
-    /// frame costs no more than without this one.
+    /// Same as [`DrrRenderer::render`], for a C-arm used for one frame only. Keeps the cache of the
+    /// stationary C-arm, so that its next frame costs no more than without this one.
     ///
     /// # Errors
     /// As [`DrrRenderer::render`].

@@ -8,7 +8,8 @@ use crate::grid::Grid;
 use crate::ray::RayFan;
 use crate::vector::scale;
 
-/// Maximum distance from a voxel's centre at which it still affects a ray, in voxels, with a margin for rounding.
+/// Maximum distance from a voxel's centre at which it still affects a ray, in voxels, with a margin for
+/// rounding.
 const REACH_JOSEPH: f64 = 1.0 + 1e-3;
 const REACH_SIDDON: f64 = 0.5 + 1e-3;
 

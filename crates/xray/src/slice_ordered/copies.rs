@@ -1,10 +1,12 @@
-//! The volume in the orders in which slices are read: rows of cells of 32 small integers, aligned for vector loads.
+//! The volume in the orders in which slices are read: rows of cells of 32 small integers, aligned for vector
+//! loads.
 //!
-//! There is one copy for each axis across which slices are read, with rows along x (along y for slices across x). Neighbouring rows of a
-//! copy belong to successive slices, so a sum that goes from slice to slice reads each plane of rows from end to end: the CPU fetches such
-//! rows ahead by itself, and rows of successive planes only as fast as the sum asks for them. A copy is created when the first frame needs
-//! it. A row is a whole number of cells. Beside each cell stands its level: the value of all its voxels, if they are equal. Where the
-//! levels around a sample agree, the sample is known without its voxels.
+//! There is one copy for each axis across which slices are read, with rows along x (along y for slices across
+//! x). Neighbouring rows of a copy belong to successive slices, so a sum that goes from slice to slice reads
+//! each plane of rows from end to end: the CPU fetches such rows ahead by itself, and rows of successive
+//! planes only as fast as the sum asks for them. A copy is created when the first frame needs it. A row is a
+//! whole number of cells. Beside each cell stands its level: the value of all its voxels, if they are equal.
+//! Where the levels around a sample agree, the sample is known without its voxels.
 
 use rayon::prelude::*;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
@@ -18,15 +20,18 @@ use super::plan::Axes;
 pub(crate) const CELL: usize = 32;
 /// Side of the squares transposed at a time.
 const SQUARE: usize = 32;
-/// Cells of 16-bit voxels per page of 4096 bytes, and the number of cells by which each plane's start is shifted within a page. Rows of
-/// consecutive planes are read at the same time and must not map to the same cache sets.
+/// Cells of 16-bit voxels per page of 4096 bytes, and the number of cells by which each plane's start is
+/// shifted within a page. Rows of consecutive planes are read at the same time and must not map to the same
+/// cache sets.
 const PAGE_CELLS: usize = 64;
 const PLANE_SHIFT: usize = 5;
 /// Levels compared at a time: each row's are a multiple of this.
 pub(crate) const LEVELS: usize = 16;
-/// The level of a cell whose voxels differ, or did before one was removed; or whose value is not among the most frequent.
+/// The level of a cell whose voxels differ, or did before one was removed; or whose value is not among the
+/// most frequent.
 pub(crate) const MIXED: u8 = u8::MAX;
-/// Left shift applied to byte values, so that rounding between two rows is small compared with the byte's resolution.
+/// Left shift applied to byte values, so that rounding between two rows is small compared with the byte's
+/// resolution.
 const BYTE_SHIFT: u32 = 4;
 
 /// 32 voxels of 16 bits.
@@ -114,7 +119,8 @@ pub(crate) struct Copy3<T: Voxel> {
     /// Cells per row, and cells between planes.
     row_cells: usize,
     plane_cells: usize,
-    /// For each cell of each row, which of the values all its voxels have, or [`MIXED`]; first those of the row of zeros.
+    /// For each cell of each row, which of the values all its voxels have, or [`MIXED`]; first those of the
+    /// row of zeros.
     levels: Vec<u8>,
     /// The values that levels stand for, as used in sums; first zero.
     values: Vec<i16>,
@@ -123,7 +129,8 @@ pub(crate) struct Copy3<T: Voxel> {
     largest: i16,
 }
 
-/// Where the rows of a slice are: their number, the first cell and the first level of the first one, and the steps from row to row.
+/// Where the rows of a slice are: their number, the first cell and the first level of the first one, and the
+/// steps from row to row.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SliceRows {
     count: u64,
@@ -145,8 +152,8 @@ pub(crate) fn copy_elements(dims: [usize; 3], axes: Axes) -> u64 {
 }
 
 impl<T: Voxel> Copy3<T> {
-    /// Creates the copy for slices across `axes.slow`. `fill_row(y, z, row)` writes the voxels of a row along x. `None` if the machine
-    /// has too little memory.
+    /// Creates the copy for slices across `axes.slow`. `fill_row(y, z, row)` writes the voxels of a row along
+    /// x. `None` if the machine has too little memory.
     pub fn new(
         machine: &dyn Machine,
         dims: [usize; 3],
@@ -299,7 +306,8 @@ impl<T: Voxel> Copy3<T> {
     }
 }
 
-/// Notes for each cell of a plane's rows the value of all of its voxels as used in sums, negative if they differ. Returns the largest stored value.
+/// Notes for each cell of a plane's rows the value of all of its voxels as used in sums, negative if they
+/// differ. Returns the largest stored value.
 fn values_of_cells<'a, T: Voxel>(
     rows: impl Iterator<Item = &'a [T::Cell]>,
     levels: impl Iterator<Item = &'a mut [i16]>,

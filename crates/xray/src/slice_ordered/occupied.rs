@@ -1,5 +1,5 @@
-//! The box of the stored voxels that attenuate. Air around a body is most of many CTs: no image has to reach into it, and a detector's
-//! plane that cuts nothing but air cuts no ray short.
+//! The box of the stored voxels that attenuate. Air around a body is most of many CTs: no image has to reach
+//! into it, and a detector's plane that cuts nothing but air cuts no ray short.
 
 use rayon::prelude::*;
 
@@ -56,7 +56,8 @@ impl Occupied {
         self.low[axis].min(self.end[axis])..self.end[axis]
     }
 
-    /// Where samples read one of its voxels, along an axis: more than the first of these, less than the second.
+    /// Where samples read one of its voxels, along an axis: more than the first of these, less than the
+    /// second.
     #[inline(always)]
     pub fn reach(&self, axis: usize) -> [f64; 2] {
         let along = self.along(axis);

@@ -85,7 +85,8 @@ impl SliceOrderedMemory {
 pub struct CellShares {
     /// Cells in which something attenuates. No other is ever read.
     pub occupied: f64,
-    /// Cells whose voxels differ. The others are read only beside such a cell, or where a neighbour has another value.
+    /// Cells whose voxels differ. The others are read only beside such a cell, or where a neighbour has
+    /// another value.
     pub mixed: f64,
 }
 

@@ -1,6 +1,7 @@
-//! Which rays share an intermediate image. One image serves a whole frame where it can. Otherwise the detector is halved until an axis
-//! suits all rays of a rectangle, and further where that saves samples. A rectangle has one image, or several for ranges of depths where
-//! that costs less; their line integrals add up.
+//! Which rays share an intermediate image. One image serves a whole frame where it can. Otherwise the
+//! detector is halved until an axis suits all rays of a rectangle, and further where that saves samples. A
+//! rectangle has one image, or several for ranges of depths where that costs less; their line integrals add
+//! up.
 
 use super::plan::{Plan, Rays};
 use super::splat::Dirty;
@@ -66,15 +67,16 @@ pub(crate) fn parts_of(all: &Rays<'_>) -> Vec<Part> {
                 }
             }
             (None, Some(halves)) => waiting.extend(halves.map(|pixels| (pixels, depth, layers(pixels)))),
-            // A ray's own best axis has a slope of at most 1: what remains is a ray that passes 1e9 samples beside the volume.
+            // A ray's own best axis has a slope of at most 1: what remains is a ray that passes 1e9 samples
+            // beside the volume.
             (None, None) => add(&mut parts, pixels, vec![Plan::nothing(&rays)]),
         }
     }
     parts
 }
 
-/// The halves of a rectangle with their plans, if they cost clearly less than the whole: where the detector cuts the volume askew, one
-/// half's rays end at nearer slices, which need fewer samples.
+/// The halves of a rectangle with their plans, if they cost clearly less than the whole: where the detector
+/// cuts the volume askew, one half's rays end at nearer slices, which need fewer samples.
 fn cheaper(rays: &Rays<'_>, plans: &[Plan], halves: [PixelBox; 2]) -> Option<[(PixelBox, Vec<Plan>); 2]> {
     let cost = |pixels: &PixelBox, plans: &[Plan]| plans.iter().map(|plan| plan.cost(pixels)).sum::<f64>();
     let planned = |pixels: PixelBox| Some((pixels, Plan::layers(&Rays { pixels, ..*rays })?));

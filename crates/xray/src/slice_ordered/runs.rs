@@ -1,4 +1,5 @@
-//! Which groups of samples of a tile are interpolated in a slice, and which need no voxels because all that they read have one value.
+//! Which groups of samples of a tile are interpolated in a slice, and which need no voxels because all that
+//! they read have one value.
 
 use super::copies::{CELL, Copy3, LEVELS, MIXED, Voxel};
 use super::kernel::{GroupSums, Lanes};
@@ -16,8 +17,8 @@ pub(super) struct Run {
     pub mixed: (usize, usize),
 }
 
-/// What a tile's samples get from groups of one value: the sum of their values, as differences from group to group. A weighted sum of
-/// equal voxels is exactly that voxel times the sum of the weights.
+/// What a tile's samples get from groups of one value: the sum of their values, as differences from group to
+/// group. A weighted sum of equal voxels is exactly that voxel times the sum of the weights.
 #[derive(Debug, Default)]
 pub(super) struct LevelSums {
     steps: Vec<i64>,
@@ -106,7 +107,8 @@ impl Summed {
 }
 
 impl TileRows {
-    /// Finds what the tile reads in a slice, and adds what needs no reading to `known`; false if nothing has to be read.
+    /// Finds what the tile reads in a slice, and adds what needs no reading to `known`; false if nothing has
+    /// to be read.
     #[inline(always)]
     pub fn place<T: Voxel, L: Lanes>(
         &mut self,
@@ -145,8 +147,8 @@ impl TileRows {
         true
     }
 
-    /// Splits the groups into those of one value, which are added to `known`, and runs to be interpolated. `lines` holds the levels of
-    /// each line.
+    /// Splits the groups into those of one value, which are added to `known`, and runs to be interpolated.
+    /// `lines` holds the levels of each line.
     #[inline(always)]
     fn find_runs<T: Voxel, L: Lanes>(
         &mut self,

@@ -1,4 +1,5 @@
-//! The effect of a changed voxel on the intermediate image: exactly the products that the sum over slices adds for it.
+//! The effect of a changed voxel on the intermediate image: exactly the products that the sum over slices
+//! adds for it.
 
 use super::copies::{Copy3, Voxel};
 use super::kernel::between;
@@ -70,8 +71,8 @@ pub(crate) struct Splatter {
 }
 
 impl Splatter {
-    /// Updates the image for a voxel that changes to `value`, and adds the changed pixels to `dirty`. Call before the change is applied
-    /// to the copy that the image was summed from.
+    /// Updates the image for a voxel that changes to `value`, and adds the changed pixels to `dirty`. Call
+    /// before the change is applied to the copy that the image was summed from.
     #[inline(always)]
     pub fn splat<T: Voxel>(
         &mut self,

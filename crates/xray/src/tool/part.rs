@@ -42,8 +42,9 @@ impl PreparedPart {
     /// Checks a part and computes its constants.
     ///
     /// # Errors
-    /// A number is not finite or above 100 m, a radius or length is not positive, the lumen is as wide as the tube, or a notch is outside
-    /// its tube, a zone outside its sphere, or an end is cut more obliquely than at 60 degrees.
+    /// A number is not finite or above 100 m, a radius or length is not positive, the lumen is as wide as the
+    /// tube, or a notch is outside its tube, a zone outside its sphere, or an end is cut more obliquely than
+    /// at 60 degrees.
     pub fn new(part: &ToolPart) -> Result<Self, &'static str> {
         let (shape, material) = match *part {
             ToolPart::Sphere { centre_m, radius_m, material } => {
@@ -116,7 +117,8 @@ impl PreparedPart {
         }
     }
 
-    /// Centre and half-extent vectors of a bounding box, rotated to be as narrow as possible as seen from `source_m`.
+    /// Centre and half-extent vectors of a bounding box, rotated to be as narrow as possible as seen from
+    /// `source_m`.
     pub(crate) fn box_from(&self, source_m: Vec3) -> (Vec3, [Vec3; 3]) {
         match self.shape {
             Shape::Sphere { centre_m, radius_m: r } => {

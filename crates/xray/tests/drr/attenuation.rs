@@ -17,7 +17,8 @@ fn log_log_interpolation_gives_the_published_values_at_70_kev() {
         (Material::Steel316L, 7.99, 0.8655),
         (Material::Titanium, 4.506, 0.5446),
     ] {
-        // The other program interpolates between the elements' own energies (60 and 80 keV too): rounding only.
+        // The other program interpolates between the elements' own energies (60 and 80 keV too): rounding
+        // only.
         assert_relative(material.mu_per_m(70.0).unwrap(), 100.0 * density * mass_mu, 3e-3);
     }
 }

@@ -86,7 +86,8 @@ fn a_pose_with_a_nan_anywhere_is_refused_and_the_cache_survives() {
 fn a_source_inside_bone_sees_the_bone_between_it_and_the_detector() {
     let hu = vec![1000; grid().voxels()];
     let view = VolumeView::new(grid(), &hu).unwrap();
-    // From the middle of the volume to 10 cm in front of it; the central ray crosses half of the 40 mm along y.
+    // From the middle of the volume to 10 cm in front of it; the central ray crosses half of the 40 mm along
+    // y.
     let inside = CArm {
         source_m: [0.0, 0.0, 0.0],
         detector_centre_m: [0.0, -0.1, 0.0],

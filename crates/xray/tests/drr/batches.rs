@@ -8,7 +8,8 @@ use xray::{
 use crate::frames::{batch, close_up, tool, volume};
 use crate::machine::{Desk, Small};
 
-/// Frontal, oblique, lateral, along an edge, from above; then with parts of the volume behind the detector, and from inside it.
+/// Frontal, oblique, lateral, along an edge, from above; then with parts of the volume behind the detector,
+/// and from inside it.
 fn c_arms() -> Vec<CArm> {
     let angles = [(0.0, 0.0), (37.0, 18.0), (90.0, 5.0), (46.0, -44.0), (5.0, 85.0)];
     let mut all: Vec<CArm> =

@@ -61,8 +61,9 @@ fn a_camera_sees_points_where_the_c_arm_sees_them() {
 
 #[test]
 fn a_deepdrr_camera_with_negative_focal_length_and_half_pixels() {
-    // Source 0.8 m behind the world's origin on the posterior side, detector 0.4 m in front of it, 100 x 80 pixels of 2 mm; the
-    // patient's left on the right. fx = -1.2/0.002; the middle of the picture is at (50, 40) where centres are at halves.
+    // Source 0.8 m behind the world's origin on the posterior side, detector 0.4 m in front of it, 100 x 80
+    // pixels of 2 mm; the patient's left on the right. fx = -1.2/0.002; the middle of the picture is at (50,
+    // 40) where centres are at halves.
     let camera = Camera {
         intrinsics: [[-600.0, 0.0, 50.0], [0.0, 600.0, 40.0], [0.0, 0.0, 1.0]],
         rotation: [[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]],

@@ -1,4 +1,5 @@
-//! A burr that is longer than a ball: the union of its balls, counted once, at its place behind the tip. An outer tube.
+//! A burr that is longer than a ball: the union of its balls, counted once, at its place behind the tip. An
+//! outer tube.
 
 use messages::State;
 use proptest::prelude::*;
@@ -87,7 +88,8 @@ fn the_tube_ends_where_a_long_burr_begins() {
     assert!((length_m(long) - (0.03 - long.span_m())).abs() < 1e-12);
 }
 
-/// A ray across the tool, through both walls of the outer tube and of the tool's own where both are, of the own alone beyond.
+/// A ray across the tool, through both walls of the outer tube and of the tool's own where both are, of the
+/// own alone beyond.
 #[test]
 fn an_outer_tube_lies_about_the_tool_up_to_its_end() {
     let (mut state, axis) = state();

@@ -22,8 +22,8 @@ fn photon_numbers_have_the_poisson_mean_and_variance() {
         let average = draws(mean).sum::<f64>() / n;
         let variance = draws(mean).map(|x| (x - average).powi(2)).sum::<f64>() / n;
         println!("mean {mean}: average {average:.4}, variance {variance:.4}");
-        // Four standard errors: of the mean sqrt(mean/n); of the variance sqrt((mean + 2 mean^2)/n). The rounding of the
-        // normal approximation adds 1/12 to the variance.
+        // Four standard errors: of the mean sqrt(mean/n); of the variance sqrt((mean + 2 mean^2)/n). The
+        // rounding of the normal approximation adds 1/12 to the variance.
         assert!((average - mean).abs() < 4.0 * (mean / n).sqrt(), "{mean} {average}");
         let rounding = if mean < 30.0 { 0.0 } else { 1.0 / 12.0 };
         let bound = 4.0 * ((mean + 2.0 * mean * mean) / n).sqrt();
@@ -185,7 +185,8 @@ fn blur_keeps_the_sum_and_has_the_asked_width() {
         let reach = (weights.len() / 2) as f64;
         assert!((weights.iter().sum::<f64>() - 1.0).abs() < 1e-14);
         let variance: f64 = weights.iter().enumerate().map(|(i, w)| w * (i as f64 - reach).powi(2)).sum();
-        // Cutting at 3 sigma takes up to 3 % of the variance away; sampling a narrow bell changes it by as much.
+        // Cutting at 3 sigma takes up to 3 % of the variance away; sampling a narrow bell changes it by as
+        // much.
         assert!((variance.sqrt() / sigma - 1.0).abs() < 0.04, "{sigma} {variance}");
     }
     assert_eq!(gaussian_weights(0.0), [1.0]);

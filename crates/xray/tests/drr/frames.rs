@@ -204,8 +204,8 @@ fn an_unchanged_frame_traces_nothing_and_irrelevant_removals_trace_little() {
     let air = hu.iter().position(|&h| h == -1000).unwrap();
     assert_eq!(renderer.remove(&view, &[air as u32]).unwrap(), 1);
     assert_eq!(frame(&mut renderer, &view, &c_arm, 2).1, RenderKind::Cached);
-    // One voxel of about 1 mm, magnified less than twice on pixels of 0.8 mm: the ray of a pixel further than 1 voxel
-    // cannot reach it, so a square of at most 2 sqrt(3) * 1.3 * 2 / 0.8 = 12 pixels a side.
+    // One voxel of about 1 mm, magnified less than twice on pixels of 0.8 mm: the ray of a pixel further than
+    // 1 voxel cannot reach it, so a square of at most 2 sqrt(3) * 1.3 * 2 / 0.8 = 12 pixels a side.
     let bone = hu.iter().position(|&h| h > 1000).unwrap() + grid.voxels() / 2;
     let bone = (bone..).find(|&i| hu[i] > 1000).unwrap();
     renderer.remove(&view, &[bone as u32]).unwrap();

@@ -105,8 +105,8 @@ fn voxels_lie_along_the_axes_of_their_grid() {
     assert_eq!(grid.linear_of([4, 0, 0]), None);
 }
 
-/// The process took the axes of the message for rows, so in a run an oblique CT was seen turned the other way; physics and `trabecula
-/// drr` had it right.
+/// The process took the axes of the message for rows, so in a run an oblique CT was seen turned the other
+/// way; physics and `trabecula drr` had it right.
 #[test]
 fn the_process_sees_an_oblique_ct_where_its_message_says_it_is() {
     // i runs to +y, j to +z, k to +x.

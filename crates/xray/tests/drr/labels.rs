@@ -90,7 +90,8 @@ fn anatomy_and_metal_make_the_attenuation_of_the_frame() {
     }
 }
 
-/// A plate of bone 20 mm thick in soft tissue, a drilled layer of 6 mm in it, and a ball before it, all seen along y.
+/// A plate of bone 20 mm thick in soft tissue, a drilled layer of 6 mm in it, and a ball before it, all seen
+/// along y.
 #[test]
 fn a_plate_with_a_tunnel_and_a_burr_by_hand() {
     let grid = Grid::centred([81, 81, 81], [1e-3; 3]).unwrap();
@@ -117,7 +118,8 @@ fn a_plate_with_a_tunnel_and_a_burr_by_hand() {
     let mu = Material::Steel316L.mu_per_m(60.0).unwrap();
     assert!((f64::from(labels.metal[middle]) - 6e-3 * mu).abs() < 1e-5);
     assert_eq!(labels.mask[middle], Class::Bone.bit() | Class::Burr.bit());
-    // The patient's right, x < 0, is on the left of an AP image. Its rays are longer by the secant of their angle.
+    // The patient's right, x < 0, is on the left of an AP image. Its rays are longer by the secant of their
+    // angle.
     let left = 30 * 61 + 10;
     let secant = (1.0_f64 + 0.02 * 0.02).sqrt();
     near(labels.bone_m[left], 0.015 * secant);
@@ -152,8 +154,8 @@ fn a_keypoint_is_overlapped_where_another_part_lies_on_its_ray() {
     use Visibility::{Alone, Outside, Overlapped};
     // 64 mm on the detector are 45 mm at the isocentre: the base is 40 mm aside.
     assert_eq!(seen(0.0), [Outside, Outside, Alone, Alone, Alone, Alone]);
-    // Along the rod everything lies on everything: the lumen is open, but each ray to a joint ends in the burr, and that to the burr
-    // crosses nothing else, as it runs in the lumen.
+    // Along the rod everything lies on everything: the lumen is open, but each ray to a joint ends in the
+    // burr, and that to the burr crosses nothing else, as it runs in the lumen.
     assert_eq!(seen(90.0), [Overlapped, Overlapped, Overlapped, Overlapped, Overlapped, Alone]);
     // A point behind the source, and one behind the detector.
     let away = [[0.0, 2.0, 0.0], [0.0, -0.5, 0.0]];

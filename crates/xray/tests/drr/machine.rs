@@ -28,7 +28,8 @@ impl Machine for Desk {
     }
 }
 
-/// A clock that advances by a second at every reading, so that a few changed voxels seem to cost more than a full sum.
+/// A clock that advances by a second at every reading, so that a few changed voxels seem to cost more than a
+/// full sum.
 struct SlowUpdates(AtomicU64);
 
 impl Machine for SlowUpdates {
@@ -126,7 +127,8 @@ fn a_copy_that_the_memory_cannot_hold_is_refused_with_both_sizes() {
 #[test]
 fn images_that_the_memory_cannot_hold_are_refused_with_both_sizes() {
     static GIBIBYTE: Small = Small { free_bytes: Some(1 << 30), given_bytes: usize::MAX };
-    // A slice of 3 x 3 m at four samples per voxel has 144 million samples of 12 bytes, less those between the halves of the detector.
+    // A slice of 3 x 3 m at four samples per voxel has 144 million samples of 12 bytes, less those between
+    // the halves of the detector.
     let grid = Grid::centred([3000, 3000, 1], [1e-3; 3]).unwrap();
     let hu = vec![100; grid.voxels()];
     let view = VolumeView::new(grid, &hu).unwrap();

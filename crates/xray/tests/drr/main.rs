@@ -46,7 +46,8 @@ mod spectrum;
 #[cfg(test)]
 mod tool;
 
-/// Runs a script in an environment with pinned packages; `None`, with a message, where it cannot be made; in CI that fails.
+/// Runs a script in an environment with pinned packages; `None`, with a message, where it cannot be made; in
+/// CI that fails.
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "helpers of tests")]
 fn run_python(name: &str, packages: &[&str], probe: &str, script: &str) -> Option<String> {

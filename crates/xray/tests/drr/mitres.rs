@@ -22,7 +22,8 @@ fn metal_m(tool: &Tool, material: Material, from: [f64; 3], to: [f64; 3]) -> f64
         .sum()
 }
 
-/// A tool with joints in the xz plane that turns by the angle at every joint: shaft of 30 mm, then links of 4 mm.
+/// A tool with joints in the xz plane that turns by the angle at every joint: shaft of 30 mm, then links of 4
+/// mm.
 fn bent(turn_rad: f64) -> (State, Vec<[f64; 3]>) {
     let mut state = State::zeroed();
     let ahead = |link: usize| [(link as f64 * turn_rad).sin(), 0.0, (link as f64 * turn_rad).cos()];
@@ -42,7 +43,8 @@ fn bent(turn_rad: f64) -> (State, Vec<[f64; 3]>) {
     (state, joints)
 }
 
-/// Along the joint's plane a tube is an ellipse: its chord is that across the tube over the cosine of half the angle.
+/// Along the joint's plane a tube is an ellipse: its chord is that across the tube over the cosine of half
+/// the angle.
 #[test]
 fn the_metal_at_a_joint_is_that_of_the_ellipse_in_its_plane() {
     for turn_rad in [0.02_f64, 0.2, 0.6] {
@@ -91,7 +93,8 @@ fn links_in_line_end_flat() {
     );
 }
 
-/// From a base 200 mm before the flange, the shaft goes on to the holder of 60 mm: a straight ray along y crosses its two walls.
+/// From a base 200 mm before the flange, the shaft goes on to the holder of 60 mm: a straight ray along y
+/// crosses its two walls.
 #[test]
 fn the_shaft_goes_on_behind_the_base_to_the_holder() {
     let (mut state, joints) = bent(0.2);
@@ -137,7 +140,8 @@ fn an_end_cut_too_obliquely_or_by_no_unit_normal_is_refused() {
 }
 
 proptest! {
-    /// Every point of the shell about the bent axis is in one link, by which side of the joints' planes it is on.
+    /// Every point of the shell about the bent axis is in one link, by which side of the joints' planes it is
+    /// on.
     #[test]
     fn the_metal_of_a_bent_tool_agrees_with_counting_points_on_the_ray(
         from in prop::array::uniform3(-0.02..0.02_f64), to in prop::array::uniform3(-0.02..0.02_f64),

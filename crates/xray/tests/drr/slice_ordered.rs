@@ -72,7 +72,8 @@ pub fn random(i: u64) -> u64 {
     FrameSeed { seed: 41, frame: 0 }.hash(i)
 }
 
-/// An oblique, anisotropic volume with air and values up to `largest`; its sizes are multiples of nothing that the sums work in.
+/// An oblique, anisotropic volume with air and values up to `largest`; its sizes are multiples of nothing
+/// that the sums work in.
 pub fn volume(largest: i16) -> (Grid, Vec<i16>) {
     let (s, c) = 0.3_f64.sin_cos();
     let axes = [[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]];

@@ -8,8 +8,8 @@ use xray::{CArm, DrrParameters, DrrRenderer, FrameSeed, Grid, Projector, RenderK
 use crate::machine::{Desk, NoClock};
 use crate::slice_ordered::{POSES, c_arm, full, hash, random, remove, slices, table, volume, water};
 
-/// Removes voxels in batches of these sizes; after each, sums and image are those of a full render with the voxels in reverse order.
-/// Returns how many batches changed the kept sums instead of making them anew.
+/// Removes voxels in batches of these sizes; after each, sums and image are those of a full render with the
+/// voxels in reverse order. Returns how many batches changed the kept sums instead of making them anew.
 pub fn assert_removals_equal_full_renders(
     view: &VolumeView<'_>,
     grid: &Grid,

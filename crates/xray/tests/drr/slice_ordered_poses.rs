@@ -1,4 +1,5 @@
-//! Sums over slices from every side: the detector before, behind and inside the volume, the source outside and inside, wide fans.
+//! Sums over slices from every side: the detector before, behind and inside the volume, the source outside
+//! and inside, wide fans.
 
 use std::sync::LazyLock;
 
@@ -142,7 +143,8 @@ impl Thigh {
         self.image(c_arm, |ray| joseph::line_integral(&field, &IndexRay::new(&self.grid, ray)))
     }
 
-    /// Number of images, and relative errors: of Joseph's and of the sums, by the closed form, and between these two.
+    /// Number of images, and relative errors: of Joseph's and of the sums, by the closed form, and between
+    /// these two.
     fn errors(&self, c_arm: &CArm, options: SliceOrderedOptions) -> (usize, [f64; 3]) {
         let half_m = 0.5 * self.grid.dims()[2] as f64 * self.grid.spacing_m()[2];
         let truth = self.image(c_arm, |ray| closed_form(&self.shapes, half_m, ray));
@@ -247,13 +249,15 @@ fn removals_from_every_side_equal_full_renders_bit_for_bit() {
     }
 }
 
-/// Errors of Joseph's method and of the sums at a pose about a coarse thigh, and the number of images; `None` where the source is in it.
+/// Errors of Joseph's method and of the sums at a pose about a coarse thigh, and the number of images; `None`
+/// where the source is in it.
 fn errors_at(degrees: (f64, f64), source_m: f64, beyond_m: f64, field_m: f64) -> Option<(usize, [f64; 2])> {
     static WHOLE: LazyLock<Thigh> = LazyLock::new(|| Thigh::new([45, 38, 86], [2e-3; 3]));
     let thigh = &*WHOLE;
     let c_arm = pose(degrees, source_m, source_m + beyond_m, field_m).c_arm(64);
-    // Where one image serves all rays, the slice nearest to the source is missing: nothing must attenuate there. A slice is 2 mm thick,
-    // rays run askew in it, and the voxels of the skin stand out of the skin: 4 mm.
+    // Where one image serves all rays, the slice nearest to the source is missing: nothing must attenuate
+    // there. A slice is 2 mm thick, rays run askew in it, and the voxels of the skin stand out of the skin: 4
+    // mm.
     let [x, y, z] = std::array::from_fn(|a| c_arm.source_m[a] / (thigh.shapes[0].semi_axes_m[a] + 4e-3));
     if x * x + y * y + z * z <= 1.0 {
         return None;
@@ -262,7 +266,8 @@ fn errors_at(degrees: (f64, f64), source_m: f64, beyond_m: f64, field_m: f64) ->
     Some((images, [joseph, sums]))
 }
 
-/// Two samplings of one edge differ by chance at a pose (next test), and not over many: the same 500 poses every time.
+/// Two samplings of one edge differ by chance at a pose (next test), and not over many: the same 500 poses
+/// every time.
 #[test]
 fn many_poses_have_together_the_error_of_joseph() {
     let (mut count, mut joseph2, mut sums2) = (0, 0.0, 0.0);
@@ -293,7 +298,8 @@ proptest! {
         let found = errors_at((primary, secondary), source_m, beyond_m, field_m);
         prop_assume!(found.is_some());
         let (images, [joseph, sums]) = found.unwrap();
-        // Two samplings of one edge differ by chance: of 12 000 poses 24 had more than 1.08 times Joseph's error, the worst 1.29.
+        // Two samplings of one edge differ by chance: of 12 000 poses 24 had more than 1.08 times Joseph's
+        // error, the worst 1.29.
         prop_assert!(sums < 1.5 * joseph, "{images} images: {sums} {joseph}");
     }
 }

@@ -169,8 +169,9 @@ fn a_ball_of_ever_more_facets_comes_to_its_chord() {
             }
         }
         println!("ball of {steps} steps: worst {worst:.2e} m");
-        // To first order the sagitta of a quad, r (1 - cos(pi / n)) each way, where the ray enters and leaves, over the least cosine of 1/2; so a
-        // quarter with twice the steps. Corners are rounded to single precision.
+        // To first order the sagitta of a quad, r (1 - cos(pi / n)) each way, where the ray enters and
+        // leaves, over the least cosine of 1/2; so a quarter with twice the steps. Corners are rounded to
+        // single precision.
         let sagitta_m = radius_m * (1.0 - (std::f64::consts::PI / steps as f64).cos());
         assert!(worst < 1.1 * 8.0 * sagitta_m + 1e-8 && worst < 0.35 * before);
         before = worst;
@@ -220,8 +221,8 @@ fn meshes_that_are_not_convex_are_as_long_as_parrys_rays_find_them() {
     assert!(rays_through > 10_000 && beyond * 10_000 < rays_through);
 }
 
-/// A slab of cells as large as pixels, cut along the rays: all its corners lie on pixel centres, to the bit, and all its edges on rows, on
-/// columns or through centres. A pixel is in it or not.
+/// A slab of cells as large as pixels, cut along the rays: all its corners lie on pixel centres, to the bit,
+/// and all its edges on rows, on columns or through centres. A pixel is in it or not.
 #[test]
 fn pixels_on_edges_and_corners_are_counted_once() {
     let pitch_m = 1.0 / 1024.0;
@@ -345,7 +346,8 @@ fn impossible_solids_are_refused_with_the_field() {
     assert!(refused(&[none], 1.0).to_string().contains("quaternion"));
 }
 
-/// Two joints and a mesh on the second: its shadow is where the joints put it, seen from a flange that a state places.
+/// Two joints and a mesh on the second: its shadow is where the joints put it, seen from a flange that a
+/// state places.
 #[test]
 fn the_arm_of_a_scene_shows_where_its_joints_put_it() {
     let text = "name = \"a\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\n\

@@ -35,8 +35,8 @@ fn the_table_is_the_sum_over_energies_to_the_error_stated() {
             }
         }
         println!("{tube_kv} kV: worst error of -ln I over 490 mm of tissue and 155 mm of bone {worst:.2e}");
-        // Linear interpolation errs by h^2/8 times the curvature, which is the variance of mu over the spectrum that is
-        // left: at most (60 /m)^2 for bone at 60 kV, with steps of 0.625 mm: 2e-4.
+        // Linear interpolation errs by h^2/8 times the curvature, which is the variance of mu over the
+        // spectrum that is left: at most (60 /m)^2 for bone at 60 kV, with steps of 0.625 mm: 2e-4.
         assert!(worst < 2e-4, "{worst}");
         // Beyond the table the sum itself.
         let far = by_hand(&spectrum, &[(Material::Water, 0.6), (Material::CorticalBone, 0.2)]);

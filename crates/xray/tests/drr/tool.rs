@@ -82,7 +82,8 @@ fn intervals_are_joined() {
     assert_eq!(join_intervals(&mut []), 0);
 }
 
-/// A noise-free picture of a tool in a 40 mm water cube against mu_w (cube - union of envelopes) + mu_metal chords.
+/// A noise-free picture of a tool in a 40 mm water cube against mu_w (cube - union of envelopes) + mu_metal
+/// chords.
 #[test]
 fn metal_displaces_the_anatomy_once() {
     let grid = Grid::centred([40; 3], [1e-3; 3]).unwrap();
@@ -102,7 +103,8 @@ fn metal_displaces_the_anatomy_once() {
         let mut image = vec![0; c_arm.pixels()];
         renderer.render(&view, &c_arm, &tool, FrameSeed::default(), &mut image).unwrap();
         let (total, anatomy) = (renderer.line_integrals(), renderer.anatomy());
-        // Row 20 is the plane z = 0 (the tool's axis lies in it); the ray of column c meets y = 0 at x = (c - 20) pitch 0.7.
+        // Row 20 is the plane z = 0 (the tool's axis lies in it); the ray of column c meets y = 0 at x = (c -
+        // 20) pitch 0.7.
         let mut checked = 0;
         for c in 0..41_usize {
             let i = 20 * 41 + c;
@@ -126,7 +128,8 @@ fn metal_displaces_the_anatomy_once() {
             checked += 1;
         }
         assert!(checked > 15);
-        // On the axis: 40 mm of water less 6 mm, two nitinol walls, a 2 mm cable (the ray of column 20 is straight).
+        // On the axis: 40 mm of water less 6 mm, two nitinol walls, a 2 mm cable (the ray of column 20 is
+        // straight).
         let want = water * (0.04 - 0.006) + nitinol * 2e-3 + steel * 2e-3;
         assert!((total[20 * 41 + 20] - want).abs() < 1e-12);
     }
@@ -159,7 +162,8 @@ fn a_tool_in_a_drilled_channel_displaces_nothing_more() {
     assert!((added - NITINOL.mu_per_m(60.0).unwrap() * 2e-3).abs() < 1e-12, "{added}");
 }
 
-/// A chain of 27 links, two of three of them notched and every second with mitred ends, a shaft, a cone and a burr, bent in a plane; half a metre of shaft leaves the picture.
+/// A chain of 27 links, two of three of them notched and every second with mitred ends, a shaft, a cone and a
+/// burr, bent in a plane; half a metre of shaft leaves the picture.
 pub fn whole_tool() -> Tool {
     let mut at = [0.0_f64, -0.01, 0.0];
     let along = |angle: f64| [angle.cos() * 0.8, -0.6, angle.sin() * 0.8];
@@ -207,7 +211,8 @@ pub fn turned_volume() -> (Grid, Vec<i16>, Vec<u32>) {
     (grid, hu, removed)
 }
 
-/// Outlines, sweeps and the short-interval integral against every part on every pixel, and the projectors' own intervals.
+/// Outlines, sweeps and the short-interval integral against every part on every pixel, and the projectors'
+/// own intervals.
 #[test]
 fn the_fast_tool_layer_is_every_part_on_every_pixel() {
     let (grid, hu, removed) = turned_volume();
@@ -231,7 +236,8 @@ fn the_fast_tool_layer_is_every_part_on_every_pixel() {
         let report = renderer.render(&view, &c_arm, &tool, FrameSeed::default(), &mut image).unwrap();
         let (total, anatomy) = (renderer.line_integrals(), renderer.anatomy());
         let fan = RayFan::new(&grid, &c_arm);
-        // The renderer's own set of removed voxels; without block flags for them nothing may be skipped wrongly.
+        // The renderer's own set of removed voxels; without block flags for them nothing may be skipped
+        // wrongly.
         let gone: &RemovedVoxels = renderer.removed();
         let mut every = vec![0; grid.voxels()];
         every.clone_from(&hu);

@@ -1,5 +1,5 @@
-//! Ten defects of the published simulator (read in its source), and its position-set method: each test shows the published rule
-//! fail and ours hold.
+//! Ten defects of the published simulator (read in its source), and its position-set method: each test shows
+//! the published rule fail and ours hold.
 
 use std::path::Path;
 
@@ -36,7 +36,8 @@ fn bend_deg(m: &mut Manipulator, tension_n: [f64; 2], dt_s: f64) -> f64 {
     m.bend_rad().to_degrees()
 }
 
-/// A ball of 10 g pressed with 0.1 N on a plane at some height, by the published contact: how deep it ends, m.
+/// A ball of 10 g pressed with 0.1 N on a plane at some height, by the published contact: how deep it ends,
+/// m.
 fn published_ball(height_m: f64, absolute_arm: bool) -> f64 {
     let contact = PenaltyContact { mass_kg: 0.01, weight: 50.0, bias: 0.4, dt_s: DT_S };
     let (mut z, mut v) = (height_m, 0.0);
@@ -93,14 +94,15 @@ fn s2_a_penalty_of_twenty_newtons_a_metre_sinks_and_impulses_do_not() {
         sinks(1.0) * 1e3,
         deepest * 1e6
     );
-    // The impulse of htp2/continuum-manip-volumetric-drilling-plugin, branch devel, is a penalty F = w m ((b / dt) depth - 2 v) with
-    // w = 50, m = 1e-3, b = 0.4, dt = 1e-3: k = w m b / dt = 20 N/m. Its arithmetic, replayed, sinks 4.8 and 47.5 mm.
+    // The impulse of htp2/continuum-manip-volumetric-drilling-plugin, branch devel, is a penalty F = w m ((b
+    // / dt) depth - 2 v) with w = 50, m = 1e-3, b = 0.4, dt = 1e-3: k = w m b / dt = 20 N/m. Its arithmetic,
+    // replayed, sinks 4.8 and 47.5 mm.
     assert!((sinks(0.1) - 5e-3).abs() < 0.5e-3 && (sinks(1.0) - 50e-3).abs() < 5e-3);
     assert!(force > 0.5 && deepest < 10e-6);
 }
 
-/// A tool at some height whose last shaft sphere alone overlaps by 20 µm with a wall: the shaft's forces in N, with the height
-/// of their points in the world, and the moment on the flange about y, N m.
+/// A tool at some height whose last shaft sphere alone overlaps by 20 µm with a wall: the shaft's forces in
+/// N, with the height of their points in the world, and the moment on the flange about y, N m.
 fn touched_at_the_shaft(height_m: f64) -> (Vec<(f64, f64)>, f64) {
     let mut p = ManipulatorParameters { damping_ratio: 1.0, ..ManipulatorParameters::jhu_27() };
     p.contact.friction_coefficient = 0.0;
@@ -270,8 +272,8 @@ fn s7_real_masses_are_stepped_at_a_millisecond() {
     println!(
         "explicit: lost {lost} at {hz:.1} Hz, lost {held_lost} at {slow_hz:.3} Hz; ours {bend:.1} degrees at {hz:.1} Hz"
     );
-    // Eigenvalues of the chain: 26 Hz with real masses (solid tube 6/4 mm, 0.101 kg/m, burr 1 g), 1.4 Hz with the links of the
-    // plugin's chain (10 g and 1e-5 kg m^2 each).
+    // Eigenvalues of the chain: 26 Hz with real masses (solid tube 6/4 mm, 0.101 kg/m, burr 1 g), 1.4 Hz with
+    // the links of the plugin's chain (10 g and 1e-5 kg m^2 each).
     assert!((hz - 26.0).abs() < 3.0 && lost && slow_hz < 1.4);
     assert!(ours.t_world_tip().translation.vector.norm() < 0.1 && (bend - 5.0 * 8.65).abs() < 1.0);
 }
@@ -307,8 +309,8 @@ fn s9_the_table_is_in_newton_metres_a_radian() {
     println!(
         "2 N: {right:.2} degrees, with the table typed per degree {wrong:.1} (on its stops); {compliance:.3} rad/N m"
     );
-    // scripts/replace_cm_joint_properties.py of the plugin's branch devel: sum 1/k = 60.39 rad/(N m), times d = 2.5 mm 8.65 degrees a
-    // newton; stops at 27 x 5 degrees.
+    // scripts/replace_cm_joint_properties.py of the plugin's branch devel: sum 1/k = 60.39 rad/(N m), times d
+    // = 2.5 mm 8.65 degrees a newton; stops at 27 x 5 degrees.
     assert!((compliance - 60.39).abs() < 0.01 && (right - 2.0 * 8.65).abs() < 0.1);
     assert!(wrong > 130.0);
 }

@@ -43,9 +43,10 @@ fn rapiers_multibody_is_exact_and_its_spring_joints_are_not() {
         (m.tip_m() - exact).norm()
     });
     println!("15 N, 26 links: multibody {:.1e} m, spring joints {:.1e} m from equilibrium", off[0], off[1]);
-    // Prototypes on Rapier 0.36.1: a multibody with `set_spring` stands in equilibrium within 0.001 um; impulse joints with spring
-    // motors are off by millimetres to metres (or lost altogether) with 1 to 64 substeps. Ours stands on a mount, which Rapier's
-    // tool does not have; a tendon's forces are internal and do not load it.
+    // Prototypes on Rapier 0.36.1: a multibody with `set_spring` stands in equilibrium within 0.001 um;
+    // impulse joints with spring motors are off by millimetres to metres (or lost altogether) with 1 to 64
+    // substeps. Ours stands on a mount, which Rapier's tool does not have; a tendon's forces are internal and
+    // do not load it.
     assert!(off[0] < 1e-8, "{}", off[0]);
     assert!(off[1] > 1e-3 || off[1].is_nan(), "{}", off[1]);
 }

@@ -1,6 +1,6 @@
-//! Measures the time from publishing a state to receiving the command that answers it, by language and wait strategy,
-//! with bare iceoryx2 and sockets for comparison. All are measured alternately in one run, because a time depends on
-//! the machine, a ratio less so.
+//! Measures the time from publishing a state to receiving the command that answers it, by language and wait
+//! strategy, with bare iceoryx2 and sockets for comparison. All are measured alternately in one run, because
+//! a time depends on the machine, a ratio less so.
 
 mod cores;
 mod hub;

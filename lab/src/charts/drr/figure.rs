@@ -14,7 +14,8 @@ const COLUMNS: usize = 3;
 const SKY: RGBColor = RGBColor(86, 180, 233);
 const GREY: RGBColor = RGBColor(130, 130, 130);
 
-/// The mark of a method: ours are discs and rings; peers are crosses, told apart by the colour of their place.
+/// The mark of a method: ours are discs and rings; peers are crosses, told apart by the colour of their
+/// place.
 fn mark(method: &str, peers: &[&str]) -> Key {
     let [blue, vermilion, green, purple] = COLOURS;
     match method {

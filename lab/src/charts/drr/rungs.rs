@@ -1,8 +1,8 @@
 //! Writes `crates/xray/src/rungs.csv`, from which a scene's `tolerance.drr_rel` chooses.
 //!
-//! The thigh of [`reference`](mod@reference) in 512 x 512 x 400 voxels of 0.5 mm; three poses, 512 x 512 pixels. For
-//! each projector: the largest error over the poses against Siddon's sum in f64, relative and r.m.s., on every eighth
-//! pixel in both directions; and the median time of full frames with two threads.
+//! The thigh of [`reference`](mod@reference) in 512 x 512 x 400 voxels of 0.5 mm; three poses, 512 x 512
+//! pixels. For each projector: the largest error over the poses against Siddon's sum in f64, relative and
+//! r.m.s., on every eighth pixel in both directions; and the median time of full frames with two threads.
 
 use std::path::Path;
 use std::time::Instant;
@@ -142,8 +142,8 @@ mod tests {
         assert_eq!(measured.len(), table.len());
         for (projector, error_rel) in measured {
             let rung = table.iter().find(|rung| rung.projector == projector).unwrap();
-            // Errors do not depend on the machine. Four digits are written; 1 % allows for a different summation order
-            // in a kernel.
+            // Errors do not depend on the machine. Four digits are written; 1 % allows for a different
+            // summation order in a kernel.
             assert!(
                 (error_rel - rung.error_rel).abs() <= 0.01 * error_rel,
                 "{projector:?}: {error_rel:e}, the table says {:e}: write it with `trabecula-lab chart drr --rungs`",

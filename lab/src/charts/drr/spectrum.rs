@@ -12,8 +12,8 @@ pub struct SpectrumErrors {
     pub table: f64,
     /// Photon energy at which 200 mm of tissue attenuates as much as with the spectrum, keV.
     pub effective_kev: f64,
-    /// By how much that single energy overestimates 20 mm of cortical bone and 3 mm of nitinol behind that tissue,
-    /// relative.
+    /// By how much that single energy overestimates 20 mm of cortical bone and 3 mm of nitinol behind that
+    /// tissue, relative.
     pub bone_20_mm: f64,
     pub nitinol_3_mm: f64,
 }

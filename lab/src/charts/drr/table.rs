@@ -91,9 +91,9 @@ fn error(value: f64) -> String {
     if value == 0.0 { "0".to_owned() } else { format!("{value:.2e}") }
 }
 
-/// Sentences about the default projector at full resolution with two threads. For each pose: the time of the fastest
-/// peer with an equal or larger error against the closed-form integrals, divided by our time, from the minimum and
-/// from the median times; then the median over the poses.
+/// Sentences about the default projector at full resolution with two threads. For each pose: the time of the
+/// fastest peer with an equal or larger error against the closed-form integrals, divided by our time, from
+/// the minimum and from the median times; then the median over the poses.
 fn ratio_to_peers(points: &[Point]) -> Option<String> {
     let finest = points.iter().map(|p| p.coarseness).min()?;
     let at_full: Vec<&Point> = points.iter().filter(|p| p.coarseness == finest && p.threads == 2).collect();

@@ -13,9 +13,9 @@ use trabecula::failure::Failure;
 use trabecula::plan::measure::against::{References, distance_mm};
 use trabecula::plan::{Beam, Pull, Row, Settings};
 
-/// Links of each measured rung, which is all but `modal`: a tolerance never chooses it, because it is not valid where single flexures stand
-/// on their stops. The tool has 27 flexures. A richer rung is not worth its cost while the error from few links
-/// dominates.
+/// Links of each measured rung, which is all but `modal`: a tolerance never chooses it, because it is not
+/// valid where single flexures stand on their stops. The tool has 27 flexures. A richer rung is not worth its
+/// cost while the error from few links dominates.
 const LINKS: [(Rung, &[usize]); 4] = [
     (Rung::ConstantCurvature, &[27]),
     (Rung::Planar, &[4, 8, 13, 27]),
@@ -84,15 +84,15 @@ pub fn settings(effort: Effort) -> Vec<Settings> {
     all
 }
 
-/// The contact kind only matters when the tool touches bone. The other kind is measured with the time step of most
-/// scenes, and only where the drilled path is measured.
+/// The contact kind only matters when the tool touches bone. The other kind is measured with the time step of
+/// most scenes, and only where the drilled path is measured.
 fn with_the_other_contact(settings: &Settings) -> Option<Settings> {
     let drilled = is_drilled(settings) && settings.dt_ms == 1.0;
     drilled.then_some(Settings { contact: ContactVoxels::Balls, ..*settings })
 }
 
-/// Whether to measure the drilled path with these settings. In contact both integrators are linearly implicit Euler,
-/// so varying one of them is enough.
+/// Whether to measure the drilled path with these settings. In contact both integrators are linearly implicit
+/// Euler, so varying one of them is enough.
 fn is_drilled(settings: &Settings) -> bool {
     let hybrid = settings.integrator == SceneIntegrator::Hybrid;
     match (settings.rung, settings.links) {
@@ -256,8 +256,8 @@ mod tests {
         rows.iter().filter(planes).flat_map(of).collect()
     }
 
-    /// More links are never worse: the reference has the tool's own flexures. What remains at 27 links is the step's. Hard pulls are left out:
-    /// they throw the flexures against their stops, where the step decides.
+    /// More links are never worse: the reference has the tool's own flexures. What remains at 27 links is the
+    /// step's. Hard pulls are left out: they throw the flexures against their stops, where the step decides.
     #[test]
     fn errors_of_the_table_fall_as_links_rise() {
         let rows = read(TABLE).unwrap();
@@ -304,8 +304,8 @@ mod tests {
         }
     }
 
-    /// The errors do not depend on the machine: 1e-3 covers the rounding of the table's five digits, and 1 nm the
-    /// rounding of errors that are zero.
+    /// The errors do not depend on the machine: 1e-3 covers the rounding of the table's five digits, and 1 nm
+    /// the rounding of errors that are zero.
     #[test]
     fn the_table_of_measured_errors_is_current() {
         let (rows, mut references) = (read(TABLE).unwrap(), References::default());

@@ -1,9 +1,11 @@
-//! A contact problem for other simulators: the tool of 27 flexures in a winding tunnel, its burr pulled across.
+//! A contact problem for other simulators: the tool of 27 flexures in a winding tunnel, its burr pulled
+//! across.
 //!
-//! Each sphere lies between two planes of its own; contacts are springs without friction. Every program starts straight, where the
-//! tunnel overlaps the tool by up to 0.08 mm, pulls up slowly and waits for rest. Each `NAME_contact.py` of the folder gets
-//! `contact.json` and prints one line per run: `contact NAME CONTACTS DAMPING_RATIO DT_MS US_PER_MS ANGLE...` (rad, base to tip). All
-//! are judged here, by those angles alone.
+//! Each sphere lies between two planes of its own; contacts are springs without friction. Every program
+//! starts straight, where the tunnel overlaps the tool by up to 0.08 mm, pulls up slowly and waits for rest.
+//! Each `NAME_contact.py` of the folder gets `contact.json` and prints one line per run: `contact NAME
+//! CONTACTS DAMPING_RATIO DT_MS US_PER_MS ANGLE...` (rad, base to tip). All are judged here, by those angles
+//! alone.
 
 use std::f64::consts::PI;
 use std::fmt::Write as _;
@@ -191,7 +193,8 @@ fn lengths_m(tool: &ManipulatorParameters) -> Vec<f64> {
     gaps.chain([tool.tip_offset_m]).collect()
 }
 
-/// Of each link's sphere from its hinge. That of the last is as far as that of the one before it: the rest is the burr's shank.
+/// Of each link's sphere from its hinge. That of the last is as far as that of the one before it: the rest is
+/// the burr's shank.
 fn sphere_along_m(tool: &ManipulatorParameters) -> Vec<f64> {
     let mut along: Vec<f64> = lengths_m(tool).iter().map(|length| 0.5 * length).collect();
     let last = along.len() - 1;

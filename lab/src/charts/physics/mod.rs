@@ -1,4 +1,5 @@
-//! `trabecula-lab chart physics`: error against cost for every rung, integrator and baseline, one panel per problem.
+//! `trabecula-lab chart physics`: error against cost for every rung, integrator and baseline, one panel per
+//! problem.
 
 mod candidates;
 mod contact;
@@ -84,7 +85,8 @@ const CONTACT_FILE: &str = "peers-contact.csv";
 /// First line of a CSV.
 const COLUMNS: &str = "problem,method,links,dt_ms,us_per_ms,figure,value\n";
 
-/// Measures, and writes `accuracy-physics.svg`, `.png` and `.csv`, and `physics-plan.csv`, into the folder; of the settings only the last.
+/// Measures, and writes `accuracy-physics.svg`, `.png` and `.csv`, and `physics-plan.csv`, into the folder;
+/// of the settings only the last.
 ///
 /// # Errors
 /// A file that cannot be written.
@@ -166,7 +168,8 @@ fn measure_all(problem: Problem, effort: Effort) -> Result<Vec<Point>, Failure> 
     Ok(points)
 }
 
-/// The drilled paths with the tool's own flexures, the arc as it is; voxels as planes, since no line joins planes and balls.
+/// The drilled paths with the tool's own flexures, the arc as it is; voxels as planes, since no line joins
+/// planes and balls.
 fn drilled_points(rows: &[Row]) -> Vec<Point> {
     let most = rows.iter().map(|row| row.settings.links).max().unwrap_or(0);
     let is_drawn = |row: &&Row| {

@@ -1,8 +1,8 @@
 //! Other simulators on the chart's beam.
 //!
-//! Each `NAME.py` of the folder gets `beam.json` and prints one line per measurement: `PROBLEM NAME LINKS DT_MS
-//! US_PER_MS LOAD X Z`. In `end_moment` and `tip_force` (LOAD is P L² / EI) X and Z are where the tip rests, across
-//! and along, m; in `vibration` X is the first frequency, Hz.
+//! Each `NAME.py` of the folder gets `beam.json` and prints one line per measurement: `PROBLEM NAME LINKS
+//! DT_MS US_PER_MS LOAD X Z`. In `end_moment` and `tip_force` (LOAD is P L² / EI) X and Z are where the tip
+//! rests, across and along, m; in `vibration` X is the first frequency, Hz.
 
 use crate::effort::Effort;
 use std::path::Path;
@@ -44,8 +44,8 @@ pub struct Peer {
     pub us_per_ms: f64,
     /// Error in the problem's unit; for `tip_force`, at the worst load.
     pub error: f64,
-    /// Its cost divided by that of our cheapest planar setting with no larger error, if there is one; ours is timed
-    /// before and after the peer.
+    /// Its cost divided by that of our cheapest planar setting with no larger error, if there is one; ours is
+    /// timed before and after the peer.
     pub cost_ratio: Option<f64>,
 }
 
@@ -146,8 +146,8 @@ fn compare(peer: &mut Peer, own: &[(Problem, Point)]) {
         peer.us_per_ms,
         peer.error
     );
-    // Euler's numerical damping hides its frequency, so the vibration problem is compared with our other integrator
-    // only.
+    // Euler's numerical damping hides its frequency, so the vibration problem is compared with our other
+    // integrator only.
     let comparable = |problem: Problem, method: Method| problem != Problem::Vibration || method == OURS[1];
     // Two programs that solve the same equations differ by rounding.
     let as_good = own

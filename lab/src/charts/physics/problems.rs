@@ -1,4 +1,5 @@
-//! The chart's problems. Each gives an error against a solution outside the method, and the cost of a millisecond.
+//! The chart's problems. Each gives an error against a solution outside the method, and the cost of a
+//! millisecond.
 
 use crate::effort::Effort;
 use physics_lab::Wall;
@@ -265,7 +266,8 @@ pub(super) fn tip_force(method: Method, links: usize, dt_ms: f64) -> Measured {
     Ok((all.us_per_ms(), worst, more))
 }
 
-/// EI q' = T d and the capstan's T' = -mu q' T: T(s) = T0 / (1 + mu k0 s), end angle ln(1 + mu k0 L) / mu with k0 = T0 d / EI.
+/// EI q' = T d and the capstan's T' = -mu q' T: T(s) = T0 / (1 + mu k0 s), end angle ln(1 + mu k0 L) / mu
+/// with k0 = T0 d / EI.
 pub(super) fn capstan(method: Method, links: usize, dt_ms: f64) -> Measured {
     let (mu, k0_length): (f64, f64) = (0.3, 2.0);
     let exact = (1.0 + mu * k0_length).ln() / mu;
@@ -297,8 +299,8 @@ fn capstan_tip_m(mu: f64, k0_length: f64) -> Vector3<f64> {
     sum * (LENGTH_M * h / 3.0)
 }
 
-/// Finds the modes from the response to a force burst at and around the beam's frequencies; the first mode's decay
-/// from its envelope over ten periods.
+/// Finds the modes from the response to a force burst at and around the beam's frequencies; the first mode's
+/// decay from its envelope over ten periods.
 fn vibration(method: Method, links: usize, dt_ms: f64) -> Measured {
     let (dt_s, density) = (dt_ms * 1e-3, DENSITY_KG_PER_M);
     let beam_hz = ROOTS.map(|root| {

@@ -1,7 +1,9 @@
-//! `trabecula-lab chart promise`: random scenes with a `tolerance.path_mm`, planned and run; how many exceed what they allow.
+//! `trabecula-lab chart promise`: random scenes with a `tolerance.path_mm`, planned and run; how many exceed
+//! what they allow.
 //!
-//! Every scene is run with the settings that `plan` chooses, beside the reference of `plan --check`, on the same voxels. A scene with bone
-//! is run again on voxels at another place: the bound states both errors, so the distance to that path must keep it, too.
+//! Every scene is run with the settings that `plan` chooses, beside the reference of `plan --check`, on the
+//! same voxels. A scene with bone is run again on voxels at another place: the bound states both errors, so
+//! the distance to that path must keep it, too.
 
 use ipc_types::messages;
 use ipc_types::scene::{Scene, Tolerance, ToolOuterTube};
@@ -77,8 +79,8 @@ enum Ground {
     Bone,
 }
 
-/// A pull, a sweep or a feed, with random tension, friction and duration. A tool of its own has its friction, and its other tendons may be
-/// pulled, too; one without tendons is fed.
+/// A pull, a sweep or a feed, with random tension, friction and duration. A tool of its own has its friction,
+/// and its other tendons may be pulled, too; one without tendons is fed.
 fn trial(ground: Ground, tool: Option<&OwnTool>, random: &mut u64) -> Trial {
     let (bone, tendons) = (ground == Ground::Bone, tool.map_or(1, OwnTool::tendons));
     if let Some(outer) = tool.and_then(OwnTool::outer_tube) {
@@ -109,7 +111,8 @@ fn trial(ground: Ground, tool: Option<&OwnTool>, random: &mut u64) -> Trial {
     trial
 }
 
-/// Out of an outer tube by any length, as it is or turned by half a turn: then it stays in the plane of its weight.
+/// Out of an outer tube by any length, as it is or turned by half a turn: then it stays in the plane of its
+/// weight.
 fn deployment(outer: &ToolOuterTube, random: &mut u64) -> Trial {
     let length_mm = between(0.1, 1.0, random) * outer.travel_mm.min(25.0);
     let feed_mm_per_s = between(2.0, 8.0, random);
@@ -126,7 +129,8 @@ fn scene_of(trial: &Trial, ground: Ground, tool: Option<&OwnTool>) -> Result<(Sc
     Ok((own.unwrap_or(scene), text))
 }
 
-/// The tables of the tool, for each load that a scene may put on it: without a cache each would be measured for every scene.
+/// The tables of the tool, for each load that a scene may put on it: without a cache each would be measured
+/// for every scene.
 #[derive(Default)]
 struct Tables(Vec<(Load, Table)>);
 
@@ -208,15 +212,16 @@ mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
 
-    /// Regression: the table measured planar against planar, the check against a softer tool: 7 of 8 free scenes exceeded their tolerance,
-    /// up to 62 times.
+    /// Regression: the table measured planar against planar, the check against a softer tool: 7 of 8 free
+    /// scenes exceeded their tolerance, up to 62 times.
     #[test]
     fn a_planned_path_error_is_kept_in_free_space_and_in_bone() {
         assert_eq!(run(&Plan { tool: None, free: 12, bone: 2, seed: 1 }, &mut Sheet::default()).unwrap(), 0);
     }
 
-    /// Scenes on which a tool of their own was not measured: other tensions, other tendons together, other directions of its weight. Tunnels
-    /// of such tools take a minute to measure: `trabecula-lab chart promise --tool FILE`.
+    /// Scenes on which a tool of their own was not measured: other tensions, other tendons together,
+    /// other directions of its weight. Tunnels of such tools take a minute to measure: `trabecula-lab
+    /// chart promise --tool FILE`.
     #[test]
     fn a_planned_path_error_is_kept_by_other_tools() {
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs");

@@ -42,8 +42,8 @@ pub fn free(settings: &Settings, pull: Pull, references: &mut References) -> Res
 #[derive(Default)]
 pub struct TunnelReferences([References; PLACES.len()]);
 
-/// The path error of the worst tunnel, r.m.s. over the places of the voxels, mm. One place alone says little: by chance it may hide the
-/// error of one setting and add to that of another.
+/// The path error of the worst tunnel, r.m.s. over the places of the voxels, mm. One place alone says little:
+/// by chance it may hide the error of one setting and add to that of another.
 ///
 /// # Errors
 /// The physics refuses the settings.

@@ -55,7 +55,8 @@ fn resting_height_m(field: &BoneField, x: f64, y: f64, wall_m: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Between four balls of diameter h a sphere of radius r sinks by (r + h/2) (1 - sqrt(1 - (h / sqrt 2)^2 / (r + h/2)^2)).
+    /// Between four balls of diameter h a sphere of radius r sinks by (r + h/2) (1 - sqrt(1 - (h / sqrt 2)^2
+    /// / (r + h/2)^2)).
     #[test]
     fn planes_hold_a_sphere_where_the_wall_is_and_balls_let_it_sink() -> Result<(), BoneError> {
         let (h, reach) = (0.5, RADIUS_MM + 0.25);

@@ -1,4 +1,5 @@
-//! `trabecula-lab chart stability --bone`: hard cases in bone, the whole simulation, every rung at every step.
+//! `trabecula-lab chart stability --bone`: hard cases in bone, the whole simulation, every rung at every
+//! step.
 
 use hub::in_process::{Answer, InProcess};
 use ipc_types::messages::{ArmMode, BurrMode, Command, State, TendonMode};
@@ -27,8 +28,9 @@ const MOST_PAST_STOP_RAD: f64 = 0.1 * core::f64::consts::PI / 180.0;
 /// A tick converged if its residual is at most this, m/s; and the least share of the ticks that must.
 const RESIDUAL_M_PER_S: f64 = 1e-6;
 const LEAST_CONVERGED: f64 = 0.999;
-/// A jump of the flange's force by more than this share of itself, above this force, N; and the most share of the ticks in contact with one,
-/// beyond the share in the reference between the same instants: where the command itself jumps, a right solution does so too.
+/// A jump of the flange's force by more than this share of itself, above this force, N; and the most share of
+/// the ticks in contact with one, beyond the share in the reference between the same instants: where the
+/// command itself jumps, a right solution does so too.
 const JUMP: f64 = 0.5;
 const JUMP_FROM_N: f64 = 0.5;
 const MOST_JUMPS: f64 = 0.01;
@@ -216,7 +218,8 @@ mod tests {
         assert_eq!(seen.faults(None), said);
     }
 
-    /// A force that alternates between 1 and 4 N jumps in every tick, and is a fault unless the reference, seen every second tick, does so too.
+    /// A force that alternates between 1 and 4 N jumps in every tick, and is a fault unless the reference,
+    /// seen every second tick, does so too.
     #[test]
     fn a_jump_is_a_fault_unless_the_reference_jumps_as_well() {
         let of = |forces_n: &[f64]| Seen {

@@ -17,14 +17,14 @@ const SETTLING_STEPS: usize = 4000;
 const SETTLING_STEP_S: f64 = 0.25e-3;
 /// Distance of the straight tool's burr centre from the flange, m.
 const REACH_M: f64 = 0.071_470_28;
-/// Euler's buckling load of the tool clamped at its base, N: the smallest axial load at the burr that the flexures
-/// cannot resist.
+/// Euler's buckling load of the tool clamped at its base, N: the smallest axial load at the burr that the
+/// flexures cannot resist.
 const EULER_N: f64 = 1.306;
-/// Axial loads as multiples of Euler's load: one that buckles the tool to 100 degrees, and one that folds it back on
-/// itself.
+/// Axial loads as multiples of Euler's load: one that buckles the tool to 100 degrees, and one that folds it
+/// back on itself.
 const BUCKLING: [f64; 2] = [1.5, 2.3];
-/// Transverse fraction of these loads: 0.4 degrees. No real push is better aligned, and without it the straight shape
-/// would be a solution too.
+/// Transverse fraction of these loads: 0.4 degrees. No real push is better aligned, and without it the
+/// straight shape would be a solution too.
 const ACROSS: f64 = 1.0 / 150.0;
 
 /// A pull on tendon 0, N, or of a tool without tendons a force across its burr, N.
@@ -39,12 +39,14 @@ pub struct Pull {
 pub struct Setup {
     /// Euler's buckling load of the tool clamped at its base, N.
     pub euler_n: f64,
-    /// Pull of the tension step, of the cases with walls, and while the base moves (there for the tool's own stiffness).
+    /// Pull of the tension step, of the cases with walls, and while the base moves (there for the tool's own
+    /// stiffness).
     step: Pull,
     press: Pull,
     moved: Pull,
-    /// Surfaces of the walls, initial base frame, m: beside the axis in the bending plane, those of the tunnel, in front of the burr
-    /// (corner), beside it across the plane (corner), and in front of it (moved base).
+    /// Surfaces of the walls, initial base frame, m: beside the axis in the bending plane, those of the
+    /// tunnel, in front of the burr (corner), beside it across the plane (corner), and in front of it (moved
+    /// base).
     side_m: f64,
     tunnel_m: [f64; 2],
     corner_front_m: f64,
@@ -66,8 +68,9 @@ impl Setup {
         front_m: REACH_M + 5e-3,
     };
 
-    /// The same about another tool: a wall stands half way of what the pull does in free space, a tunnel is 50 µm wider on each side than
-    /// the burr at rest. A tool without tendons is pressed by a tenth of Euler's load across its burr.
+    /// The same about another tool: a wall stands half way of what the pull does in free space, a tunnel is
+    /// 50 µm wider on each side than the burr at rest. A tool without tendons is pressed by a tenth of
+    /// Euler's load across its burr.
     ///
     /// # Errors
     /// Invalid parameters.
@@ -150,9 +153,9 @@ impl Case {
         Case::FarBuckling,
     ];
 
-    /// Whether our methods are claimed to be right at every step size. A dead load on the burr enters a step with the
-    /// shape at the step's start, so the operator lacks the load's contribution to the stiffness. Above twice Euler's
-    /// load, a step too long for inertia to limit it oscillates between two shapes.
+    /// Whether our methods are claimed to be right at every step size. A dead load on the burr enters a step
+    /// with the shape at the step's start, so the operator lacks the load's contribution to the stiffness.
+    /// Above twice Euler's load, a step too long for inertia to limit it oscillates between two shapes.
     pub fn is_claimed(self) -> bool {
         self != Case::FarBuckling
     }

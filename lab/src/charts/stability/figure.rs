@@ -1,4 +1,5 @@
-//! The stability map: one column per case, one row per method; in each block, stiffness across, mass and step down.
+//! The stability map: one column per case, one row per method; in each block, stiffness across, mass and step
+//! down.
 
 use super::cases::Case;
 use super::{Cell, DT_MS, MASS, STIFFNESS, Verdict};

@@ -198,7 +198,8 @@ fn measure(effort: Effort, end: &EndRequest) -> Result<Vec<Cell>, ManipulatorErr
 }
 
 fn verdict(ending: &Ending, off_m: f64) -> Verdict {
-    // The tool is 71 mm long: a tip farther than this from the converged one means that the tool has come apart.
+    // The tool is 71 mm long: a tip farther than this from the converged one means that the tool has come
+    // apart.
     if ending.lost || !off_m.is_finite() || off_m > 0.15 {
         Verdict::Blown
     } else if off_m <= TOLERANCE_M {

@@ -1,4 +1,5 @@
-//! `trabecula-lab chart stability --random N`: random scenes at the ends of the documented ranges, run in this process and judged.
+//! `trabecula-lab chart stability --random N`: random scenes at the ends of the documented ranges, run in
+//! this process and judged.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -73,8 +74,9 @@ struct Count {
     warned: usize,
 }
 
-/// Runs `count` scenes from `seed` on; prints each that is not sound, and the counts. Returns how many are not finite, fail with another error
-/// than a lost tool, or are lost, chatter or are fast without a cause and without a warning.
+/// Runs `count` scenes from `seed` on; prints each that is not sound, and the counts. Returns how many are
+/// not finite, fail with another error than a lost tool, or are lost, chatter or are fast without a cause and
+/// without a warning.
 ///
 /// # Errors
 /// A scene cannot be drawn.
@@ -123,7 +125,8 @@ fn wrong(class: Class, count: &Count) -> usize {
     }
 }
 
-/// Warnings about where the tool starts say nothing about what becomes of it, but for a hole that is too thin for it.
+/// Warnings about where the tool starts say nothing about what becomes of it, but for a hole that is too thin
+/// for it.
 fn is_warned_of(drawn: &Drawn) -> bool {
     let ct = drawn.bone.as_ref().map(|block| CtView { geometry: block.geometry, hu: &block.hu });
     let found = findings(&drawn.scene, ct, &|_| true).unwrap_or_default();

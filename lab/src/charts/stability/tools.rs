@@ -79,7 +79,8 @@ impl Row {
     }
 }
 
-/// Runs the cases with the tools of the files, or the shipped ones, and prints how many end right, and which do not.
+/// Runs the cases with the tools of the files, or the shipped ones, and prints how many end right, and which
+/// do not.
 ///
 /// # Errors
 /// A file that is no tool (2).
@@ -142,7 +143,8 @@ fn row(
     Ok(row)
 }
 
-/// The tool as it is, but frictionless on its walls and damped as in the map, so that it comes to rest in one place within a run.
+/// The tool as it is, but frictionless on its walls and damped as in the map, so that it comes to rest in one
+/// place within a run.
 fn quiet(parameters: &ManipulatorParameters) -> ManipulatorParameters {
     let mut p = parameters.clone();
     p.damping_ratio = p.damping_ratio.max(0.1);

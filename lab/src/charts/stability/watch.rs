@@ -7,7 +7,8 @@ use nalgebra::Vector3;
 const CHATTER_M: f64 = 10e-6;
 /// Share of the ticks at rest that turn back, from which on a motion is chatter and no swing.
 const TURNS_BACK: f64 = 0.25;
-/// Displacement that bounds the work of a tendon: a channel 2.5 mm off the axis and 27 flexures at 5 degrees, with a margin of two, m.
+/// Displacement that bounds the work of a tendon: a channel 2.5 mm off the axis and 27 flexures at 5 degrees,
+/// with a margin of two, m.
 const TAKE_UP_M: f64 = 12e-3;
 
 /// Motion to and fro at rest.

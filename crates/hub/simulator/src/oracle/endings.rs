@@ -7,7 +7,8 @@ use scene::Mode;
 use super::Oracle;
 use crate::plan::MS;
 
-/// From the request to end to the end, in time that the hub was not stopped: consumers may take half a second.
+/// From the request to end to the end, in time that the hub was not stopped: consumers may take half a
+/// second.
 const END_LIMIT_NS: u64 = 700 * MS;
 
 impl Oracle {

@@ -1,5 +1,5 @@
-//! What must hold whatever happens: an account of the run that is kept beside the hub, from what passes between it and its
-//! surroundings alone.
+//! What must hold whatever happens: an account of the run that is kept beside the hub, from what passes
+//! between it and its surroundings alone.
 
 use hub::rate_limit::Connection;
 use hub::{Incoming, Note, Report, Start};
@@ -56,7 +56,8 @@ pub struct Oracle {
     readings_in_tick: usize,
     /// Events that say a capacity was reached.
     capacity_notes: u32,
-    /// Events that say the model is not valid, those that were due, and whether none was since the start or a reset.
+    /// Events that say the model is not valid, those that were due, and whether none was since the start or a
+    /// reset.
     invalid_notes: u64,
     invalid_due: u64,
     invalid_untold: bool,
@@ -197,7 +198,8 @@ impl Oracle {
         self.stops.1 += for_ns;
     }
 
-    /// Whether the hub has waited for this long since the newest state. Of each stop it may count half of the limit, and no more.
+    /// Whether the hub has waited for this long since the newest state. Of each stop it may count half of the
+    /// limit, and no more.
     fn has_waited(&self, limit_ns: u64, now_ns: u64) -> bool {
         let (count, stopped_ns) = self.stops;
         (now_ns - self.state_ns).saturating_sub(stopped_ns) + count * limit_ns / 2 >= limit_ns

@@ -104,7 +104,8 @@ impl SeenFrames {
         });
     }
 
-    /// A controller has seen what it sees before it answers the state of this tick, and is told of `lost` frames.
+    /// A controller has seen what it sees before it answers the state of this tick, and is told of `lost`
+    /// frames.
     pub fn answers(&mut self, index: ControllerIndex, tick: u64, lost: u64) {
         let due = self.due_at(tick);
         let published = due.and_then(|due| self.scheduled(due));
@@ -143,7 +144,8 @@ impl SeenFrames {
         self.published.iter().copied().find(|frame| frame.tick == Tick(tick) && frame.request_id == 0)
     }
 
-    /// A controller waits, with nothing in its queue, for the frame that it is to see before it answers the state of this tick.
+    /// A controller waits, with nothing in its queue, for the frame that it is to see before it answers the
+    /// state of this tick.
     pub fn waits(&mut self, index: ControllerIndex, tick: u64) {
         let due = self.due_at(tick);
         let is_out = due.is_some_and(|due| self.scheduled(due).is_some());

@@ -1,4 +1,5 @@
-//! What must hold of a viewer's client: what reaches it, in which order, what it is told it missed, and how much waits for it.
+//! What must hold of a viewer's client: what reaches it, in which order, what it is told it missed, and how
+//! much waits for it.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -31,7 +32,8 @@ pub struct WatcherAccount {
     /// Messages of streams that wait, and their bytes.
     stream: VecDeque<Due>,
     waiting_bytes: usize,
-    /// The message that is due by subscription and slot, and how many of other slots have been sent while it waits.
+    /// The message that is due by subscription and slot, and how many of other slots have been sent while it
+    /// waits.
     newest: BTreeMap<(u32, u32), (u64, usize)>,
     slots: BTreeSet<(u32, u32)>,
     /// Number of the last message delivered, by subscription and, where only the newest counts, slot.
@@ -60,7 +62,8 @@ impl WatcherAccount {
         !self.stream.is_empty() || !self.newest.is_empty()
     }
 
-    /// A message is published, and offered to the client if it is connected; `count` says for how many subscriptions.
+    /// A message is published, and offered to the client if it is connected; `count` says for how many
+    /// subscriptions.
     pub fn published(&mut self, message: &Published, count: Option<usize>) {
         let (number, bytes) = (number_of(&message.payload), message.payload.len());
         self.kept.insert((message.channel, message.slot), (number, bytes));
@@ -195,7 +198,8 @@ impl WatcherAccount {
         }
     }
 
-    /// The client has read to the end of the run, at which these are the newest messages of channels: channel and number.
+    /// The client has read to the end of the run, at which these are the newest messages of channels: channel
+    /// and number.
     pub fn ended(&mut self, newest: &[(u32, u64)]) {
         let (waits, untold) = (self.has_waiting(), self.dropped);
         expect!(self, !waits, "something waits for a client that has read everything".to_owned());

@@ -1,4 +1,5 @@
-//! What must hold of X-ray frames: which are rendered at which state, which requests are refused, and which voxels a frame shows.
+//! What must hold of X-ray frames: which are rendered at which state, which requests are refused, and which
+//! voxels a frame shows.
 
 use std::collections::VecDeque;
 
@@ -11,7 +12,8 @@ use super::{RATION, RATION_NS};
 use crate::plan::Plan;
 use crate::x_ray_plan::Asked;
 
-/// Jobs that wait for the renderer; one more is rendered, and in lockstep one more is in the hand of a process that stands still.
+/// Jobs that wait for the renderer; one more is rendered, and in lockstep one more is in the hand of a
+/// process that stands still.
 pub const JOBS_WAITING: usize = 2;
 /// Requests of one connection that may wait, and of all.
 const WAITING_EACH: usize = 8;

@@ -8,7 +8,8 @@ use crate::actors::Consumer;
 use crate::drr::Looked;
 
 impl World {
-    /// A consumer looks at its queues; returns until when it then stands still, as the DRR process does before its renderer.
+    /// A consumer looks at its queues; returns until when it then stands still, as the DRR process does
+    /// before its renderer.
     pub(super) fn stands_still_until(&mut self, part: Part) -> Option<u64> {
         if part != Part::Drr {
             return None;
@@ -44,8 +45,8 @@ impl World {
         self.hand_out_frames();
     }
 
-    /// The run is over: the DRR process shows the last state and answers every request, unless it is dead. If it was told to end, it
-    /// refuses what waits.
+    /// The run is over: the DRR process shows the last state and answers every request, unless it is dead. If
+    /// it was told to end, it refuses what waits.
     pub fn finish_frames(&mut self) {
         let Some(mut drr) = self.drr.take() else { return };
         if self.end_requested {

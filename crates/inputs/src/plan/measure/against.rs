@@ -89,7 +89,8 @@ fn said(scene: &Scene, cause: &dyn core::fmt::Display) -> String {
     format!("scene `{}`: {cause}", scene.name)
 }
 
-/// Runs a scene's controllers and calls `see` after every tick with the run, u_k and the time of the step, ns.
+/// Runs a scene's controllers and calls `see` after every tick with the run, u_k and the time of the step,
+/// ns.
 fn play(run: &Run, mut see: impl FnMut(&Simulation, &Latched, u64)) -> Result<(), NotCompared> {
     let Run { scene, ct, tensions_n } = *run;
     let failed = |cause: &dyn core::fmt::Display| NotCompared::Run(said(scene, cause));
@@ -130,7 +131,8 @@ fn median(mut nanoseconds: Vec<u64>, dt_ms: f64) -> f64 {
     median as f64 * 1e-3 / dt_ms
 }
 
-/// Paths of the reference, so that settings of one step share them: without feedback they all latch the same u_k.
+/// Paths of the reference, so that settings of one step share them: without feedback they all latch the same
+/// u_k.
 #[derive(Default)]
 pub struct References {
     known: Vec<Known>,
@@ -143,8 +145,8 @@ struct Known {
 }
 
 impl References {
-    /// The reference's burr after each tick. Runs it unless it is known for the same settings and the same u_k; what is asked of one
-    /// value always has the same voxels.
+    /// The reference's burr after each tick. Runs it unless it is known for the same settings and the same
+    /// u_k; what is asked of one value always has the same voxels.
     fn burr_m(
         &mut self,
         scene: &Scene,

@@ -24,8 +24,8 @@ impl Block {
         CtView { geometry: self.geometry, hu: &self.hu }
     }
 
-    /// A block with its corners at `low_mm` and `high_mm`; `density_kg_per_m3` maps a point in metres to a density, 0
-    /// for air.
+    /// A block with its corners at `low_mm` and `high_mm`; `density_kg_per_m3` maps a point in metres to a
+    /// density, 0 for air.
     pub fn new(
         low_mm: [f64; 3],
         high_mm: [f64; 3],

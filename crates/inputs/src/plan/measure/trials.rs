@@ -113,8 +113,8 @@ pub const HOLE_MM: f64 = 7.0;
 /// Bone beside a pilot hole that is wider, mm.
 const BESIDE_MM: f64 = 4.5;
 
-/// A block whose density rises along and across the tunnel, 200 to 440 kg/m³; its voxels are shifted by `place`, in voxels. It is as wide
-/// as a pilot hole of `hole_mm` needs.
+/// A block whose density rises along and across the tunnel, 200 to 440 kg/m³; its voxels are shifted by
+/// `place`, in voxels. It is as wide as a pilot hole of `hole_mm` needs.
 pub fn block(place: [f64; 3], hole_mm: f64) -> Block {
     let shifted = |corner: [f64; 3]| [0, 1, 2].map(|a| corner[a] + place[a] * VOXEL_MM);
     let half_mm = (0.5 * hole_mm + BESIDE_MM).round().max(8.0);

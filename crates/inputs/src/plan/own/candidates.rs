@@ -9,9 +9,9 @@ use crate::failure::Failure;
 use crate::plan::measure::trials::Trial;
 use crate::plan::table::{OWN_LINKS, Row, Settings};
 
-/// Measured models: all but `modal`, which is not valid where single flexures stand on their stops, and no scene says beforehand whether
-/// they will. Equal links in place of the tool's flexures, for each rung. Where each flexure lies decides more than how the rest is computed, so the
-/// richer rungs have few of them.
+/// Measured models: all but `modal`, which is not valid where single flexures stand on their stops, and no
+/// scene says beforehand whether they will. Equal links in place of the tool's flexures, for each rung. Where
+/// each flexure lies decides more than how the rest is computed, so the richer rungs have few of them.
 const LINKS: [(Rung, &[usize]); 4] =
     [(Rung::ConstantCurvature, &[]), (Rung::Planar, &[4, 8, 16]), (Rung::Spatial, &[8]), (Rung::Full, &[])];
 /// Steps in free space, ms.
@@ -65,8 +65,9 @@ fn is_taken(tool: &OwnTool, settings: &Settings) -> Result<bool, Failure> {
     Ok(Simulation::new(&scene, None).is_ok())
 }
 
-/// Whether the drilled path is measured with these settings. It is best with the tool's own flexures, in contact both integrators are
-/// linearly implicit Euler, smaller steps make it no better than the bone's voxels allow, and `scene check` warns of larger ones.
+/// Whether the drilled path is measured with these settings. It is best with the tool's own flexures, in
+/// contact both integrators are linearly implicit Euler, smaller steps make it no better than the bone's
+/// voxels allow, and `scene check` warns of larger ones.
 pub fn is_drilled(settings: &Settings, flexures: usize) -> bool {
     settings.links == flexures
         && match settings.rung {
@@ -78,8 +79,9 @@ pub fn is_drilled(settings: &Settings, flexures: usize) -> bool {
         }
 }
 
-/// What settings cost in free space and while drilling, µs per simulated millisecond: what the built-in table's row of the same rung and
-/// integrator does, on a line through its numbers of links. No clock, so that every machine chooses alike.
+/// What settings cost in free space and while drilling, µs per simulated millisecond: what the built-in
+/// table's row of the same rung and integrator does, on a line through its numbers of links. No clock, so
+/// that every machine chooses alike.
 pub fn cost(settings: &Settings, standard: &[Row]) -> [f64; 2] {
     let at_links =
         |row: &Row, links: usize| row.settings == Settings { links, dt_ms: COSTED_DT_MS, ..*settings };
@@ -93,7 +95,8 @@ pub fn cost(settings: &Settings, standard: &[Row]) -> [f64; 2] {
     });
     let links = settings.links as f64 - own.settings.links as f64;
     let step_us = (own.free_us_per_ms + links * a_link).max(0.1 * own.free_us_per_ms);
-    // What contact and drilling add does not depend on the integrator: its own row, if it was drilled, or any of the rung.
+    // What contact and drilling add does not depend on the integrator: its own row, if it was drilled, or any
+    // of the rung.
     let of_rung =
         || standard.iter().filter(|row| row.settings.rung == settings.rung && at_contact(row, settings));
     let bone_us = of_rung()

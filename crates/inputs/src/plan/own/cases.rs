@@ -39,7 +39,8 @@ impl Part {
 const ACROSS_M_PER_S2: f64 = 100.0;
 /// Tensions of the tendons that only clients pull alone, N.
 const OTHERS_N: [f64; 2] = [10.0, 60.0];
-/// Places of the voxels in which tunnels are drilled: the worst of them counts, so fewer do than where their mean counts.
+/// Places of the voxels in which tunnels are drilled: the worst of them counts, so fewer do than where their
+/// mean counts.
 const OWN_PLACES: usize = 3;
 
 /// Longest time in which a tool slides out of its outer tube, s.
@@ -166,8 +167,8 @@ fn slid(outer: &ToolOuterTube, roll_deg: f64, pull_s: f64) -> Trial {
     Trial::deploy(outer.travel_mm, feed_mm_per_s, roll_deg, seconds)
 }
 
-/// The first tendon's gentle pull, or the swing of a tool that starts straight, against a wall half way; a tool that does not move by itself
-/// is pressed on it.
+/// The first tendon's gentle pull, or the swing of a tool that starts straight, against a wall half way; a
+/// tool that does not move by itself is pressed on it.
 fn against_a_wall(tool: &OwnTool, pull_s: f64) -> Result<Case, Failure> {
     let tension_n = if tool.tendons() == 0 { 0.0 } else { GENTLE_N };
     let trial = match tool.outer_tube() {

@@ -1,7 +1,7 @@
 //! Measures a part of the table of a scene's own tool.
 //!
-//! One piece of work is a case at one step: the reference is run once for it, and every setting beside it. Pieces are independent of each
-//! other, so threads change no figure.
+//! One piece of work is a case at one step: the reference is run once for it, and every setting beside it.
+//! Pieces are independent of each other, so threads change no figure.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::channel;
@@ -180,7 +180,8 @@ fn scene(tool: &OwnTool, case: &Case, settings: &Settings) -> Result<Scene, Fail
     Ok(scene)
 }
 
-/// Whether the reference's burr has stopped. Errors of a run that is longer than the trials are as large as measured only then.
+/// Whether the reference's burr has stopped. Errors of a run that is longer than the trials are as large as
+/// measured only then.
 fn comes_to_rest(burr_m: &[Vector3<f64>]) -> bool {
     let [first, .., last] = burr_m else { return false };
     let farthest_mm = |from: &Vector3<f64>, places: &[Vector3<f64>]| {

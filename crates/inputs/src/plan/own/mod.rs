@@ -1,8 +1,8 @@
 //! The table of a scene's own tool, measured on first use and kept in the user's cache.
 //!
-//! Only what the scene does to its tool is measured ([`cases::Part`]), each part kept by itself: its name in the cache is the hash of all
-//! that the tool is made of, of the part and of this build. Costs are estimated ([`candidates::cost`]), so the rows do not depend on the
-//! machine.
+//! Only what the scene does to its tool is measured ([`cases::Part`]), each part kept by itself: its name in
+//! the cache is the hash of all that the tool is made of, of the part and of this build. Costs are estimated
+//! ([`candidates::cost`]), so the rows do not depend on the machine.
 
 mod candidates;
 mod cases;
@@ -115,7 +115,8 @@ fn parts(scene: &Scene) -> impl Iterator<Item = Part> {
     [Some(Part::Gentle), bodies, hard, bone].into_iter().flatten()
 }
 
-/// A row with what does not depend on the tool: its estimated costs, and how a sphere rests on a wall of voxels.
+/// A row with what does not depend on the tool: its estimated costs, and how a sphere rests on a wall of
+/// voxels.
 fn unmeasured(settings: &Settings, standard: &[Row]) -> Row {
     let [free_us_per_ms, drilling_us_per_ms] = candidates::cost(settings, standard);
     let is_alike =

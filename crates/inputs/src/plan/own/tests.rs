@@ -100,7 +100,8 @@ fn another_tool_has_another_table_and_another_name_or_path_has_not() {
     }
 }
 
-/// No clock: the costs of the standard tool's own settings are those of its table, and fewer links or larger steps cost less.
+/// No clock: the costs of the standard tool's own settings are those of its table, and fewer links or larger
+/// steps cost less.
 #[test]
 fn costs_follow_from_the_built_in_table() {
     let standard = Table::standard().unwrap().rows;

@@ -21,7 +21,8 @@ pub const LEAST_ROLL_DEG_PER_S: f64 = 90.0;
 /// A swing has decayed after so many of its time constants: to 5 %.
 const TIME_CONSTANTS: f64 = 3.0;
 
-/// The tool of a scene, as its errors depend on it: what is simulated, whatever the plan believes (`[truth]`).
+/// The tool of a scene, as its errors depend on it: what is simulated, whatever the plan believes
+/// (`[truth]`).
 #[derive(Debug, Clone, PartialEq)]
 pub struct OwnTool {
     /// Its name in messages.
@@ -110,7 +111,8 @@ impl OwnTool {
         2e3 * widest_m + PLAY_MM
     }
 
-    /// A trial with this tool: in free space as the scene has it, in bone straight in its pilot hole, as a tunnel begins.
+    /// A trial with this tool: in free space as the scene has it, in bone straight in its pilot hole, as a
+    /// tunnel begins.
     ///
     /// # Errors
     /// A parameter of the trial is out of range.

@@ -34,7 +34,8 @@ impl Drilling<'_> {
         self.voxels.pool.claim(self.voxels.geometry.voxel(voxel))
     }
 
-    /// Sets the spent fraction of a voxel, given by number and by its place along each axis; returns what was set.
+    /// Sets the spent fraction of a voxel, given by number and by its place along each axis; returns what was
+    /// set.
     #[inline]
     pub fn cut(&mut self, voxel: VoxelIndex, at: [i64; 3], place: Place, spent: f64) -> f64 {
         self.changed.cut = self.changed.cut.with(at);
@@ -78,8 +79,8 @@ impl Drilling<'_> {
         spent
     }
 
-    /// Queues a voxel that is gone now, and empties one of which all is spent. Returns the fraction to set: if the queue is full, the voxel
-    /// keeps its half and goes in a later tick.
+    /// Queues a voxel that is gone now, and empties one of which all is spent. Returns the fraction to set:
+    /// if the queue is full, the voxel keeps its half and goes in a later tick.
     fn pass(&mut self, voxel: VoxelIndex, place: Place, spent: f64) -> f64 {
         if self.voxels.pool.spent_at(place) <= GONE {
             if !self.has_room() {
@@ -113,7 +114,8 @@ impl Voxels {
         Drilling { voxels: self, changed: Region::NOTHING }
     }
 
-    /// Removes a fraction of a voxel from the bone permanently, or what is left of that fraction; false if there is no memory for it.
+    /// Removes a fraction of a voxel from the bone permanently, or what is left of that fraction; false if
+    /// there is no memory for it.
     pub(super) fn take_out(&mut self, voxel: [usize; 3], spent: f64) -> bool {
         let [i, j, k] = voxel;
         let before = self.pilot.spent(i, j, k);
@@ -142,7 +144,8 @@ impl Voxels {
         self.journal.note_everything();
     }
 
-    /// Takes memory for the partly cut voxels of a tick, if the last one has left too little; false if the system gives none.
+    /// Takes memory for the partly cut voxels of a tick, if the last one has left too little; false if the
+    /// system gives none.
     pub(in crate::bone) fn make_room(&mut self) -> bool {
         self.pool.make_room()
     }
@@ -171,7 +174,8 @@ impl Voxels {
         self.journal.note_everything();
     }
 
-    /// Restores a snapshot, earlier or later, of a field with the same CT, parameters and pilot holes; continues bit for bit.
+    /// Restores a snapshot, earlier or later, of a field with the same CT, parameters and pilot holes;
+    /// continues bit for bit.
     pub(in crate::bone) fn restore(&mut self, snapshot: &BoneSnapshot) -> Result<(), BoneError> {
         if snapshot.voxel_count != self.geometry.voxel_count() {
             return Err(BoneError::Snapshot { reason: "it has another number of voxels" });

@@ -1,7 +1,8 @@
 //! Records which voxels changed recently, so that caches can tell which of their entries are still valid.
 //!
-//! A cache stores the number of edits it has seen ([`Journal::edits`]). The journal tells it what changed since then; if the journal no
-//! longer goes back that far, the cache drops everything. A cache therefore cannot miss a change: it asks, and nobody has to notify it.
+//! A cache stores the number of edits it has seen ([`Journal::edits`]). The journal tells it what changed
+//! since then; if the journal no longer goes back that far, the cache drops everything. A cache therefore
+//! cannot miss a change: it asks, and nobody has to notify it.
 
 use crate::bone::occupancy::VoxelBox;
 use crate::bone::spline::SPLINE_VOXELS;
@@ -42,7 +43,8 @@ pub(in crate::bone) struct Journal {
     regions: u64,
     /// Blocks of the pool that were in use before the last edit.
     blocks_before: usize,
-    /// The voxels that the last edit cut for the first time, as many as are kept, their number, and around all of them.
+    /// The voxels that the last edit cut for the first time, as many as are kept, their number, and around
+    /// all of them.
     first_cuts: [[i64; 3]; KEPT_FIRST_CUTS],
     first_cut_count: usize,
     first_cut_box: VoxelBox,
@@ -78,7 +80,8 @@ impl Journal {
         self.first_cut_box = self.first_cut_box.with(voxel);
     }
 
-    /// The voxels that the last edit cut for the first time, one by one; or around them if there are too many.
+    /// The voxels that the last edit cut for the first time, one by one; or around them if there are too
+    /// many.
     pub fn first_cuts(&self) -> Result<&[[i64; 3]], &VoxelBox> {
         self.first_cuts.get(..self.first_cut_count).ok_or(&self.first_cut_box)
     }

@@ -1,7 +1,7 @@
 //! The voxels themselves: all bone state that affects results or belongs in a keyframe.
 //!
-//! Voxels change only through the functions in `edit.rs`, which record every change in the journal. The caches
-//! ([`super::tracked`], [`super::reach`]) only read the voxels and the journal.
+//! Voxels change only through the functions in `edit.rs`, which record every change in the journal. The
+//! caches ([`super::tracked`], [`super::reach`]) only read the voxels and the journal.
 
 mod edit;
 mod journal;
@@ -47,7 +47,8 @@ pub struct Voxels {
     journal: Journal,
 }
 
-/// What drilling has changed in a field: enough to continue bit for bit in a field with the same CT and scene.
+/// What drilling has changed in a field: enough to continue bit for bit in a field with the same CT and
+/// scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoneSnapshot {
     voxel_count: usize,
@@ -130,7 +131,8 @@ impl Voxels {
         self.is_mostly_solid([i as i64, j as i64, k as i64])
     }
 
-    /// True if the voxel is bone in an image, or not listed as removed yet. Searches the voxels that wait for it.
+    /// True if the voxel is bone in an image, or not listed as removed yet. Searches the voxels that wait for
+    /// it.
     pub fn is_listed_solid(&self, voxel: VoxelIndex) -> bool {
         self.is_solid_index(voxel) || self.waiting.contains(&voxel)
     }
@@ -162,7 +164,8 @@ impl Voxels {
         }
     }
 
-    /// The voxels that are gone since the last tick of drilling: less than half of each is left. In no particular order.
+    /// The voxels that are gone since the last tick of drilling: less than half of each is left. In no
+    /// particular order.
     pub fn removed_this_tick(&self) -> &[VoxelIndex] {
         &self.removed
     }
@@ -203,7 +206,8 @@ impl Voxels {
         &self.material
     }
 
-    /// Volume in m³ that drilling has removed so far, of whole and of partly cut voxels, recomputed from the pool.
+    /// Volume in m³ that drilling has removed so far, of whole and of partly cut voxels, recomputed from the
+    /// pool.
     pub fn removed_m3(&self) -> f64 {
         let mut sum = 0.0;
         self.pool.for_each(|[i, j, k], spent| sum += spent - self.pilot.spent(i, j, k));
@@ -215,7 +219,8 @@ impl Voxels {
         self.pilot_voxels * self.geometry.voxel_volume_m3()
     }
 
-    /// Energy in J that bone has absorbed from drilling so far (removed and partly cut voxels), recomputed from the pool.
+    /// Energy in J that bone has absorbed from drilling so far (removed and partly cut voxels), recomputed
+    /// from the pool.
     ///
     /// # Errors
     /// `hu` does not have one value per voxel.

@@ -1,9 +1,10 @@
 //! Pilot holes: bone removed before the run.
 //!
-//! A pilot hole is what a ball of its radius leaves that cuts everything in its way: a voxel at the hole's wall keeps the part beyond the
-//! wall, as seen from the hole's axis. With whole voxels instead, a tool that leans on the wall goes another way wherever the voxels lie:
-//! tunnels of 4 mm ended up to 1 mm apart, and are within a tenth of that with partial ones (`tests/grid_phase.rs`). The published
-//! removal rules and the contact with balls know no part of a voxel: with them the hole is made of whole voxels.
+//! A pilot hole is what a ball of its radius leaves that cuts everything in its way: a voxel at the hole's
+//! wall keeps the part beyond the wall, as seen from the hole's axis. With whole voxels instead, a tool that
+//! leans on the wall goes another way wherever the voxels lie: tunnels of 4 mm ended up to 1 mm apart, and
+//! are within a tenth of that with partial ones (`tests/grid_phase.rs`). The published removal rules and the
+//! contact with balls know no part of a voxel: with them the hole is made of whole voxels.
 
 use nalgebra::Vector3;
 
@@ -28,7 +29,8 @@ impl Capsule {
         point - self.from - self.along * t
     }
 
-    /// Fraction of a voxel that a ball of the hole's radius cuts: the surface that is left lies on the hole's wall, seen from its axis.
+    /// Fraction of a voxel that a ball of the hole's radius cuts: the surface that is left lies on the hole's
+    /// wall, seen from its axis.
     fn spent(&self, centre: &Vector3<f64>, spacing: &[f64; 3]) -> f64 {
         let offset = self.offset(centre);
         let distance = offset.norm();
@@ -40,9 +42,10 @@ impl Capsule {
 }
 
 impl Voxels {
-    /// Removes the bone within `radius_m` of the segment `from`-`to` (world, metres) and returns the numbers of the voxels that are gone,
-    /// of which less than half is left, in ascending order. These voxels are part of the scene: a reset does not restore them. Use before
-    /// the run; allocates. Removes nothing for non-finite values or a radius that is not positive.
+    /// Removes the bone within `radius_m` of the segment `from`-`to` (world, metres) and returns the numbers
+    /// of the voxels that are gone, of which less than half is left, in ascending order. These voxels are
+    /// part of the scene: a reset does not restore them. Use before the run; allocates. Removes nothing for
+    /// non-finite values or a radius that is not positive.
     pub(in crate::bone) fn predrill_capsule(
         &mut self,
         from_world_m: &Vector3<f64>,

@@ -1,5 +1,5 @@
-//! The field's snapshot as bytes: per block, which voxels have changed since the start of the run, which are spent, and the fractions of
-//! the rest; of a block that is wholly spent, its number alone.
+//! The field's snapshot as bytes: per block, which voxels have changed since the start of the run, which are
+//! spent, and the fractions of the rest; of a block that is wholly spent, its number alone.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error, ser::SerializeSeq};
 

@@ -2,7 +2,8 @@
 
 use crate::manipulator::parameters::ManipulatorParameters;
 
-/// Below this bend the arc functions use their power series, because the closed forms lose digits to cancellation, rad.
+/// Below this bend the arc functions use their power series, because the closed forms lose digits to
+/// cancellation, rad.
 const SERIES_BELOW_RAD: f64 = 0.3;
 /// Terms of the series: 0.3^(2 k + 1) / (2 k + 2)! is below rounding from k = 6 on.
 const TERMS: usize = 7;
@@ -74,7 +75,8 @@ fn unit_arc(a: f64, t: f64) -> ([f64; 2], [f64; 2], [f64; 2]) {
 }
 
 fn unit_arc_series(a: f64, t: f64) -> ([f64; 2], [f64; 2], [f64; 2]) {
-    // (1 - cos a t)/t = sum c_m t^(m - 1) over even m >= 2, sin(a t)/t = sum c_m t^(m - 1) over odd m, |c_m| = a^m / m!
+    // (1 - cos a t)/t = sum c_m t^(m - 1) over even m >= 2, sin(a t)/t = sum c_m t^(m - 1) over odd m, |c_m|
+    // = a^m / m!
     let (mut value, mut first, mut second) = ([0.0; 2], [0.0; 2], [0.0; 2]);
     let mut c = a;
     let mut powers = [1.0, 0.0, 0.0];

@@ -1,9 +1,10 @@
 //! The cheapest rung: the flexible length is one arc of constant curvature, in closed form.
 //!
-//! Four degrees of freedom: the mount along base x, y, z, and the bend. Exact under a pure end moment and, for a uniform tool, under its
-//! frictionless tendons. Under a tip force or in a tunnel it is the best that one curvature can do. The bending stiffness is that of the
-//! flexures in series, `1 / sum(1/k)`. Frames, tendons, contact laws and mount are those of the planar rung (see [`crate::manipulator`]).
-//! Every step uses linearly implicit Euler.
+//! Four degrees of freedom: the mount along base x, y, z, and the bend. Exact under a pure end moment and,
+//! for a uniform tool, under its frictionless tendons. Under a tip force or in a tunnel it is the best that
+//! one curvature can do. The bending stiffness is that of the flexures in series, `1 / sum(1/k)`. Frames,
+//! tendons, contact laws and mount are those of the planar rung (see [`crate::manipulator`]). Every step uses
+//! linearly implicit Euler.
 
 mod arc;
 mod step;
@@ -65,7 +66,8 @@ pub struct ConstantCurvature {
 }
 
 impl ConstantCurvature {
-    /// A tool in its rest shape, at rest on `base`, with slack tendons. Of a pre-curved tool it takes the whole bend, and spreads it evenly.
+    /// A tool in its rest shape, at rest on `base`, with slack tendons. Of a pre-curved tool it takes the
+    /// whole bend, and spreads it evenly.
     ///
     /// # Errors
     /// A parameter is out of range, or a tendon bends only a part of the tool; the error names it.

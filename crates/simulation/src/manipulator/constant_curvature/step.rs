@@ -17,7 +17,8 @@ const BEND: usize = 3;
 struct TendonTorque {
     torque_nm: f64,
     stiffness_nm_per_rad: f64,
-    /// True if the step assumes that a tendon's friction does not change: it was sliding at the given rate and keeps sliding.
+    /// True if the step assumes that a tendon's friction does not change: it was sliding at the given rate
+    /// and keeps sliding.
     slides_on: bool,
 }
 
@@ -72,9 +73,9 @@ impl ConstantCurvature {
         (before + inverse * (loads + elastic) * dt, (operator, inverse))
     }
 
-    /// Closed form of the channel: the take-up is `d (bend - rest)`. The tension falls as `exp(-mu s phi)` along the arc, and the bend sees
-    /// its mean, `(1 - exp(-x)) / x` with `x = mu s |bend|`. `rate`, the bend rate, tells whether a saturated sliding state is about to
-    /// reverse.
+    /// Closed form of the channel: the take-up is `d (bend - rest)`. The tension falls as `exp(-mu s phi)`
+    /// along the arc, and the bend sees its mean, `(1 - exp(-x)) / x` with `x = mu s |bend|`. `rate`, the
+    /// bend rate, tells whether a saturated sliding state is about to reverse.
     fn tendon_torque(&self, rate: f64, command: &TendonCommand) -> TendonTorque {
         let bend = self.position()[3];
         let mut sum = TendonTorque { torque_nm: 0.0, stiffness_nm_per_rad: 0.0, slides_on: false };

@@ -1,9 +1,10 @@
 //! The chain's implicit operator with contact rows on its links: `A + sum w f f'`.
 //!
-//! A row that presses adds the rank-one stiffness `w f f'` to the body it presses on and `w` to the diagonal of a stopped flexure, so the
-//! articulated-body algorithm factors the sum at the cost of the operator alone: O(links), whatever the number of rows. All spatial
-//! quantities are expressed at the base origin; N is the number of their components (4 in the bending plane with the out-of-plane
-//! velocity, 6 in space). Tendons that couple the joints follow by the Woodbury identity (see `coupling`).
+//! A row that presses adds the rank-one stiffness `w f f'` to the body it presses on and `w` to the diagonal
+//! of a stopped flexure, so the articulated-body algorithm factors the sum at the cost of the operator alone:
+//! O(links), whatever the number of rows. All spatial quantities are expressed at the base origin; N is the
+//! number of their components (4 in the bending plane with the out-of-plane velocity, 6 in space). Tendons
+//! that couple the joints follow by the Woodbury identity (see `coupling`).
 
 use super::dense::{lanes, lanes_mut};
 use crate::manipulator::MAX_TENDONS;
@@ -47,7 +48,8 @@ pub(super) fn add_outer<const N: usize>(m: &mut Square<N>, scale: f64, a: &[f64;
     }
 }
 
-/// Rows of at least so many numbers are worked on a vector at a time: the compiler does so by itself only with shorter ones.
+/// Rows of at least so many numbers are worked on a vector at a time: the compiler does so by itself only
+/// with shorter ones.
 const WIDE: usize = 8;
 
 /// [`add_outer`], to the same bits.
@@ -169,8 +171,8 @@ pub(in crate::manipulator) trait Operator<const N: usize> {
     fn velocity(&self) -> &[f64];
     /// Motions of the links at velocities `x` of the freedoms.
     fn motions_of(&self, x: &[f64], out: &mut [[f64; N]]);
-    /// Calls `link` with the mobility of each link to a force on itself and `freedom` with that of each freedom to its own torque, base to
-    /// tip, for the present factor.
+    /// Calls `link` with the mobility of each link to a force on itself and `freedom` with that of each
+    /// freedom to its own torque, base to tip, for the present factor.
     fn mobilities<S: pulp::Simd>(
         &self,
         simd: S,
@@ -349,7 +351,8 @@ impl<const N: usize> Chain<N> {
         }
     }
 
-    /// Eliminates the freedoms from tip to base: turns the impulses in `torque` into those of the factored joints.
+    /// Eliminates the freedoms from tip to base: turns the impulses in `torque` into those of the factored
+    /// joints.
     #[inline(always)]
     fn sweep_inward(&mut self, impulse: impl Fn(usize) -> [f64; N]) {
         let mut sum = [0.0; N];
@@ -397,8 +400,9 @@ impl<const N: usize> Chain<N> {
         }
     }
 
-    /// Calls `link` with the mobility of each link to a force on itself and `freedom` with that of each freedom to its own torque, base
-    /// to tip, for the present factor (Kreutz-Delgado, Jain and Rodriguez 1992). Without the tendons' coupling, which only stiffens.
+    /// Calls `link` with the mobility of each link to a force on itself and `freedom` with that of each
+    /// freedom to its own torque, base to tip, for the present factor (Kreutz-Delgado, Jain and Rodriguez
+    /// 1992). Without the tendons' coupling, which only stiffens.
     #[inline(always)]
     pub(super) fn link_mobilities(
         &self,
@@ -408,7 +412,8 @@ impl<const N: usize> Chain<N> {
         let mut m = [[0.0; N]; N];
         for l in 0..self.body.len() {
             for k in self.freedoms_of(l) {
-                // P' W P + s s'/d with P = 1 - u s'/d  =  W - (w s' + s w')/d + s s' (u.w/d^2 + 1/d),  w = W u.
+                // P' W P + s s'/d with P = 1 - u s'/d  =  W - (w s' + s w')/d + s s' (u.w/d^2 + 1/d),  w = W
+                // u.
                 let (s, u, inverse) = (&self.axis[k], &self.bias[k], self.inverse[k]);
                 let w = times(&m, u);
                 let scale = (dot(u, &w) * inverse + 1.0) * inverse;

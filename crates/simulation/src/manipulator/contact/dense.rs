@@ -1,4 +1,5 @@
-//! A tool of a few freedoms as one body: the implicit operator is a dense matrix, and a contact's force a vector over the freedoms.
+//! A tool of a few freedoms as one body: the implicit operator is a dense matrix, and a contact's force a
+//! vector over the freedoms.
 
 use super::chain::{Operator, Pressing, Square};
 
@@ -13,7 +14,8 @@ pub(in crate::manipulator) fn lanes_mut<S: pulp::Simd>(row: &mut [f64]) -> &mut 
     S::as_mut_simd_f64s(row).0
 }
 
-/// A symmetric, positive definite matrix, factored as `U' D^-1 U` with D the diagonal of the upper triangle U. N is 8 or 16.
+/// A symmetric, positive definite matrix, factored as `U' D^-1 U` with D the diagonal of the upper triangle
+/// U. N is 8 or 16.
 #[derive(Debug, Clone)]
 pub(in crate::manipulator) struct Factor<const N: usize> {
     /// The matrix to factor, then U and, below it, what elimination leaves.

@@ -2,7 +2,8 @@
 
 use crate::manipulator::row::Stop;
 
-/// Stiffness that holds a sticking contact, over the contact's own effective mass. 1e4: a speed error of 1 mm/s creeps at 0.1 um/s.
+/// Stiffness that holds a sticking contact, over the contact's own effective mass. 1e4: a speed error of 1
+/// mm/s creeps at 0.1 um/s.
 const STICK_STIFFNESS: f64 = 1.0e4;
 
 /// A contact: compliant along the normal, Coulomb friction along two tangents.
@@ -21,7 +22,8 @@ pub(in crate::manipulator) struct ContactRow<const N: usize> {
     pub strength: f64,
     /// Whether the obstacle recedes within the step: see [`super::patch`].
     pub recedes: bool,
-    /// Speed of the contact point on the link without contact impulses, m/s; to begin with, due to the base motion alone.
+    /// Speed of the contact point on the link without contact impulses, m/s; to begin with, due to the base
+    /// motion alone.
     pub drive: [f64; 3],
     /// Normal and tangential impulse, N s.
     pub impulse: [f64; 3],
@@ -95,8 +97,8 @@ pub(super) fn onto_disc(z: [f64; 2], radius: f64) -> [f64; 2] {
     if length <= radius { z } else { [z[0] * (radius / length), z[1] * (radius / length)] }
 }
 
-/// The law of a bound: the impulse moves by the speed `missing` to its target over the `mobility`, never pulls and never exceeds the
-/// `strength`. Returns the speed by which `impulse` misses it.
+/// The law of a bound: the impulse moves by the speed `missing` to its target over the `mobility`, never
+/// pulls and never exceeds the `strength`. Returns the speed by which `impulse` misses it.
 #[inline(always)]
 pub(super) fn bound_miss(impulse: f64, missing: f64, mobility: f64, strength: f64) -> f64 {
     let wanted = (impulse + missing / mobility).max(0.0).min(strength);
@@ -150,8 +152,9 @@ impl<const N: usize> ContactRow<N> {
         [normal, a, b]
     }
 
-    /// Takes the law's tangent at the present speeds. `first`: the present impulses, which are the last tick's, tell which side of a
-    /// kink the solution is on better than the speeds do. The normal's tangent is at the speed of the obstacle plus that of the sphere.
+    /// Takes the law's tangent at the present speeds. `first`: the present impulses, which are the last
+    /// tick's, tell which side of a kink the solution is on better than the speeds do. The normal's tangent
+    /// is at the speed of the obstacle plus that of the sphere.
     #[inline(always)]
     pub(super) fn linearise(&mut self, first: bool, back: f64) {
         self.tangent = NO_TANGENT;
@@ -197,8 +200,8 @@ impl<const N: usize> ContactRow<N> {
         ]
     }
 
-    /// Speed by which the impulses miss the laws while the cone is held, and by which they miss Coulomb's law. `back`: the speed at which the
-    /// impulses make obstacles recede.
+    /// Speed by which the impulses miss the laws while the cone is held, and by which they miss Coulomb's
+    /// law. `back`: the speed at which the impulses make obstacles recede.
     #[inline(always)]
     pub(super) fn misses(&self, back: f64) -> [f64; 2] {
         let [n, p, q] = self.impulse;

@@ -4,19 +4,19 @@
 //!
 //! `1/2 |v - v*|_A^2 + sum max(0, target - v_n)^2 / (2 c) + friction(v_t)`
 //!
-//! with v* the free velocities and c the compliance (the primal form of Castro, Permenter and Han 2022, "An Unconstrained Convex
-//! Formulation of Compliant Contact", IEEE Trans. Robotics 39(2), arXiv 2110.10107). A contact that yields has another
-//! integral in place of the square; obstacles that recede add a term of their common speed ([`super::patch`]); the function stays convex.
-//! Each iteration replaces every row's law by its tangent, solves the chain with the rows that press (see `chain`), and goes along the
-//! step to the minimum.
+//! with v* the free velocities and c the compliance (the primal form of Castro, Permenter and Han 2022, "An
+//! Unconstrained Convex Formulation of Compliant Contact", IEEE Trans. Robotics 39(2), arXiv 2110.10107). A
+//! contact that yields has another integral in place of the square; obstacles that recede add a term of their
+//! common speed ([`super::patch`]); the function stays convex. Each iteration replaces every row's law by its
+//! tangent, solves the chain with the rows that press (see `chain`), and goes along the step to the minimum.
 //!
-//! **Friction.** The radius of each cone, mu times the normal impulse, is held while the function is minimised and then renewed
-//! (alternating cones), so Coulomb's law holds without the dilation of a convex cone. Within a cone, an augmented Lagrangian holds a
-//! sticking contact: impulse = projection of (q - rho v_t), where q is the last impulse and rho is so large that one renewal of q leaves
-//! no creep.
+//! **Friction.** The radius of each cone, mu times the normal impulse, is held while the function is
+//! minimised and then renewed (alternating cones), so Coulomb's law holds without the dilation of a convex
+//! cone. Within a cone, an augmented Lagrangian holds a sticking contact: impulse = projection of (q - rho
+//! v_t), where q is the last impulse and rho is so large that one renewal of q leaves no creep.
 //!
-//! All vectors of an iteration are kept per row: a solution x = v - v* obeys `A x = sum f p` with p the rows' impulses, so the function's
-//! slope along a step needs only the rows' impulses and speeds.
+//! All vectors of an iteration are kept per row: a solution x = v - v* obeys `A x = sum f p` with p the rows'
+//! impulses, so the function's slope along a step needs only the rows' impulses and speeds.
 
 use super::chain::{Operator, add_outer_by, add_pair_by, add_scaled_by, dot, times_by};
 use super::laws::{ContactRow, StopRow, Tangent, bound_miss, onto_disc};
@@ -26,7 +26,8 @@ use crate::manipulator::row::Stop;
 
 /// The cones are renewed once the rows' laws hold to this share of the cones' own residual.
 const RENEWAL_SHARE: f64 = 0.5;
-/// After this many iterations the cones go half the way: in a jam a wider cone can press harder on the others and they on it in turn.
+/// After this many iterations the cones go half the way: in a jam a wider cone can press harder on the others
+/// and they on it in turn.
 const PATIENCE: usize = 28;
 /// The search along a step ends at this share of the initial slope.
 const SEARCH_SHARE: f64 = 0.01;
@@ -56,7 +57,8 @@ pub(super) struct Problem<'s, const N: usize, O> {
     pub parameters: &'s ContactParameters,
 }
 
-/// [`Problem::solve`], compiled for each instruction set. No operation is reordered or fused, so the result is the same to the bit.
+/// [`Problem::solve`], compiled for each instruction set. No operation is reordered or fused, so the result
+/// is the same to the bit.
 impl<const N: usize, O: Operator<N>> pulp::WithSimd for Problem<'_, N, O> {
     type Output = Outcome;
 
@@ -67,7 +69,8 @@ impl<const N: usize, O: Operator<N>> pulp::WithSimd for Problem<'_, N, O> {
 }
 
 impl<const N: usize, O: Operator<N>> Problem<'_, N, O> {
-    /// Iterates until every row keeps its law to the tolerance, or the iteration limit is reached. Leaves the impulses in the rows.
+    /// Iterates until every row keeps its law to the tolerance, or the iteration limit is reached. Leaves the
+    /// impulses in the rows.
     #[inline(always)]
     fn solve<S: pulp::Simd>(&mut self, simd: S) -> Outcome {
         self.start(simd);
@@ -213,7 +216,8 @@ impl<const N: usize, O: Operator<N>> Problem<'_, N, O> {
         sum
     }
 
-    /// The share of the step at which the function is least, by bisection and false position on its slope, which never falls.
+    /// The share of the step at which the function is least, by bisection and false position on its slope,
+    /// which never falls.
     #[inline(always)]
     fn search(&self) -> f64 {
         let (mut low, mut high) = (0.0, 1.0);

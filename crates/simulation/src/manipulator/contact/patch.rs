@@ -1,8 +1,10 @@
-//! The patch of an obstacle that a tool cuts: all its contacts recede within the step at one speed, by the sum of their forces.
+//! The patch of an obstacle that a tool cuts: all its contacts recede within the step at one speed, by the
+//! sum of their forces.
 //!
-//! With P the sum of the normal impulses of the contacts that recede, the patch's speed is `back = slope (P - from)`, at least 0 and at
-//! most `most`. It is a freedom without inertia, whose minimum is taken at once: for given speeds of the contacts it is the root of a
-//! function that only falls, and in a Newton step its equation is linear and local to the link, because all those contacts are on one link.
+//! With P the sum of the normal impulses of the contacts that recede, the patch's speed is `back = slope (P -
+//! from)`, at least 0 and at most `most`. It is a freedom without inertia, whose minimum is taken at once:
+//! for given speeds of the contacts it is the root of a function that only falls, and in a Newton step its
+//! equation is linear and local to the link, because all those contacts are on one link.
 
 use super::chain::{Square, add_outer, add_scaled, dot};
 use super::laws::ContactRow;
@@ -56,8 +58,9 @@ impl Patch {
         self.speed(rows.iter().filter(|row| row.recedes).map(|row| row.impulse[0]).sum())
     }
 
-    /// Speed at which the rows' laws and the patch's hold together, each row moving at its speed plus the share `t` of its step. Newton's
-    /// method: the sum of the impulses falls as the speed grows, ever more slowly, so that each step comes closer from below.
+    /// Speed at which the rows' laws and the patch's hold together, each row moving at its speed plus the
+    /// share `t` of its step. Newton's method: the sum of the impulses falls as the speed grows, ever more
+    /// slowly, so that each step comes closer from below.
     #[inline(always)]
     pub(super) fn root<const N: usize>(&self, rows: &[ContactRow<N>], t: f64) -> f64 {
         if self.slope == 0.0 {
@@ -81,8 +84,8 @@ impl Patch {
         back
     }
 
-    /// Eliminates the patch from a Newton step, the rows' tangents being taken at the speed `back`: adds what it takes from the link's
-    /// matrix and impulse.
+    /// Eliminates the patch from a Newton step, the rows' tangents being taken at the speed `back`: adds what
+    /// it takes from the link's matrix and impulse.
     #[inline(always)]
     pub(super) fn eliminate<const N: usize>(
         &self,

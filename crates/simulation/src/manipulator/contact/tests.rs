@@ -170,8 +170,8 @@ fn farthest(chain: &Chain<4>, rows: &[ContactRow<4>], v: &DVector<f64>, other: &
     along.map(|along| (along.dot(v) - along.dot(other)).abs()).fold(0.0, f64::max)
 }
 
-/// The most by which a contact misses its law at these velocities, m/s, from the dense matrix: compliant up to its strength, and Coulomb's
-/// friction. `given` are the rows before the solve.
+/// The most by which a contact misses its law at these velocities, m/s, from the dense matrix: compliant up
+/// to its strength, and Coulomb's friction. `given` are the rows before the solve.
 fn largest_miss(
     a: &DMatrix<f64>,
     (chain, patch): (&Chain<4>, &Patch),
@@ -209,8 +209,8 @@ enum Obstacles {
     Receding,
 }
 
-/// Solves 40 random problems; the most iterations, and the most by which a velocity of a contact differs from that of the sweeps, or, where
-/// obstacles yield, by which a contact misses its law, m/s.
+/// Solves 40 random problems; the most iterations, and the most by which a velocity of a contact differs from
+/// that of the sweeps, or, where obstacles yield, by which a contact misses its law, m/s.
 fn compare(friction: f64, coupled: bool, obstacles: Obstacles) -> (f64, usize) {
     let (mut most, mut iterations, mut ends) = (0.0f64, 0, 0);
     for seed in 0..40 {

@@ -1,20 +1,23 @@
-//! The moment modes: shapes of the bending moment along the tool, and the flexure angles that follow from them.
+//! The moment modes: shapes of the bending moment along the tool, and the flexure angles that follow from
+//! them.
 //!
-//! Mode m is a bending moment that varies along the tool like a polynomial of degree m. Flexure i, at `xi` from -1 (first flexure) to 1
-//! (burr), of stiffness `k_i`, bends by its moment over its stiffness:
+//! Mode m is a bending moment that varies along the tool like a polynomial of degree m. Flexure i, at `xi`
+//! from -1 (first flexure) to 1 (burr), of stiffness `k_i`, bends by its moment over its stiffness:
 //!
 //! `q_i - rest_i = (sum over m of c_m p_m(xi_i)) / k_i`
 //!
-//! The polynomials are Legendre's, made orthonormal under the compliance weight, `sum over i of p_m(xi_i) p_n(xi_i) / k_i = delta_mn`, by
-//! Gram and Schmidt. The elastic energy is then `1/2 |c|^2`: the stiffness of every mode is 1, and c is in sqrt(J). Moments vary smoothly
-//! along a loaded tool even where its stiffness does not, so few modes come close to all flexures. It is the geometric variable strain of
-//! Boyer et al. (2021, IEEE Trans. Robotics 37(3), 847), with moments in the place of strains.
+//! The polynomials are Legendre's, made orthonormal under the compliance weight, `sum over i of p_m(xi_i)
+//! p_n(xi_i) / k_i = delta_mn`, by Gram and Schmidt. The elastic energy is then `1/2 |c|^2`: the stiffness of
+//! every mode is 1, and c is in sqrt(J). Moments vary smoothly along a loaded tool even where its stiffness
+//! does not, so few modes come close to all flexures. It is the geometric variable strain of Boyer et al.
+//! (2021, IEEE Trans. Robotics 37(3), 847), with moments in the place of strains.
 
 use super::MOUNT;
 use crate::manipulator::MAX_JOINTS;
 use crate::manipulator::parameters::ManipulatorParameters;
 
-/// Angles of the flexures per unit of each freedom. N is the number of freedoms with the mount's, of which the last may be unused.
+/// Angles of the flexures per unit of each freedom. N is the number of freedoms with the mount's, of which
+/// the last may be unused.
 #[derive(Debug, Clone)]
 pub(super) struct Basis<const N: usize> {
     /// Number of modes.
@@ -26,7 +29,8 @@ pub(super) struct Basis<const N: usize> {
 }
 
 impl<const N: usize> Basis<N> {
-    /// The modes of a tool, at most one per flexure. `parameters` are valid and have at most [`MAX_JOINTS`] flexures.
+    /// The modes of a tool, at most one per flexure. `parameters` are valid and have at most [`MAX_JOINTS`]
+    /// flexures.
     pub fn new(parameters: &ManipulatorParameters) -> Self {
         let moments = moments(parameters);
         let (mut of_flexure, mut of_freedom) = ([[0.0; N]; MAX_JOINTS], [[0.0; MAX_JOINTS]; N]);
@@ -39,7 +43,8 @@ impl<const N: usize> Basis<N> {
         Self { modes: moments.len(), of_flexure, of_freedom }
     }
 
-    /// Angles from rest (rad), or rates (rad/s), of the flexures for amplitudes or velocities `x`; 0 past the last flexure.
+    /// Angles from rest (rad), or rates (rad/s), of the flexures for amplitudes or velocities `x`; 0 past the
+    /// last flexure.
     #[inline(always)]
     pub fn angles(&self, x: &[f64; N]) -> [f64; MAX_JOINTS] {
         let mut out = [0.0; MAX_JOINTS];

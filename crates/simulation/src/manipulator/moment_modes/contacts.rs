@@ -14,8 +14,9 @@ use crate::manipulator::step::MAX_ROUNDS;
 const NEAR_M: f64 = 5.0e-6;
 
 impl<const N: usize> MomentModes<N> {
-    /// Adds the contact impulses to the free velocities. A contact that the tool does not reach carries nothing, so the solver looks only at
-    /// those that the tool would come near if it went on as before; if the solution reaches another, it is solved again with that one.
+    /// Adds the contact impulses to the free velocities. A contact that the tool does not reach carries
+    /// nothing, so the solver looks only at those that the tool would come near if it went on as before; if
+    /// the solution reaches another, it is solved again with that one.
     pub(super) fn with_contacts(
         &mut self,
         dt: f64,
@@ -41,7 +42,8 @@ impl<const N: usize> MomentModes<N> {
         self.with_near_contacts(dt, input, drive, free, report)
     }
 
-    /// Marks the contacts to which the tool is nearer than `margin_m` after a step with velocities `v`; true if there are new ones.
+    /// Marks the contacts to which the tool is nearer than `margin_m` after a step with velocities `v`; true
+    /// if there are new ones.
     fn mark_near(
         &mut self,
         dt: f64,

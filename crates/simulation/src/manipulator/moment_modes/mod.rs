@@ -1,14 +1,17 @@
-//! The planar tool in a few moment modes: as exact at rest as all flexures, with 2 to 8 degrees of freedom and the mount's three.
+//! The planar tool in a few moment modes: as exact at rest as all flexures, with 2 to 8 degrees of freedom
+//! and the mount's three.
 //!
-//! Every flexure is still there, with its place, its spring, its links' masses and its proxy sphere; but the bends of all follow from the
-//! amplitudes of a few modes of the bending moment (`basis`). Mass, tendons, loads and contacts of the planar rung are projected onto the
-//! modes (Galerkin), so frames, laws and parameters are those of [`crate::manipulator`]. The implicit operator is dense and small
-//! (`operator`); contacts go through the same solver as in the other rungs, which sees the whole tool as one body.
+//! Every flexure is still there, with its place, its spring, its links' masses and its proxy sphere; but the
+//! bends of all follow from the amplitudes of a few modes of the bending moment (`basis`). Mass, tendons,
+//! loads and contacts of the planar rung are projected onto the modes (Galerkin), so frames, laws and
+//! parameters are those of [`crate::manipulator`]. The implicit operator is dense and small (`operator`);
+//! contacts go through the same solver as in the other rungs, which sees the whole tool as one body.
 //!
-//! **Where it is not valid.** A flexure on its stop has a bending moment that jumps, which smooth modes cannot follow. The stops are springs
-//! on the single flexures all the same, so that nothing bends without bound, but the shape there is an approximation:
-//! [`StepReport::stopped_joint_count`] says how many flexures are beyond their stops, and [`ManipulatorModel::is_valid`] is then false. Tendons
-//! that bend a part of the tool, and outer tubes, make such jumps by themselves and are refused.
+//! **Where it is not valid.** A flexure on its stop has a bending moment that jumps, which smooth modes
+//! cannot follow. The stops are springs on the single flexures all the same, so that nothing bends without
+//! bound, but the shape there is an approximation: [`StepReport::stopped_joint_count`] says how many flexures
+//! are beyond their stops, and [`ManipulatorModel::is_valid`] is then false. Tendons that bend a part of the
+//! tool, and outer tubes, make such jumps by themselves and are refused.
 
 mod basis;
 mod contacts;
@@ -41,7 +44,8 @@ const MOUNT: usize = 3;
 /// Modes for which [`MomentModes<8>`] has room; more take [`MomentModes<16>`].
 pub(super) const FEW_MODES: usize = 5;
 
-/// A continuum manipulator in moment modes. N is the number of freedoms, rounded up: 8 for up to five modes, 16 for more.
+/// A continuum manipulator in moment modes. N is the number of freedoms, rounded up: 8 for up to five modes,
+/// 16 for more.
 #[derive(Debug, Clone)]
 pub struct MomentModes<const N: usize> {
     common: Common,
@@ -53,7 +57,8 @@ pub struct MomentModes<const N: usize> {
     rest: OfFlexures,
     /// Damping of the flexures over their stiffness, s.
     damping_s: f64,
-    /// The fields from here on are derived from the state: angles (rad) and rates (rad/s) of the flexures, links.
+    /// The fields from here on are derived from the state: angles (rad) and rates (rad/s) of the flexures,
+    /// links.
     bend: [OfFlexures; 2],
     shape: Shape,
     motion: Motion,
@@ -89,7 +94,8 @@ impl<const N: usize> MomentModes<N> {
     /// A tool in its rest shape, at rest on `base`, with slack tendons.
     ///
     /// # Errors
-    /// A parameter is out of range, or the tool bends in parts (an outer tube, tendons that end on the way); the error names it.
+    /// A parameter is out of range, or the tool bends in parts (an outer tube, tendons that end on the way);
+    /// the error names it.
     pub fn new(parameters: ManipulatorParameters, base: &BaseMotion) -> Result<Self, ManipulatorError> {
         Common::check(&parameters, base)?;
         refuse_jumps(&parameters)?;

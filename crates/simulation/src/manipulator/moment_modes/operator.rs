@@ -1,12 +1,14 @@
 //! Mass, loads and the dense implicit operator of the modes.
 //!
-//! Spatial quantities are planar and expressed at the base origin, as in [`crate::manipulator::articulated`]. With `a_j` the axis of flexure
-//! j, `B_j` its row of the basis, `I_j` the inertia of everything distal to it and `S_j` the motion of link j per unit of each freedom, the
-//! mass matrix of a chain (composite rigid bodies, Featherstone 2008, Rigid Body Dynamics Algorithms, ch. 6) becomes
+//! Spatial quantities are planar and expressed at the base origin, as in [`crate::manipulator::articulated`].
+//! With `a_j` the axis of flexure j, `B_j` its row of the basis, `I_j` the inertia of everything distal to it
+//! and `S_j` the motion of link j per unit of each freedom, the mass matrix of a chain (composite rigid
+//! bodies, Featherstone 2008, Rigid Body Dynamics Algorithms, ch. 6) becomes
 //!
 //! `M = X + X'`, `X = sum over j of B_j (S_j-1 + 1/2 a_j B_j)' I_j a_j`
 //!
-//! one outer product a flexure. A stiffness `s_j` of a single flexure adds `1/2 s_j` to its `1/2 a_j' I_j a_j`, at no cost.
+//! one outer product a flexure. A stiffness `s_j` of a single flexure adds `1/2 s_j` to its `1/2 a_j' I_j
+//! a_j`, at no cost.
 
 use nalgebra::Vector3;
 
@@ -17,7 +19,8 @@ use crate::manipulator::MAX_JOINTS;
 use crate::manipulator::contact::{Square, lanes, lanes_mut};
 use crate::manipulator::loads::Frame;
 
-/// Motions of a link per unit of each freedom: rows omega_y, v_x, v_z of its planar motion at the base origin.
+/// Motions of a link per unit of each freedom: rows omega_y, v_x, v_z of its planar motion at the base
+/// origin.
 pub(super) type Jacobian<const N: usize> = [[f64; N]; 3];
 
 /// Mass, loads and motions in one shape.
@@ -48,7 +51,8 @@ pub(super) struct OnFlexures<'a> {
     pub stiffness: &'a OfFlexures,
 }
 
-/// Forces on the links (N), their moments at the base origin about y (N m), and the links' centres of mass (m).
+/// Forces on the links (N), their moments at the base origin about y (N m), and the links' centres of mass
+/// (m).
 #[derive(Debug, Clone)]
 struct Forces {
     x: OfLinks,
@@ -59,13 +63,15 @@ struct Forces {
     centre_z: OfLinks,
 }
 
-/// Of each flexure: momentum (m_y, p_x, p_z) of everything distal per unit of its rate, half its own part of the mass matrix, and its torque.
+/// Of each flexure: momentum (m_y, p_x, p_z) of everything distal per unit of its rate, half its own part of
+/// the mass matrix, and its torque.
 #[derive(Debug, Clone)]
 struct Distal {
     momentum: [OfFlexures; 3],
     half: OfFlexures,
     torque: OfFlexures,
-    /// First moments (x, z), inertia about the origin, force (x, z) and moment of what is distal; 0 past the last.
+    /// First moments (x, z), inertia about the origin, force (x, z) and moment of what is distal; 0 past the
+    /// last.
     behind: [OfFlexures; 6],
     /// Inertia of each link about the origin, kg m².
     about: OfLinks,
@@ -123,8 +129,8 @@ impl<const N: usize> Dynamics<N> {
         }
     }
 
-    /// Evaluates everything for a shape and its motion, whose mount is at `lateral_m` across the plane and moves there at the second number,
-    /// m/s.
+    /// Evaluates everything for a shape and its motion, whose mount is at `lateral_m` across the plane and
+    /// moves there at the second number, m/s.
     #[inline(always)]
     pub fn evaluate<S: pulp::Simd>(
         &mut self,
@@ -149,8 +155,8 @@ impl<const N: usize> Dynamics<N> {
         (self.momentum[1], self.momentum[2]) = (self.matrix[0], self.matrix[2]);
     }
 
-    /// Gravity, base acceleration, velocity products and the tip load, as in [`crate::manipulator::loads`]. Sets the lateral force and the
-    /// moments about x and z.
+    /// Gravity, base acceleration, velocity products and the tip load, as in [`crate::manipulator::loads`].
+    /// Sets the lateral force and the moments about x and z.
     #[inline(always)]
     fn loads(
         &mut self,
@@ -201,7 +207,8 @@ impl<const N: usize> Dynamics<N> {
         self.moment.z = torque.z + about_z + x * force.y - lateral_m * (sum_x + force.x);
     }
 
-    /// From tip to base: what everything distal to each flexure has of momentum and puts on it. Sets the forces on the mount.
+    /// From tip to base: what everything distal to each flexure has of momentum and puts on it. Sets the
+    /// forces on the mount.
     #[inline(always)]
     fn sweep_inward(&mut self, links: &Links, shape: &Shape, on: OnFlexures<'_>) {
         let (f, out) = (&self.forces, &mut self.distal);
@@ -238,7 +245,8 @@ impl<const N: usize> Dynamics<N> {
         }
     }
 
-    /// From base to tip: the links' motions, the generalised forces and the mass matrix, a vector of freedoms at a time.
+    /// From base to tip: the links' motions, the generalised forces and the mass matrix, a vector of freedoms
+    /// at a time.
     #[inline(always)]
     fn sweep_outward<S: pulp::Simd>(&mut self, simd: S, (links, basis): (&Links, &Basis<N>), shape: &Shape) {
         let distal = &self.distal;
@@ -286,8 +294,8 @@ impl<const N: usize> Dynamics<N> {
         }
     }
 
-    /// The moment about the base origin that produces a change of the freedoms' velocities, with the mount displaced by `lateral_m` across
-    /// the plane, N m s.
+    /// The moment about the base origin that produces a change of the freedoms' velocities, with the mount
+    /// displaced by `lateral_m` across the plane, N m s.
     #[inline(always)]
     pub fn momentum_moment(&self, change: &[f64; N], lateral_m: f64) -> Vector3<f64> {
         let along = |row: &[f64; N]| row.iter().zip(change).map(|(a, b)| a * b).sum::<f64>();

@@ -10,7 +10,8 @@ pub(super) type OfLinks = [f64; LINKS];
 /// One number a flexure; 0 past the last.
 pub(super) type OfFlexures = [f64; MAX_JOINTS];
 
-/// Up to this half angle the series below are exact to rounding, rad: the first term left out is 0.25^13 / 13! of 1.
+/// Up to this half angle the series below are exact to rounding, rad: the first term left out is 0.25^13 /
+/// 13! of 1.
 const SERIES_UP_TO_RAD: f64 = 0.25;
 
 /// What the links are; 0 past the last.
@@ -81,7 +82,8 @@ impl Shape {
         }
     }
 
-    /// Updates every link from the flexures' angles `q` (rad) and the mount's displacement (base axes x, y, z, m).
+    /// Updates every link from the flexures' angles `q` (rad) and the mount's displacement (base axes x, y,
+    /// z, m).
     #[inline(always)]
     pub fn update(&mut self, links: &Links, q: &OfFlexures, mount: &[f64; 3]) {
         half_angles(q, &mut self.half_sin, &mut self.half_cos);
@@ -148,8 +150,8 @@ impl Motion {
     }
 }
 
-/// Sine and cosine of half of each angle. A flexure bends by a few degrees, for which a few terms of the power series do, in loops without
-/// branches; a larger angle anywhere takes the library's functions.
+/// Sine and cosine of half of each angle. A flexure bends by a few degrees, for which a few terms of the
+/// power series do, in loops without branches; a larger angle anywhere takes the library's functions.
 #[inline(always)]
 fn half_angles(q: &OfFlexures, sin: &mut OfFlexures, cos: &mut OfFlexures) {
     let mut small = true;

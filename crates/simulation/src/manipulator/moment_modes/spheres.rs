@@ -8,7 +8,8 @@ use crate::manipulator::geometry::{SphereKind, SphereLayout};
 use crate::manipulator::state::{BaseMotion, ProxySphere};
 use crate::manipulator::{MAX_JOINTS, MAX_SPHERES};
 
-/// Room to work on all spheres side by side: place and velocity in the bending plane, then along one world axis.
+/// Room to work on all spheres side by side: place and velocity in the bending plane, then along one world
+/// axis.
 #[derive(Debug, Clone)]
 pub(super) struct SphereWork {
     /// Distance of each segment's sphere from its link's origin, m.
@@ -44,7 +45,8 @@ impl SphereWork {
         let axes = base.t_world_base.rotation.to_rotation_matrix();
         let turn = axes.transpose() * base.angular_velocity_rad_per_s;
         let origin = base.t_world_base.translation.vector + axes * Vector3::new(0.0, mount[1], 0.0);
-        // Velocity of a point (x, mount, z): its own, the base's, and the turning's, (wy z - wz y, wz x - wx z, wx y - wy x).
+        // Velocity of a point (x, mount, z): its own, the base's, and the turning's, (wy z - wz y, wz x - wx
+        // z, wx y - wy x).
         let drift = axes * Vector3::new(-turn.z * mount[1], mount_rate[1], turn.x * mount[1])
             + base.linear_velocity_m_per_s;
         let count = layout.len().min(MAX_SPHERES);

@@ -1,4 +1,5 @@
-//! One step of the modes, as in [`crate::manipulator::step`]: linearly implicit Euler, or ROS2 in smooth free motion.
+//! One step of the modes, as in [`crate::manipulator::step`]: linearly implicit Euler, or ROS2 in smooth free
+//! motion.
 
 use nalgebra::Vector3;
 
@@ -26,7 +27,8 @@ fn scaled<const N: usize>(scale: f64, a: &[f64; N]) -> [f64; N] {
     a.map(|a| scale * a)
 }
 
-/// Where a stage of a step is evaluated: positions, velocities, those assumed for the tendons' sliding, and the y of `- K y`.
+/// Where a stage of a step is evaluated: positions, velocities, those assumed for the tendons' sliding, and
+/// the y of `- K y`.
 #[derive(Clone, Copy)]
 struct At<'a, const N: usize> {
     stage: Stage,
@@ -37,8 +39,8 @@ struct At<'a, const N: usize> {
     y: &'a [f64; N],
 }
 
-/// [`MomentModes::free_velocity`], compiled for each instruction set. No operation is reordered or fused, so the result is the same to the
-/// bit.
+/// [`MomentModes::free_velocity`], compiled for each instruction set. No operation is reordered or fused, so
+/// the result is the same to the bit.
 struct Free<'a, const N: usize> {
     tool: &'a mut MomentModes<N>,
     at: At<'a, N>,
@@ -147,7 +149,8 @@ impl<const N: usize> MomentModes<N> {
         plus(at.v, at.h, &self.factor.solve(&self.dynamics.force))
     }
 
-    /// Sets force and factored operator of one stage: `M + h D + h² K`, and all forces at `x`, `v` less `K y`.
+    /// Sets force and factored operator of one stage: `M + h D + h² K`, and all forces at `x`, `v` less `K
+    /// y`.
     #[inline(always)]
     fn evaluate<S: pulp::Simd>(&mut self, simd: S, at: At<'_, N>, input: &StepInput, frame: &Frame) {
         let (q, y, bent) = match at.stage {
@@ -228,8 +231,8 @@ impl<const N: usize> MomentModes<N> {
         factor.factor(simd);
     }
 
-    /// Takes a ROS2 step in free motion; returns its error estimate. `Err` leaves the state unchanged: ROS2 is off (estimate 0), the
-    /// motion is not free, or the estimate is above the tolerance.
+    /// Takes a ROS2 step in free motion; returns its error estimate. `Err` leaves the state unchanged: ROS2
+    /// is off (estimate 0), the motion is not free, or the estimate is above the tolerance.
     #[inline(always)]
     fn rosenbrock<S: pulp::Simd>(
         &mut self,

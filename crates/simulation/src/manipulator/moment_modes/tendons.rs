@@ -1,4 +1,5 @@
-//! The tendons on the flexures, by the formulas of [`crate::manipulator::tendon`]; those that are slack cost nothing here.
+//! The tendons on the flexures, by the formulas of [`crate::manipulator::tendon`]; those that are slack cost
+//! nothing here.
 
 use super::basis::Basis;
 use super::shape::{OfFlexures, Shape};
@@ -53,7 +54,8 @@ pub(super) struct Tendons<const N: usize> {
     pub gradient: [[f64; N]; MAX_TENDONS],
     /// True for each tendon whose gradient is not zero.
     pub coupled: [bool; MAX_TENDONS],
-    /// True if the step assumes that this tendon's friction does not change: it was sliding at the given velocity and keeps sliding.
+    /// True if the step assumes that this tendon's friction does not change: it was sliding at the given
+    /// velocity and keeps sliding.
     pub slides_on: [bool; MAX_TENDONS],
     /// Tension at the proximal end, N.
     pub tension_n: [f64; MAX_TENDONS],
@@ -73,8 +75,8 @@ impl<const N: usize> Tendons<N> {
         }
     }
 
-    /// Evaluates all tendons in a shape with the flexures' angles `q`, rad. The freedoms' velocities `v` tell whether a saturated sliding
-    /// state is about to reverse.
+    /// Evaluates all tendons in a shape with the flexures' angles `q`, rad. The freedoms' velocities `v` tell
+    /// whether a saturated sliding state is about to reverse.
     #[inline(always)]
     pub fn evaluate(
         &mut self,

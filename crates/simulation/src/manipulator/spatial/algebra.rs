@@ -1,4 +1,5 @@
-//! Spatial vectors (Featherstone 2008, Rigid Body Dynamics Algorithms, ch. 2) in base axes, all expressed at the base origin.
+//! Spatial vectors (Featherstone 2008, Rigid Body Dynamics Algorithms, ch. 2) in base axes, all expressed at
+//! the base origin.
 
 use nalgebra::Vector3;
 

@@ -1,10 +1,12 @@
 //! Energy of a spatial chain, and whether a step made any.
 //!
-//! A ROS2 step out of the bending plane can gain energy at little damping (`crates/simulation/tests/physics/swings.rs`: 10 % over a swing of 0.4 s at 2 ms
-//! without damping). Such a step is refused and made by linearly implicit Euler, which damps.
+//! A ROS2 step out of the bending plane can gain energy at little damping
+//! (`crates/simulation/tests/physics/swings.rs`: 10 % over a swing of 0.4 s at 2 ms without damping). Such a
+//! step is refused and made by linearly implicit Euler, which damps.
 //!
-//! A step's own error raises and lowers the energy a little even where the motion is right. So it is not compared with that of the step
-//! before, but with a ceiling that only the work of the loads raises, and that is at most [`MARGIN`] above the energy.
+//! A step's own error raises and lowers the energy a little even where the motion is right. So it is not
+//! compared with that of the step before, but with a ceiling that only the work of the loads raises, and that
+//! is at most [`MARGIN`] above the energy.
 
 use nalgebra::Vector3;
 
@@ -14,7 +16,8 @@ use super::layout::Configuration;
 use crate::manipulator::loads::Frame;
 use crate::manipulator::state::TendonCommand;
 
-/// Error allowed in the work of the loads over a step, as a share of it: it is integrated by the trapezoidal rule.
+/// Error allowed in the work of the loads over a step, as a share of it: it is integrated by the trapezoidal
+/// rule.
 const WORK_SHARE: f64 = 0.1;
 /// The same where stiff tendons hold a length: their tension follows from the motion within the step.
 const STIFF_WORK_SHARE: f64 = 1.0;
@@ -47,7 +50,8 @@ impl<const D: usize> SpatialChain<D> {
         energy
     }
 
-    /// Generalised forces of gravity, the base's acceleration and turn, and the wrench on the tip at rest in the present shape.
+    /// Generalised forces of gravity, the base's acceleration and turn, and the wrench on the tip at rest in
+    /// the present shape.
     pub(super) fn frame_forces(&mut self, frame: &Frame, out: &mut [f64]) {
         let Frame { gravity, angular_velocity, angular_acceleration, tip_wrench } = frame;
         let all =

@@ -1,8 +1,9 @@
 //! Constant layout of a spatial chain, and its configuration in space.
 //!
-//! A flexure is a series of single-DoF joints. The generalised coordinates are ordered: three of the mount (base x, y, z), then those of
-//! each flexure. With one: bending (about the link's y). With three: bending, lateral bending (about the rotated x), torsion (about the
-//! rotated z). With six: displacements along x, y and z of the proximal link come first.
+//! A flexure is a series of single-DoF joints. The generalised coordinates are ordered: three of the mount
+//! (base x, y, z), then those of each flexure. With one: bending (about the link's y). With three: bending,
+//! lateral bending (about the rotated x), torsion (about the rotated z). With six: displacements along x, y
+//! and z of the proximal link come first.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -160,7 +161,8 @@ impl<const D: usize> Configuration<D> {
     }
 }
 
-/// Rotates columns `a` and `b` of a rotation matrix by `angle` from `a` toward `b`: a turn about the third column.
+/// Rotates columns `a` and `b` of a rotation matrix by `angle` from `a` toward `b`: a turn about the third
+/// column.
 fn turn_columns(r: &mut Matrix3<f64>, a: usize, b: usize, angle: f64) {
     let (sin, cos) = libm::sincos(angle);
     let (u, v) = (r.column(a).into_owned(), r.column(b).into_owned());

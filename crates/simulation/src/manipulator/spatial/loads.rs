@@ -26,9 +26,9 @@ impl Loads {
 
     /// Evaluates all loads for the velocities `v`.
     ///
-    /// Recursive Newton-Euler (Featherstone 2008, Rigid Body Dynamics Algorithms, table 5.1), in an inertial frame that coincides with
-    /// the base frame at this instant and moves with its origin: `f = -(I a + V x* I V)`, with `a` the accelerations at zero joint
-    /// acceleration.
+    /// Recursive Newton-Euler (Featherstone 2008, Rigid Body Dynamics Algorithms, table 5.1), in an inertial
+    /// frame that coincides with the base frame at this instant and moves with its origin: `f = -(I a + V x*
+    /// I V)`, with `a` the accelerations at zero joint acceleration.
     pub fn evaluate<const D: usize>(
         &mut self,
         layout: &SpatialLayout<D>,

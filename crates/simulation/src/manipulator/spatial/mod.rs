@@ -1,11 +1,14 @@
-//! The spatial rungs: a chain of flexures with one, three or six degrees of freedom each, in reduced coordinates.
+//! The spatial rungs: a chain of flexures with one, three or six degrees of freedom each, in reduced
+//! coordinates.
 //!
 //! [`SpatialChain<3>`] bends in two planes and twists. [`SpatialChain<6>`] also stretches and shears.
-//! [`SpatialChain<1>`] is the planar chain again, with up to 64 links, for comparison. Frames, tendons, contact laws, mount and integrators are those of
-//! the planar rung (see [`crate::manipulator`]). Each coordinate of a flexure has its own spring `k (q - q_0)`, so the forces derive from one
-//! potential at any angle.
+//! [`SpatialChain<1>`] is the planar chain again, with up to 64 links, for comparison. Frames, tendons,
+//! contact laws, mount and integrators are those of the planar rung (see [`crate::manipulator`]). Each
+//! coordinate of a flexure has its own spring `k (q - q_0)`, so the forces derive from one potential at any
+//! angle.
 //!
-//! All stiffnesses are the bending stiffness of a flexure times the ratios of [`crate::manipulator::StiffnessRatios`], the same in both.
+//! All stiffnesses are the bending stiffness of a flexure times the ratios of
+//! [`crate::manipulator::StiffnessRatios`], the same in both.
 
 mod algebra;
 mod articulated;
@@ -109,16 +112,16 @@ impl<const D: usize> SpatialChain<D> {
         Ok(chain)
     }
 
-    /// Baseline: semi-implicit Euler; springs and dampers enter as forces, not through the operator. Stable only for
-    /// steps below 2 / omega of the highest mode.
+    /// Baseline: semi-implicit Euler; springs and dampers enter as forces, not through the operator. Stable
+    /// only for steps below 2 / omega of the highest mode.
     pub fn with_explicit_springs(mut self) -> Self {
         self.explicit = true;
         self.common.parameters.integrator = super::Integrator::LinearlyImplicitEuler;
         self
     }
 
-    /// All generalised coordinates: three of the mount (m), then those of the flexures (displacements in m; bending, lateral bending and
-    /// torsion in rad).
+    /// All generalised coordinates: three of the mount (m), then those of the flexures (displacements in m;
+    /// bending, lateral bending and torsion in rad).
     pub fn freedoms(&self) -> &[f64] {
         &self.common.state.position
     }

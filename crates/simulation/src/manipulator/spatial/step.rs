@@ -276,8 +276,8 @@ impl<const D: usize> SpatialChain<D> {
         self.common.store_contacts(&self.contact, dt, drive, &mut self.loads.moment, report);
     }
 
-    /// Takes a ROS2 step in free motion into `work.next` and `work.after`; returns its error estimate. `Err`: ROS2 is off, or the motion
-    /// is not smooth (estimate 0), not free, or above the tolerance.
+    /// Takes a ROS2 step in free motion into `work.next` and `work.after`; returns its error estimate. `Err`:
+    /// ROS2 is off, or the motion is not smooth (estimate 0), not free, or above the tolerance.
     fn rosenbrock(&mut self, dt: f64, input: &StepInput, frame: &Frame, work: &mut Work) -> Result<f64, f64> {
         // Known again behind the next free step.
         let ceiling_j = core::mem::replace(&mut self.common.state.energy_ceiling_j, f64::INFINITY);
@@ -306,7 +306,8 @@ impl<const D: usize> SpatialChain<D> {
         }
     }
 
-    /// Sets the ceiling of the energy behind a ROS2 step, which is in `work.next` and `work.after`; true if the step ends above it.
+    /// Sets the ceiling of the energy behind a ROS2 step, which is in `work.next` and `work.after`; true if
+    /// the step ends above it.
     fn gains_energy(&mut self, [ceiling_j, before_j]: [f64; 2], input: &StepInput, work: &Work) -> bool {
         let Work { next, after, frame_force, first_pull, .. } = work;
         self.trial.update(&self.layout, next);

@@ -1,9 +1,10 @@
 //! Tendons on a spatial chain.
 //!
-//! The law of the planar rung (see `manipulator::tendon`), extended by lateral bending and, in the full rung, compression. A flexure bent
-//! by q, bent laterally by p (about x, so toward -y) and compressed by u takes up `l = g (1 - cos(q/2) cos(p/2)) + 2 d sin(q/2) - 2 e
-//! sin(p/2) + u` of a tendon in the channel (d, e). A tension T exerts the generalised force `T dl` on every coordinate. Torsion also
-//! winds the channels; this is second order in the angle of one flexure and neglected. Of a tendon that winds about the tool it is the
+//! The law of the planar rung (see `manipulator::tendon`), extended by lateral bending and, in the full rung,
+//! compression. A flexure bent by q, bent laterally by p (about x, so toward -y) and compressed by u takes up
+//! `l = g (1 - cos(q/2) cos(p/2)) + 2 d sin(q/2) - 2 e sin(p/2) + u` of a tendon in the channel (d, e). A
+//! tension T exerts the generalised force `T dl` on every coordinate. Torsion also winds the channels; this
+//! is second order in the angle of one flexure and neglected. Of a tendon that winds about the tool it is the
 //! first: `manipulator::helix`.
 
 use super::layout::SpatialLayout;
@@ -32,11 +33,13 @@ pub(super) struct TendonLoad {
     pub coupled: [bool; MAX_TENDONS],
     /// Tension at the proximal end, N.
     pub tension_n: [f64; MAX_TENDONS],
-    /// True if the step assumes that this tendon's friction does not change: it was sliding at the given velocity and keeps sliding.
+    /// True if the step assumes that this tendon's friction does not change: it was sliding at the given
+    /// velocity and keeps sliding.
     pub slides_on: [bool; MAX_TENDONS],
 }
 
-/// Take-up of one flexure: length, slopes (bending, lateral), curvatures (bending, lateral), wrap angle of the channel.
+/// Take-up of one flexure: length, slopes (bending, lateral), curvatures (bending, lateral), wrap angle of
+/// the channel.
 struct TakeUp {
     length_m: f64,
     slope: [f64; 2],
@@ -178,7 +181,8 @@ impl TendonLoad {
         }
     }
 
-    /// How tendon `t` crosses flexure `joint`, at its coordinates `q`; `None` if it runs parallel to the axis.
+    /// How tendon `t` crosses flexure `joint`, at its coordinates `q`; `None` if it runs parallel to the
+    /// axis.
     fn chord<const D: usize>(&self, t: usize, joint: usize, q: &[f64]) -> Option<Chord> {
         let place = joint.checked_sub(self.channels.reach[t][0])?;
         self.crossings[t].get(place).map(|crossing| crossing.chord::<D>(q))

@@ -7,17 +7,20 @@ use super::{Feed, Start};
 use crate::arm::{Arm, ArmCommand, LEAST_MANIPULABILITY_M3};
 use crate::manipulator::{Integrator, ManipulatorModel, Rung};
 
-/// A target may lie so far beyond the end of the feed, mm: the drilled tip is not at the tool's, and nobody measures a tenth of a burr.
+/// A target may lie so far beyond the end of the feed, mm: the drilled tip is not at the tool's, and nobody
+/// measures a tenth of a burr.
 const BEYOND_MM: f64 = 0.5;
-/// A target may lie so far behind the start, mm: less prints as 0.0, and one beside the start is behind it by rounding.
+/// A target may lie so far behind the start, mm: less prints as 0.0, and one beside the start is behind it by
+/// rounding.
 const BEHIND_MM: f64 = 0.05;
 /// An arc may be longer than the insertion by this share: the burr need not come all the way.
 const ARC_SLACK: f64 = 1.02;
 /// Rates closer than this share are the same: 33.33 Hz is how one writes 30 ticks of 1 ms.
 const SAME_RATE: f64 = 2e-4;
 
-/// The longest step, ms, at which most hard cases in bone end where they end at 0.2 ms, and at which every shipped tool is right on every
-/// model (docs/accuracy-physics.md, docs/tools.md; `trabecula-lab chart stability --bone` and `--tools`).
+/// The longest step, ms, at which most hard cases in bone end where they end at 0.2 ms, and at which every
+/// shipped tool is right on every model (docs/accuracy-physics.md, docs/tools.md; `trabecula-lab chart
+/// stability --bone` and `--tools`).
 const LONGEST_STEP_MS: f64 = 2.0;
 
 impl Start<'_> {
@@ -88,8 +91,8 @@ pub(super) fn singular_start(start: &Start) -> Option<String> {
     ))
 }
 
-/// The arm is asked for the feed, as its controller will, and refuses it: out of reach, at the end of a joint's range or of a gantry's travel,
-/// through a singularity.
+/// The arm is asked for the feed, as its controller will, and refuses it: out of reach, at the end of a
+/// joint's range or of a gantry's travel, through a singularity.
 pub(super) fn feed_beyond_arm(start: &Start) -> Option<String> {
     let feed = start.arm_feed()?;
     let arm = &start.simulation.arm;
@@ -152,7 +155,8 @@ pub(super) fn target_out_of_reach(start: &Start) -> Option<String> {
     })
 }
 
-/// Half the angle by which a circular arc turns that begins along the feed and ends at the target: its chord turns by so much.
+/// Half the angle by which a circular arc turns that begins along the feed and ends at the target: its chord
+/// turns by so much.
 fn half_turn_rad(ahead_mm: f64, beside_mm: f64) -> f64 {
     // Behind by rounding is beside: the arc to a point straight behind would be endless.
     libm::atan2(beside_mm, ahead_mm.max(0.0))
@@ -215,7 +219,8 @@ pub(super) fn long_step_of_pre_curved_tool(start: &Start) -> Option<String> {
     })
 }
 
-/// The moment modes do not follow single flexures on their stops. In bone the walls bend the tool, which nobody knows beforehand.
+/// The moment modes do not follow single flexures on their stops. In bone the walls bend the tool, which
+/// nobody knows beforehand.
 pub(super) fn modes_on_stops(start: &Start) -> Option<String> {
     let tool = &start.simulation.manipulator;
     if tool.rung() != Rung::Modal {

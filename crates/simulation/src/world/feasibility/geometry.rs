@@ -17,7 +17,8 @@ const FAR_M: f64 = 0.1;
 const OVERLAP_M: f64 = 1e-4;
 /// Spacings of files are rounded; a share.
 const ROUNDING: f64 = 1e-6;
-/// Less depth in bone prints as 0.0 mm, and is often rounding: a place between two voxels lies on the face of both, m.
+/// Less depth in bone prints as 0.0 mm, and is often rounding: a place between two voxels lies on the face of
+/// both, m.
 const SHALLOW_M: f64 = 5e-5;
 
 impl Start<'_> {
@@ -228,8 +229,8 @@ pub(super) fn tendon_outside_tube(start: &Start) -> Option<String> {
     ))
 }
 
-/// The smoothed surface of bone and the voxels that are cut from it differ by up to half a voxel: a tip that is thinner catches on one and
-/// does not reach the other.
+/// The smoothed surface of bone and the voxels that are cut from it differ by up to half a voxel: a tip that
+/// is thinner catches on one and does not reach the other.
 pub(super) fn tip_thinner_than_voxels(start: &Start) -> Option<String> {
     let tip_mm = start.scene.manipulator.tool.as_ref()?.burr.tip_diameter_mm?;
     let voxel_mm = 1e3 * start.voxels()?.geometry().spacing_m.into_iter().fold(0.0, f64::max);

@@ -1,9 +1,9 @@
 //! Whether a scene makes sense: what its numbers and its geometry mean together.
 //!
-//! Ranges of single keys and relations of keys are checked when a scene is parsed (`scene`). Here the tool is put where the scene puts it,
-//! beside the bone and the bodies. What cannot work is [`Verdict::Impossible`]; what works and is most likely a mistake is
-//! [`Verdict::Unlikely`]. [`RULES`] is the one list of both; values for which nothing is claimed stand in
-//! `ranges`.
+//! Ranges of single keys and relations of keys are checked when a scene is parsed (`scene`). Here the tool is
+//! put where the scene puts it, beside the bone and the bodies. What cannot work is [`Verdict::Impossible`];
+//! what works and is most likely a mistake is [`Verdict::Unlikely`]. [`RULES`] is the one list of both;
+//! values for which nothing is claimed stand in `ranges`.
 
 mod controllers;
 mod geometry;
@@ -45,7 +45,8 @@ impl Display for Finding {
 struct Start<'a> {
     scene: &'a Scene,
     simulation: Simulation<'a>,
-    /// Of the burr's surface from the nearest bone, m; negative inside the burr's radius. `None` without bone.
+    /// Of the burr's surface from the nearest bone, m; negative inside the burr's radius. `None` without
+    /// bone.
     burr_gap_m: Option<f64>,
     program_exists: &'a dyn Fn(&str) -> bool,
 }
@@ -98,7 +99,8 @@ const RULES: [Rule; 29] = [
     unlikely("drr.rate_hz", controllers::frame_rate_is_rounded),
 ];
 
-/// What does not make sense in a scene, in the order of the rules. Without a CT the rules about bone are left out.
+/// What does not make sense in a scene, in the order of the rules. Without a CT the rules about bone are left
+/// out.
 ///
 /// `program_exists` says of the first word of a `controller.command` whether it can be started.
 ///
@@ -145,7 +147,8 @@ impl<'a> Start<'a> {
         self.scene.controller.iter().filter_map(feed)
     }
 
-    /// Whether a controller moves a part. Holding, the sweep of a tendon and a tube that slides keep the arm where it is.
+    /// Whether a controller moves a part. Holding, the sweep of a tendon and a tube that slides keep the arm
+    /// where it is.
     fn is_led(&self, part: Drives) -> bool {
         let is_still = |controller: &Controller| {
             controller.hold.is_some()

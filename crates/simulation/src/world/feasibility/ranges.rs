@@ -1,5 +1,5 @@
-//! Values that a scene may set and for which nothing is claimed: the ranges outside which random scenes get lost or chatter
-//! (`trabecula-lab chart stability --random`, docs/accuracy-physics.md).
+//! Values that a scene may set and for which nothing is claimed: the ranges outside which random scenes get
+//! lost or chatter (`trabecula-lab chart stability --random`, docs/accuracy-physics.md).
 
 use scene::Scene;
 

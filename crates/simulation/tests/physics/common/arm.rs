@@ -82,7 +82,8 @@ pub fn about_pivot(
     Isometry3::from_parts(Translation3::from(origin), rotation)
 }
 
-/// Greatest shares of the joint limits used between two ticks: position excess (rad), velocity, acceleration, jerk.
+/// Greatest shares of the joint limits used between two ticks: position excess (rad), velocity, acceleration,
+/// jerk.
 #[derive(Default, Debug)]
 pub struct Used {
     pub beyond_rad: f64,
@@ -105,8 +106,9 @@ impl Used {
         }
     }
 
-    /// Position within its limits to `beyond_rad`; velocity, acceleration and jerk within their limits but for Ruckig's own tolerance (1e-8, 1e-10, 1e-12 in its
-    /// README, of the end state; the last tick may change the acceleration by as much over 1 ms).
+    /// Position within its limits to `beyond_rad`; velocity, acceleration and jerk within their limits but
+    /// for Ruckig's own tolerance (1e-8, 1e-10, 1e-12 in its README, of the end state; the last tick may
+    /// change the acceleration by as much over 1 ms).
     pub fn check(&self, beyond_rad: f64) {
         assert!(self.beyond_rad <= beyond_rad, "{self:?}");
         assert!(
@@ -152,8 +154,8 @@ pub fn run(arm: &mut Arm, ticks: usize) {
     }
 }
 
-/// Rest-to-rest time over `distance` by symmetric jerk limits: the double-S profile of Biagiotti and Melchiorri,
-/// "Trajectory Planning for Automatic Machines and Robots" (2008), section 3.4.
+/// Rest-to-rest time over `distance` by symmetric jerk limits: the double-S profile of Biagiotti and
+/// Melchiorri, "Trajectory Planning for Automatic Machines and Robots" (2008), section 3.4.
 pub fn rest_to_rest_s(distance: f64, v: f64, a: f64, j: f64) -> f64 {
     let (jerk_s, acceleration_s) =
         if v * j >= a * a { (a / j, a / j + v / a) } else { ((v / j).sqrt(), 2.0 * (v / j).sqrt()) };

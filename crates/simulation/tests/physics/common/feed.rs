@@ -1,4 +1,5 @@
-//! A straight feed into a block of one density: the same path at any voxel size. Shared by a test and an example.
+//! A straight feed into a block of one density: the same path at any voxel size. Shared by a test and an
+//! example.
 
 use std::path::Path;
 

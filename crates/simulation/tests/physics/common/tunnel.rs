@@ -1,4 +1,5 @@
-//! The four tunnels of the published experiment (Alambeigi et al. 2017): a block of foam with a pilot hole, tension, then a feed.
+//! The four tunnels of the published experiment (Alambeigi et al. 2017): a block of foam with a pilot hole,
+//! tension, then a feed.
 
 use std::path::Path;
 

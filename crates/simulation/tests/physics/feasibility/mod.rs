@@ -15,8 +15,8 @@ use simulation::bone::GridGeometry;
 use simulation::{CtView, Verdict, findings};
 use test_support::scenes::TOOL;
 
-/// A block of bone, 34 x 34 x 54 mm: its lower face is at z = -27 mm, and it is centred at y = 0 and the case's x. Voxels of 1 mm, some
-/// air around it.
+/// A block of bone, 34 x 34 x 54 mm: its lower face is at z = -27 mm, and it is centred at y = 0 and the
+/// case's x. Voxels of 1 mm, some air around it.
 const DIMS: [usize; 3] = [40, 40, 60];
 
 fn found(text: &str, centre_x_mm: Option<f64>) -> Vec<String> {
@@ -118,7 +118,8 @@ fn a_tendon_outside_of_the_tube_is_told_and_one_in_its_wall_is_not() {
     }
 }
 
-/// Moment modes do not follow flexures on their stops, which the softest of the standard tool reaches at 10.7 N.
+/// Moment modes do not follow flexures on their stops, which the softest of the standard tool reaches at 10.7
+/// N.
 #[test]
 fn modes_are_told_of_stops_that_the_controllers_may_reach() {
     let said = |keys: &str, pull: &str| {

@@ -1,4 +1,5 @@
-//! One field over a whole log: least, greatest and mean value of equal spans of time. Pure: no clock, no files.
+//! One field over a whole log: least, greatest and mean value of equal spans of time. Pure: no clock, no
+//! files.
 
 use run_log::timeline::{Bin, Extremes, Timeline};
 use serde::Serialize;
@@ -6,8 +7,8 @@ use serde::Serialize;
 /// Most bins of one field: 4 MiB. An hour at 1 kHz then has bins of 32 ms.
 pub const MOST_BINS: usize = 1 << 17;
 
-/// A field's values. A bin holds one tick at first; if there are more ticks than bins, bins are merged in pairs, so that the memory is
-/// bounded and no peak is lost.
+/// A field's values. A bin holds one tick at first; if there are more ticks than bins, bins are merged in
+/// pairs, so that the memory is bounded and no peak is lost.
 #[derive(Debug, Clone)]
 pub struct Bins {
     begin_ns: u64,
@@ -32,7 +33,8 @@ pub struct Columns {
 }
 
 impl Bins {
-    /// No values yet of a log from `begin_ns` to `end_ns`, with a tick of `dt_ns` and at most `most` bins (at least 2).
+    /// No values yet of a log from `begin_ns` to `end_ns`, with a tick of `dt_ns` and at most `most` bins (at
+    /// least 2).
     pub fn new(begin_ns: u64, end_ns: u64, dt_ns: u64, most: usize) -> Bins {
         Bins { begin_ns, end_ns, line: Timeline::new(most, dt_ns, Extremes::EMPTY) }
     }

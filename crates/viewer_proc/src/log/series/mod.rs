@@ -1,7 +1,8 @@
 //! Fields of a log over time, for plots: what has been read of the log, and what a request gets of it.
 //!
-//! A background thread (`background`) reads the log once and fills [`Bins`]. A picture of any span then costs no reading, except a
-//! short span of a long log, whose bins are coarser than its ticks: that is read from the file.
+//! A background thread (`background`) reads the log once and fills [`Bins`]. A picture of any span then costs
+//! no reading, except a short span of a long log, whose bins are coarser than its ticks: that is read from
+//! the file.
 
 pub mod bins;
 
@@ -247,7 +248,8 @@ impl LogSeries {
         (if all_kept || until < found.misses.len() as u64 { until } else { found.missed }, found.missed)
     }
 
-    /// Answers a request; `file` gives one of the log's files, for a span that is shorter than the bins can show.
+    /// Answers a request; `file` gives one of the log's files, for a span that is shorter than the bins can
+    /// show.
     ///
     /// # Errors
     /// What is wrong with the request.
@@ -293,7 +295,8 @@ impl LogSeries {
         serde_json::to_string(&answer).map_err(|error| error.to_string())
     }
 
-    /// What the bins have of a field; and its place, if they are too coarse for the request and the file is to be read.
+    /// What the bins have of a field; and its place, if they are too coarse for the request and the file is
+    /// to be read.
     fn columns(&self, name: &FieldName, request: &SeriesRequest) -> (Columns, Option<FieldPlace>) {
         let found = lock(&self.found);
         let Some(series) = found.series.get(name) else { return (Columns::default(), None) };

@@ -13,7 +13,8 @@ pub(in crate::log) struct FieldPlace {
     ros_type: &'static str,
     offset: usize,
     size: usize,
-    /// Where the message names its tick. Only in the timing lane: there the log's own time is when the recorder received the message.
+    /// Where the message names its tick. Only in the timing lane: there the log's own time is when the
+    /// recorder received the message.
     tick: Option<usize>,
 }
 

@@ -1,8 +1,8 @@
-//! Volumes as other programs write them, voxel for voxel against two independent readers each, and the table of them in
-//! `docs/volumes.md`.
+//! Volumes as other programs write them, voxel for voxel against two independent readers each, and the table
+//! of them in `docs/volumes.md`.
 //!
-//! `make.py` writes the files with pydicom, GDCM, dcmtk, SimpleITK, pynrrd and nibabel, and what those readers make of them. With
-//! `WRITE_TABLE=1` this test writes the table instead of comparing it.
+//! `make.py` writes the files with pydicom, GDCM, dcmtk, SimpleITK, pynrrd and nibabel, and what those
+//! readers make of them. With `WRITE_TABLE=1` this test writes the table instead of comparing it.
 
 // Helpers of tests may fail a test.
 #![allow(clippy::unwrap_used)]
@@ -30,7 +30,8 @@ const PROBE: &str = "numpy, pydicom, SimpleITK, gdcm, nrrd, nibabel, pylibjpeg, 
 const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/volumes.md");
 const HEAD: &str = "| format | feature | written by | read alike by |\n|---|---|---|---|\n";
 
-/// Rows and columns of a direction's deviation, and positions, in millimetres: what `f32` affines and six decimals leave.
+/// Rows and columns of a direction's deviation, and positions, in millimetres: what `f32` affines and six
+/// decimals leave.
 const SAME_MM: f64 = 2e-4;
 
 #[test]
