@@ -23,7 +23,7 @@ impl Machine for ThisMachine {
         START.elapsed().as_nanos() as u64
     }
 
-    /// `MemAvailable` of `/proc/meminfo` (proc_meminfo(5)); `None` if it is missing.
+    /// Returns `MemAvailable` of `/proc/meminfo` (proc_meminfo(5)); `None` if it is missing.
     fn available_bytes(&self) -> Option<u64> {
         let text = std::fs::read_to_string("/proc/meminfo").ok()?;
         let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;

@@ -1,8 +1,8 @@
 //! Resources that belong to the process that created them and not to its `fork` children.
 //!
-//! A `fork` child has a copy of every port of its parent and would close them when it ends, which would free
-//! the parent's slots in the services, its files and its shared memory. Each of these is therefore an
-//! [`Own`], which only its creator cleans up.
+//! A `fork` child has a copy of every port of its parent and would close them when it ends, freeing the
+//! parent's slots in the services, its files and its shared memory. Each of these is therefore an [`Own`],
+//! which only its creator cleans up.
 //!
 //! A process recognises itself by a page that the kernel zeroes in every child (`MADV_WIPEONFORK`). Checking
 //! it is one load, where `getpid` is a system call, and it works however the process forks.
@@ -19,10 +19,10 @@ use memmap2::{MmapMut, MmapRaw};
 pub struct Generation(u64);
 
 impl Generation {
-    /// The calling process's number.
+    /// Returns the calling process's number.
     pub fn current() -> Generation {
         static PAGE: OnceLock<Option<MmapRaw>> = OnceLock::new();
-        // Inherited by a child, which counts on from its parent's number.
+        // A child inherits it and continues from its parent's number.
         static NEWEST: AtomicU64 = AtomicU64::new(0);
         let Some(page) = PAGE.get_or_init(wiped_page) else {
             return Generation(u64::from(std::process::id()));
@@ -42,7 +42,7 @@ impl Generation {
     }
 }
 
-/// A page that is zeroed in a child; `None` if the kernel cannot do that (before Linux 4.14).
+/// Maps a page that is zeroed in a child; `None` if the kernel cannot do that (before Linux 4.14).
 fn wiped_page() -> Option<MmapRaw> {
     let page: MmapRaw = MmapMut::map_anon(size_of::<u64>()).ok()?.into();
     // SAFETY: the range is a live, private, anonymous mapping, and the advice changes nothing in this
@@ -51,7 +51,7 @@ fn wiped_page() -> Option<MmapRaw> {
     (outcome == 0).then_some(page)
 }
 
-/// A value that only the process that created it drops.
+/// A value that only its creating process drops.
 #[derive(Debug)]
 pub struct Own<T> {
     value: ManuallyDrop<T>,
@@ -59,12 +59,12 @@ pub struct Own<T> {
 }
 
 impl<T> Own<T> {
-    /// Makes this process the value's owner.
+    /// Wraps a value; this process becomes its owner.
     pub fn new(value: T) -> Own<T> {
         Own { value: ManuallyDrop::new(value), made_by: Generation::current() }
     }
 
-    /// Whether this process owns it; if not, its parent does.
+    /// Returns whether this process owns it; if not, its parent does.
     pub fn is_ours(&self) -> bool {
         self.made_by == Generation::current()
     }

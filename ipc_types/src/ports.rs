@@ -17,13 +17,12 @@ use crate::messages::layout::Message;
 use crate::messages::services;
 use crate::own::Own;
 
-/// Messages of the wrong length that one call takes off a queue, so that a flood of them cannot stall the
-/// reader.
+/// Malformed messages that one call discards, so that a flood of them cannot stall the reader.
 const REFUSED_AT_ONCE: usize = 64;
-/// From here on a message is copied by two threads: far beyond every message of a tick.
+/// Size from which two threads copy a message: far above every per-tick message.
 const TWO_THREADS_BYTES: usize = 32 << 20;
-/// The same limit for other programs' messages on a part's service. More than any queue holds, because the
-/// part's own messages behind them must not be late.
+/// The same limit for other programs' messages on a part's service. Larger than any queue, because the part's
+/// own messages behind them must not be delayed.
 const MAX_FOREIGN_MESSAGES: usize = 1 << 14;
 
 const _: () = {
@@ -37,7 +36,7 @@ const _: () = {
 /// Why a message could not be sent or received.
 #[derive(Debug, Error)]
 pub enum PortError {
-    /// The volume did not arrive.
+    /// The volume did not arrive in time.
     #[error("the volume did not arrive within {limit_s} s; is the launcher running?")]
     NoVolume {
         /// Seconds waited.
@@ -45,7 +44,8 @@ pub enum PortError {
     },
     /// The publisher could not get a free sample.
     #[error(
-        "service `{service}`: no sample to write {bytes} bytes into ({cause}); a message may have at most {limit} bytes"
+        "service `{service}`: could not allocate a sample of {bytes} bytes ({cause}); messages are limited \
+         to {limit} bytes"
     )]
     Loan {
         /// Service name.
@@ -74,7 +74,7 @@ pub enum PortError {
         cause: String,
     },
     /// A message's length does not match its type and its own count.
-    #[error("service `{service}`: a message of {bytes} bytes arrived, expected {expected}")]
+    #[error("service `{service}`: received a message of {bytes} bytes, expected {expected}")]
     Length {
         /// Service name.
         service: String,
@@ -123,8 +123,8 @@ impl<M: Message> Publisher<M> {
             copy(part, head);
             rest = tail;
         }
-        // SAFETY: the sample is exactly as long as all parts together, and `copy` has written each part; a
-        // thread of it that died would have let the scope, and so this function, panic.
+        // SAFETY: the sample is exactly as long as all parts together, and `copy` has written each part; if
+        // one of its threads had died, the scope, and so this function, would have panicked.
         let sample = unsafe { sample.assume_init() };
         sample
             .send()
@@ -140,8 +140,8 @@ impl<M: Message> Publisher<M> {
     }
 }
 
-/// Copies bytes to a place of the same length, all of it. A volume on two threads: the kernel makes its pages
-/// at their first use.
+/// Copies bytes to a target of the same length. Uses two threads for a volume, because the kernel allocates
+/// its pages on first use.
 fn copy(bytes: &[u8], target: &mut [MaybeUninit<u8>]) {
     if bytes.len() >= TWO_THREADS_BYTES {
         let (first, second) = bytes.split_at(bytes.len() / 2);
@@ -166,7 +166,7 @@ fn copy_here(bytes: &[u8], target: &mut [MaybeUninit<u8>]) {
 pub struct Subscriber<M> {
     raw: Own<RawSubscriber<ipc::Service, [u8], ()>>,
     name: String,
-    /// Present on services that only parts of the hub may write.
+    /// Present on services that only the hub's parts may write to.
     guard: Option<Guard>,
     message: PhantomData<M>,
 }
@@ -183,8 +183,8 @@ impl<M: Message> Subscriber<M> {
     /// Takes the oldest message in the queue, if any. Its bytes stay in shared memory until the return value
     /// is dropped.
     ///
-    /// Takes a message of the wrong length off the queue and returns an error. On a part's service, skips and
-    /// counts messages from programs that are not that part ([`Subscriber::foreign_messages`]).
+    /// Returns an error for a message of the wrong length, which is taken off the queue. On a part's service,
+    /// skips and counts messages from programs that are not that part ([`Subscriber::foreign_messages`]).
     pub fn receive(&self) -> Result<Option<Received<M>>, PortError> {
         for _ in 0..MAX_FOREIGN_MESSAGES {
             let sample = self.raw.receive().map_err(|cause| PortError::Receive {
@@ -204,13 +204,13 @@ impl<M: Message> Subscriber<M> {
         Ok(None)
     }
 
-    /// Messages so far from programs that are not the part that owns the service.
+    /// Returns the number of messages so far from programs that are not the part that owns the service.
     pub fn foreign_messages(&self) -> u64 {
         self.guard.as_ref().map_or(0, Guard::foreign_messages)
     }
 
-    /// Takes the oldest valid message, if any, on services that every client may write. Messages of the wrong
-    /// length go to `refused`, a limited number per call so that the caller is not held up.
+    /// Takes the oldest valid message, if any, on services that every client may write to. Messages of the
+    /// wrong length go to `refused`, a limited number per call so that the caller is not held up.
     ///
     /// # Errors
     /// [`PortError::Receive`].
@@ -236,7 +236,7 @@ impl<M: Message> Subscriber<M> {
         Ok(newest)
     }
 
-    /// Whether the queue holds a message.
+    /// Returns whether the queue holds a message.
     pub fn has_message(&self) -> bool {
         self.raw.has_samples().unwrap_or(true)
     }
@@ -271,12 +271,12 @@ impl<M: Message> Received<M> {
         Ok(Received { sample: Own::new(sample), part, copy })
     }
 
-    /// The part that sent it; `None` on services that every client may write.
+    /// Returns the part that sent it; `None` on services that every client may write to.
     pub fn part(&self) -> Option<Part> {
         self.part
     }
 
-    /// The message without its tail. Not a copy.
+    /// Returns the message without its tail, without copying.
     pub fn message(&self) -> &M {
         match &self.copy {
             Some(copy) => copy,
@@ -287,12 +287,12 @@ impl<M: Message> Received<M> {
         }
     }
 
-    /// What follows the message: its tail, or a frame's image. Not a copy.
+    /// Returns the bytes after the message (its tail, or a frame's image), without copying.
     pub fn tail(&self) -> &[u8] {
         &self.sample.payload()[M::DESCRIPTION.size..]
     }
 
-    /// All bytes, as in shared memory.
+    /// Returns all bytes, as in shared memory.
     pub fn bytes(&self) -> &[u8] {
         self.sample.payload()
     }
@@ -308,7 +308,7 @@ mod tests {
             let bytes: Vec<u8> = (0..length).map(|i| (i % 251) as u8).collect();
             let mut target = vec![MaybeUninit::new(255); length];
             copy(&bytes, &mut target);
-            // SAFETY: every byte has been initialised when the vector was made.
+            // SAFETY: every byte was initialised when the vector was created.
             let copied: Vec<u8> = target.iter().map(|byte| unsafe { byte.assume_init() }).collect();
             assert!(copied == bytes, "{length} bytes");
         }

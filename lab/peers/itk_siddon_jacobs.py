@@ -7,7 +7,7 @@ import numpy as np
 from poses import itk_volume, plan, resampled, save, threads_of_all
 
 volume = itk_volume()
-# It takes the volume's corner for the world's origin, whatever the image says.
+# It uses the volume's corner as the world origin, ignoring the image's origin.
 corner = np.array(plan["origin_mm"]) - 0.5 * np.array(plan["spacing_mm"])
 
 for pose in plan["poses"]:

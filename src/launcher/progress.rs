@@ -79,7 +79,7 @@ impl Display {
         self.draw(&lines);
     }
 
-    /// Says which session this is; a script gets it on standard output.
+    /// Prints the session's name; scripts get it on standard output.
     fn announce(&self, snapshot: &RunSnapshot) {
         let session = snapshot.session.display();
         match self.style {

@@ -1,4 +1,4 @@
-//! Controller programs that end before the run does: started again, done without, or the end of the run.
+//! Controller programs that end before the run: restarted, dispensed with, or ending the run.
 
 use std::time::Duration;
 
@@ -91,8 +91,8 @@ fn an_optional_controller_program_may_end_and_the_run_goes_on() {
     assert_eq!(ended.code, Some(0), "{}", ended.err);
 }
 
-/// How such a program ends once all ticks are made decides nothing: one that failed at that moment made a
-/// whole run fail.
+/// Regression: how such a program ends after all ticks are done must not matter; one that failed at that
+/// moment made the whole run fail.
 #[test]
 fn a_dispensable_controller_program_that_fails_after_the_last_tick_fails_no_run() {
     let place = Place::new();
@@ -109,7 +109,7 @@ fn a_dispensable_controller_program_that_fails_after_the_last_tick_fails_no_run(
         .trim()
         .parse::<u32>()
         .unwrap();
-    // The physics stays until the recorder has everything.
+    // The physics stays until the recorder has received everything.
     let recorder = run.part("recorder");
     signal(recorder, Signal::STOP);
     client.wait_for_state(|state| state.tick == 1000);

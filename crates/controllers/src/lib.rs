@@ -61,18 +61,18 @@ pub trait Controller {
     /// Receives a reading of a sensor. Called before the step of the state with which the reading arrives.
     fn reading(&mut self, _reading: &SensorReading) {}
 
-    /// A message for the log, if there is a new one since the last call.
+    /// Returns a message for the log, if there is a new one since the last call.
     fn remark(&mut self) -> Option<String> {
         None
     }
 }
 
-/// A built-in controller. A copy goes on from where the original stands.
+/// A built-in controller. A copy continues from the original's state.
 #[derive(Debug, Clone)]
 pub enum BuiltIn {
     /// Drills a curve.
     CurvedDrilling(Box<CurvedDrillingController>),
-    /// Skives.
+    /// Skives, measuring the burr's drift.
     Skiving(Box<SkivingController>),
     /// Sweeps the tension.
     TensionSweep(Box<TensionSweepController>),
@@ -80,16 +80,16 @@ pub enum BuiltIn {
     TubeDeployment(Box<TubeDeploymentController>),
     /// Holds still.
     Hold(Box<HoldController>),
-    /// Another one, which sees what sensors measure.
+    /// A built-in controller that sees sensor measurements instead of the exact state.
     Measuring(Box<MeasuringController>),
 }
 
 impl BuiltIn {
-    /// The scene's built-in controller of this name; `None` if it is not built in. `read` returns the text of
-    /// the calibration file that it may need.
+    /// Creates the scene's built-in controller of this name; `None` if it is not built in. `read` returns the
+    /// text of its calibration file, if it needs one.
     ///
     /// # Errors
-    /// Its calibration cannot be used.
+    /// If its calibration cannot be used.
     pub fn of(scene: &Scene, name: &str, read: &ReadText) -> Result<Option<BuiltIn>, CalibrationError> {
         let Some(entry) = scene.controller.iter().find(|entry| entry.name == name) else { return Ok(None) };
         let exact = BuiltIn::on_states(scene, entry, read)?;
@@ -101,7 +101,7 @@ impl BuiltIn {
         Ok(exact.map(measuring))
     }
 
-    /// The controller without its sensors.
+    /// Creates the controller without its sensors.
     fn on_states(
         scene: &Scene,
         entry: &scene::Controller,
@@ -156,10 +156,10 @@ impl Controller for BuiltIn {
     }
 }
 
-/// [`BuiltIn::of`] as any controller.
+/// As [`BuiltIn::of`], as a trait object.
 ///
 /// # Errors
-/// Its calibration cannot be used.
+/// If its calibration cannot be used.
 pub fn built_in(
     scene: &Scene,
     name: &str,

@@ -19,7 +19,7 @@ const MAX_STRAY_PIXELS: usize = 2;
 /// Minimum number of dark pixels for a sighting.
 const MIN_PIXELS: usize = 20;
 
-/// Where the burr was seen.
+/// A detected burr.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TipSighting {
     /// Column and row of the burr's centre, pixel centres at integers.
@@ -28,8 +28,8 @@ pub struct TipSighting {
     pub dark_pixels: usize,
 }
 
-/// Looks for a burr of this radius near `t_world_burr` in a mono16 frame in which metal is dark. `None` if
-/// the window is outside the image or holds no metal.
+/// Searches for a burr of this radius near `t_world_burr` in a mono16 frame in which metal is dark. `None` if
+/// the window is outside the image or contains no metal.
 pub fn find_tip(
     c_arm: &CArmGeometry,
     pixels: &[u16],

@@ -14,9 +14,9 @@ pub const MAX_POSITION_M: f64 = 10.0;
 pub const MAX_SPEED_M_PER_S: f64 = 1.0;
 /// Largest depth of an insertion, in either direction.
 pub const MAX_DEPTH_M: f64 = 0.5;
-/// Largest length of tube that a command may ask for in front of the outer tube.
+/// Largest length of tube that a command may deploy from the outer tube.
 pub const MAX_DEPLOYED_M: f64 = 0.5;
-/// Largest roll of the tube that a command may ask for, in either direction: one turn.
+/// Largest roll of the tube that a command may request, in either direction: one turn.
 pub const MAX_ROLL_RAD: f64 = core::f64::consts::TAU;
 
 message! {
@@ -60,7 +60,7 @@ message! {
         tube_deployed_m: f64,
         /// Goal of the tube's move_jp: its angle about its own axis.
         tube_roll_rad: f64,
-        /// Speed limit of its sliding; 0 selects the tool's limit.
+        /// Speed limit of the tube's sliding; 0 selects the tool's limit.
         tube_speed_m_per_s: f64,
     }
 }
@@ -68,14 +68,14 @@ message! {
 /// Whether a tick begins from the initial state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reset {
-    /// The simulation is set back to its initial state first.
+    /// The simulation is first reset to its initial state.
     Yes,
-    /// It goes on from the last state.
+    /// The simulation continues from the last state.
     No,
 }
 
 impl Reset {
-    /// [`Latched::reset`] of it.
+    /// Returns its value of [`Latched::reset`].
     pub const fn code(self) -> u32 {
         match self {
             Reset::No => 0,
@@ -85,7 +85,7 @@ impl Reset {
 }
 
 impl Latched {
-    /// Whether this tick begins from the initial state.
+    /// Returns whether this tick begins from the initial state.
     pub fn reset(&self) -> Reset {
         if self.reset != 0 { Reset::Yes } else { Reset::No }
     }

@@ -88,7 +88,7 @@ message! {
 pub struct Blame {
     /// The kind of event: a controller is missing or late, or the simulation failed.
     pub code: EventCode,
-    /// The controller's name; `None`: the simulation failed.
+    /// The controller's name; `None` if the simulation failed.
     pub controller: Option<String>,
     /// The event's text.
     pub text: String,

@@ -61,7 +61,7 @@ message! {
 }
 
 impl DrrRequest {
-    /// [`DrrRequest::requester`] of this sender: a controller, or any other program.
+    /// Returns the [`DrrRequest::requester`] value of this sender: a controller, or any other program.
     pub fn requester_of(sender: Option<ControllerIndex>) -> u32 {
         sender.map_or(u32::MAX, |controller| controller.0)
     }
@@ -162,7 +162,7 @@ uint32 nanosec
 ";
 
 impl ImagePrefix {
-    /// The prefix of a `mono16` image of `columns` × `rows` pixels at a simulated time.
+    /// Creates the prefix of a `mono16` image of `columns` × `rows` pixels at a simulated time.
     pub fn mono16(columns: u32, rows: u32, sim_time_s: f64) -> ImagePrefix {
         let nanoseconds = libm_round(sim_time_s * 1e9);
         ImagePrefix {

@@ -18,11 +18,11 @@ pub enum Part {
 }
 
 impl Part {
-    /// All of them.
+    /// All parts.
     pub const ALL: [Part; 4] = [Part::Host, Part::Physics, Part::Drr, Part::Recorder];
 
-    /// Its name, which no controller may have: of its program, in summaries, and in the reason why a run
-    /// ended.
+    /// Returns its name, which no controller may have: the name of its program, also used in summaries and in
+    /// the reason why a run ended.
     pub const fn name(self) -> &'static str {
         match self {
             Part::Host => "launcher",
@@ -33,7 +33,7 @@ impl Part {
     }
 }
 
-/// Its role, for the middle of a sentence.
+/// Displays its role, for the middle of a sentence.
 impl Display for Part {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         f.write_str(match self {

@@ -45,13 +45,13 @@ message! {
         /// time).
         recorder_wait_ns: u64,
         /// Time from publishing the state to receiving the command that answers it, per controller; 0 if none
-        /// came. In real time, commands are received when the next tick begins, so most of it is waiting for
-        /// that.
+        /// was received. In real time, commands are received when the next tick begins, so this is mostly the
+        /// wait for that tick.
         round_trip_ns: [u64; MAX_CONTROLLERS],
         /// Page faults of this thread from the start of the last tick to the start of this one; in lockstep
         /// from the publication of the last state to that of this tick's.
         page_faults: u32,
-        /// How many of them waited for a disk.
+        /// Page faults among them that waited for a disk.
         major_page_faults: u32,
         /// Voluntary context switches of the thread in that time; in real time it sleeps once per tick.
         voluntary_switches: u32,

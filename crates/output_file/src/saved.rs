@@ -76,10 +76,10 @@ impl SavedFile {
 }
 
 impl SavedFile {
-    /// Removes the last version saved, and no other file of that name.
+    /// Removes the last version saved, and no other file with that name.
     ///
     /// # Errors
-    /// The system's.
+    /// The system's error.
     pub fn remove(self) -> io::Result<()> {
         match self.ours {
             Some(ours) if Identity::of(&self.path).ok() == Some(ours) => std::fs::remove_file(&self.path),
@@ -88,15 +88,15 @@ impl SavedFile {
     }
 }
 
-/// Replaces our last version. Swaps first and checks what it got afterwards, so that no other program can get
-/// in between.
+/// Replaces our last version. Swaps first and then checks what was swapped out, so that no other program can
+/// interfere in between.
 fn replace(file: WholeFile, ours: &Identity) -> Result<(), OutputError> {
     let WholeFile { draft, path } = file;
     let draft = draft.into_named(&path).map_err(OutputError::write(&path))?;
     let exists = || OutputError::Exists { path: path.clone() };
     let exchange = |draft: &Path| renameat_with(CWD, draft, CWD, &path, RenameFlags::EXCHANGE);
     match exchange(&draft) {
-        // The old version is now in the draft's place and goes with it.
+        // The old version is now in the draft's place and is removed with it.
         Ok(()) if Identity::of(&draft).ok() == Some(*ours) => {}
         Ok(()) => {
             if let Err(cause) = exchange(&draft) {
@@ -113,7 +113,7 @@ fn replace(file: WholeFile, ours: &Identity) -> Result<(), OutputError> {
                 _ => OutputError::Write { path: path.clone(), source: plain(failed.error) },
             })?;
         }
-        // File systems without exchange: check, then replace at once.
+        // File systems without exchange: check, then replace immediately.
         Err(Errno::INVAL | Errno::NOSYS | Errno::OPNOTSUPP) => {
             if Identity::of(&path).ok() != Some(*ours) {
                 return Err(exists());
@@ -149,7 +149,7 @@ mod tests {
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 
-    /// Only the last version may be replaced, nothing that has taken its name since.
+    /// Only the last version may be replaced, not anything that has taken its name since.
     #[test]
     fn what_somebody_put_in_the_place_of_a_saved_file_stays() {
         let folder = tempfile::tempdir().unwrap();

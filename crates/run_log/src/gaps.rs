@@ -7,11 +7,11 @@ use messages::services::EVENT;
 use crate::topics::Topic;
 
 /// Maximum number of senders tracked, more than a session has. Messages carry their sender's id, so a client
-/// could make up any number of them.
+/// could invent any number of them.
 const MAX_SENDERS: usize = 64;
 
 const _: () = assert!(EVENT.max_publishers + Topic::ALL.len() < MAX_SENDERS);
-/// Longest plausible gap (49 days at 1 kHz); a longer jump means that the sender restarted.
+/// Longest plausible gap (49 days at 1 kHz); a longer jump means that the sender has restarted.
 const LONGEST_GAP: u64 = u32::MAX as u64;
 
 /// Last sequence number of each sender on each topic, and the messages missed.
@@ -36,7 +36,7 @@ impl Gaps {
         }
     }
 
-    /// Messages missed, by topic.
+    /// Number of missed messages by topic.
     pub fn lost(&self) -> &BTreeMap<String, u64> {
         &self.lost
     }

@@ -54,16 +54,16 @@
 //! # }
 //! ```
 //!
-//! Beside the items of the crate itself (writers, readers and verdicts of logs):
+//! Besides the crate's own items (writers, readers and verdicts of logs):
 //!
-//! | module | what it holds |
+//! | module | contents |
 //! |---|---|
 //! | [`verify`], [`segments`] | replaying a log and comparing tick by tick, in one pass or in parallel |
 //! | [`cat`], [`diff`], [`difference`] | printing and comparing logs and messages as text |
 //! | [`misses`], [`gaps`] | why ticks began late; messages that never arrived |
-//! | [`repair`], [`join`] | logs made from logs: repaired, recompressed, joined, split |
+//! | [`repair`], [`join`] | logs derived from logs: repaired, recompressed, joined, split |
 //! | [`columns`], [`csv`], [`fields`], [`timeline`] | a topic as a table, a field over time |
-//! | [`foxglove`] | what 3D panels draw, as a log of its own |
+//! | [`foxglove`] | content for 3D panels, as a separate log |
 
 mod bare;
 pub mod cat;

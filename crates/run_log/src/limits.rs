@@ -1,7 +1,7 @@
 //! Limits on how much of a log a reader keeps in memory.
 //!
 //! A chunk of a few kilobytes can unpack to a hundred megabytes of names. Everything that a reader keeps
-//! beyond the current record is therefore bounded here, by kind; our own logs use less than a hundredth of
+//! beyond the current record is therefore limited here, by kind; our own logs use less than a hundredth of
 //! these limits.
 
 use std::path::Path;
@@ -34,7 +34,7 @@ const _: () = assert!(MAX_DECLARATION_BYTES <= MAX_DECLARED_BYTES);
 const _: () =
     assert!(MAX_SCENE_BYTES as u64 <= MAX_RECORD_BYTES && MAX_METADATA_BYTES as u64 <= MAX_RECORD_BYTES);
 
-/// How many declarations a reader keeps so far.
+/// Counts the declarations that a reader has kept.
 #[derive(Debug, Default)]
 pub(crate) struct Declared {
     schemas: usize,
@@ -68,7 +68,7 @@ impl Declared {
     }
 }
 
-/// Refuses more than `most`.
+/// Returns an error if `found` exceeds `most`.
 pub(crate) fn check(path: &Path, what: &'static str, found: usize, most: usize) -> Result<(), LogError> {
     if found <= most {
         return Ok(());

@@ -1,4 +1,4 @@
-//! Where the bytes of a log come from.
+//! Byte sources of logs.
 
 use std::io::{Cursor, Read, Seek};
 use std::path::{Path, PathBuf};
@@ -32,7 +32,7 @@ pub struct LogBytes {
 }
 
 impl LogBytes {
-    /// A log in memory that error messages call `path`.
+    /// Creates a log in memory with `path` as its name in error messages.
     pub fn new(path: impl Into<PathBuf>, bytes: impl Into<Arc<[u8]>>) -> LogBytes {
         LogBytes { path: path.into(), bytes: bytes.into() }
     }

@@ -23,12 +23,12 @@ pub struct TimingLog<W: Write> {
 }
 
 impl<W: Write> TimingLog<W> {
-    /// Writes the header to `w`; errors will name `timing.mcap`, and the index is kept in memory.
+    /// Writes the header to `w`; errors name `timing.mcap`, and the index is kept in memory.
     pub fn create(w: W, header: &LogHeader) -> Result<TimingLog<W>, LogError> {
         TimingLog::create_named(w, Path::new("timing.mcap"), Box::new(Cursor::new(Vec::new())), header)
     }
 
-    /// Writes the header to `w`; errors will name `path`, and the index is kept in `index` until the end.
+    /// Writes the header to `w`; errors name `path`, and the index is kept in `index` until the end.
     pub fn create_named(
         w: W,
         path: &Path,
@@ -44,7 +44,7 @@ impl<W: Write> TimingLog<W> {
         self.write(topic.name(), topic.description(), tick, message)
     }
 
-    /// As [`message`](Self::message), for a command on its controller's topic
+    /// Like [`message`](Self::message), for a command on its controller's topic
     /// ([`command_topic`](crate::command_topic)).
     pub fn command(&mut self, topic: &str, tick: Tick, message: &[u8]) -> Result<(), LogError> {
         self.write(topic, Command::DESCRIPTION, tick, message)
@@ -79,7 +79,7 @@ impl<W: Write> TimingLog<W> {
         self.sink.path()
     }
 
-    /// Flushes everything so far to the operating system. The owner calls it when no tick will come for a
+    /// Flushes everything so far to the operating system. The owner calls it when no tick will follow for a
     /// while (pause).
     pub fn flush(&mut self) -> Result<(), LogError> {
         self.sink.close_chunk()

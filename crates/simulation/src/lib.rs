@@ -11,7 +11,7 @@
 //! - The same scene, CT and commands give the same bits: with or without vector instructions, after a
 //!   keyframe or a reset, and whether caches are kept or dropped.
 //! - A step allocates no memory, except in Ruckig while the arm moves and in Rapier if there are free bodies.
-//! - A refused command changes nothing.
+//! - A rejected command changes nothing.
 //!
 //! ```
 //! use std::path::Path;
@@ -37,7 +37,7 @@
 //! "#;
 //! let scene = Scene::parse(text, Path::new("bend.toml")).unwrap();
 //! let mut simulation = Simulation::new(&scene, None).unwrap();
-//! // u_k: what the hub would have latched.
+//! // u_k: the commands that the hub would latch.
 //! let mut latched = Latched { controller_count: 1, ..Latched::zeroed() };
 //! latched.commands[0].command.tendon_mode = TendonMode::ServoJf.code();
 //! latched.commands[0].command.tendon_force_n[0] = 5.0;

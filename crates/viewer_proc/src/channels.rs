@@ -19,13 +19,11 @@ pub const ARM: &str = "/view/arm";
 pub const PARTS: &str = "/view/parts";
 /// Position on the time line (JSON; logs only).
 pub const PLAYBACK: &str = "/view/playback";
-/// The speed limit of a running session, or none (JSON; live only).
+/// The speed limit of a running session, or null (JSON; live only).
 pub const PACE: &str = "/view/pace";
-/// The state at the position on the time line, which a slow client gets less often but never late (logs
-/// only).
+/// State at the position on the time line. A slow client gets it less often but never late (logs only).
 pub const VIEW_STATE: &str = "/view/state";
-/// The state of the tick at which the frame that is shown was taken, so that the tool can be drawn over it
-/// (logs only).
+/// State of the tick at which the shown frame was taken, so that the tool can be drawn over it (logs only).
 pub const FRAME_STATE: &str = "/view/frame_state";
 /// Notices for the user (JSON).
 pub const NOTICE: &str = "/view/notice";
@@ -66,12 +64,12 @@ struct Schema<'a> {
 }
 
 impl Channels {
-    /// All channels, including one command channel per controller, and that of readings if the scene has
+    /// Returns all channels: one command channel per controller, and the readings channel if the scene has
     /// sensors.
     pub fn new(controllers: &[String], sensors: &[Sensor]) -> Channels {
         let mut channels = Channels::default();
         for topic in RUN_TOPICS {
-            // Keyframes are the physics' internal format; there is nothing to show.
+            // Keyframes are internal to the physics; there is nothing to show.
             if topic != Topic::Keyframe {
                 channels.logged(topic.name(), topic.description(), policy_of(topic));
             }
@@ -108,7 +106,7 @@ impl Channels {
     }
 
     /// Adds the channels that only logs have: [`VIEW_STATE`], [`FRAME_STATE`], and those of a second log,
-    /// shown beside the first under the prefix [`SECOND`].
+    /// shown next to the first under the prefix [`SECOND`].
     pub fn add_log(&mut self, has_second: bool) {
         self.logged(VIEW_STATE, Topic::State.description(), Policy::Newest);
         self.logged(FRAME_STATE, Topic::State.description(), Policy::Newest);
@@ -121,12 +119,12 @@ impl Channels {
         }
     }
 
-    /// The channel with this number.
+    /// Returns the channel with this number.
     pub fn get(&self, id: u32) -> Option<&Channel> {
         self.0.get((id as usize).checked_sub(1)?)
     }
 
-    /// A topic's channel number.
+    /// Returns a topic's channel number.
     pub fn id(&self, topic: &str) -> Option<u32> {
         self.0.iter().find(|channel| channel.advertisement.topic == topic).map(|c| c.advertisement.id)
     }
@@ -159,7 +157,8 @@ impl Channels {
     }
 }
 
-/// Of frames a client gets the newest, of everything else each message.
+/// Returns the policy of a logged topic: clients get only the newest frame, but every message of all other
+/// topics.
 fn policy_of(topic: Topic) -> Policy {
     match topic {
         Topic::DrrFrame | Topic::DrrImage => Policy::Newest,

@@ -5,7 +5,7 @@ use std::convert::Infallible;
 use sha2::{Digest, Sha256};
 use voxel_grid::{Ct, Volume};
 
-/// Prefix of every hash, so that another layout of the same numbers cannot collide with this one.
+/// Prefix of every hash, so that another layout of the same numbers cannot collide with it.
 const DOMAIN: &[u8] = b"trabecula volume v1\0";
 
 /// A volume with its hash.

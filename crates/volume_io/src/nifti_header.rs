@@ -254,7 +254,7 @@ fn dimensions(path: &Path, dim: &[i64; 8]) -> Result<[usize; 3], VolumeError> {
 /// Metres per unit of length, from `xyzt_units`; bits 0 to 2 hold the spatial unit.
 fn unit(path: &Path, xyzt_units: i64) -> Result<(f64, &'static str), VolumeError> {
     match xyzt_units & 0x07 {
-        0 => Ok((1e-3, "mm (assumed: the file states none)")),
+        0 => Ok((1e-3, "mm (assumed: not stated in the file)")),
         1 => Ok((1.0, "m")),
         2 => Ok((1e-3, "mm")),
         3 => Ok((1e-6, "um")),
@@ -279,7 +279,7 @@ fn affine(raw: &RawHeader, notes: &mut Vec<String>) -> [[f64; 4]; 3] {
                 difference > 1e-3 * size
             });
             if differs {
-                notes.push("sform and qform differ; the sform is used".into());
+                notes.push("sform and qform differ; using the sform".into());
             }
         }
         return raw.srow;
@@ -287,7 +287,9 @@ fn affine(raw: &RawHeader, notes: &mut Vec<String>) -> [[f64; 4]; 3] {
     if let Some(q) = quaternion {
         return q;
     }
-    notes.push("neither sform nor qform is set: the axes are assumed to be right, anterior, superior, from the origin".into());
+    notes.push(
+        "neither sform nor qform is set; assuming the axes right, anterior, superior, from the origin".into(),
+    );
     let size = &raw.pixdim;
     [[size[1], 0.0, 0.0, 0.0], [0.0, size[2], 0.0, 0.0], [0.0, 0.0, size[3], 0.0]]
 }

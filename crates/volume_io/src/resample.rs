@@ -20,7 +20,7 @@ pub fn resample(volume: &Volume, spacing_m: f64) -> Result<Volume, VolumeError> 
     let counts = [0, 1, 2].map(|axis| libm::floor(extent(axis) / spacing_m + 0.5).max(1.0));
     if counts.iter().product::<f64>() > MAX_VOXELS as f64 {
         let given = format!(
-            "{spacing_m} m, which makes {:.0} x {:.0} x {:.0} voxels",
+            "{spacing_m} m, which gives {:.0} x {:.0} x {:.0} voxels",
             counts[0], counts[1], counts[2]
         );
         return Err(refuse(given, "at most 2^29 voxels: a larger spacing"));
@@ -32,7 +32,7 @@ pub fn resample(volume: &Volume, spacing_m: f64) -> Result<Volume, VolumeError> 
         [0, 1, 2].map(|axis| samples(dims[axis], old_dims[axis], first[axis], spacing_m / old_m[axis]));
     let grid = VoxelGrid::new(dims, [spacing_m; 3], volume.grid.world_m(first), volume.grid.axes());
     let grid =
-        grid.map_err(|cause| refuse(format!("{spacing_m} m, which makes {cause}"), "another spacing"))?;
+        grid.map_err(|cause| refuse(format!("{spacing_m} m, which gives {cause}"), "another spacing"))?;
     let mut hu = Vec::with_capacity(dims.iter().product());
     for k in &axes[2] {
         for j in &axes[1] {

@@ -64,7 +64,7 @@ impl Material {
         }
     }
 
-    /// Attenuation of a gram on a square centimetre, cm2/g, at an energy of the table's range.
+    /// Mass attenuation coefficient at an energy within the table's range, cm2/g.
     pub(crate) fn mass_mu_cm2_per_g(self, energy_kev: f64) -> f64 {
         log_log(&ENERGIES_KEV, &self.table().1, energy_kev)
     }

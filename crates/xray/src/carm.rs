@@ -213,24 +213,24 @@ impl Pinhole {
         })
     }
 
-    /// A world point as the projection sees it: the numerators of column and row, then its depth. Linear in
-    /// the point.
+    /// Homogeneous image coordinates of a world point: the numerators of column and row, then the depth.
+    /// Linear in the point.
     pub(crate) fn seen(&self, point_m: Vec3) -> Vec3 {
         self.homogeneous(point_m)
     }
 
-    /// Column and row of a seen point in front of the source.
+    /// Column and row of homogeneous coordinates ([`Pinhole::seen`]) in front of the source.
     pub(crate) fn pixel(&self, seen: Vec3) -> [f64; 2] {
         [self.column_0 + seen[0] / seen[2], self.row_0 + seen[1] / seen[2]]
     }
 
-    /// Of a plane `normal . seen = d` the numbers by which a pixel's depth there is `d / (slope . (column,
-    /// row, 1))`.
+    /// Coefficients of a plane `normal . seen = d`: a pixel sees it at depth `d / (slope . (column, row,
+    /// 1))`.
     pub(crate) fn slope(&self, normal: Vec3) -> Vec3 {
         [normal[0], normal[1], normal[2] - normal[0] * self.column_0 - normal[1] * self.row_0]
     }
 
-    /// Whether column, row and depth of seen points turn like the world's axes.
+    /// Returns true if column, row and depth form a right-handed system like the world's axes.
     pub(crate) fn is_right_handed(&self) -> bool {
         dot(cross(self.column, self.row), self.normal) > 0.0
     }
@@ -293,7 +293,7 @@ impl PixelBox {
     /// Margin of the bounding rectangle against rounding in the projection, in pixels.
     const SLACK: f64 = 1e-3;
 
-    /// Its common part with another; `None` if there is none.
+    /// Returns the intersection with another box; `None` if it is empty.
     pub(crate) fn within(&self, other: &Self) -> Option<Self> {
         let common = |a: (u32, u32), b: (u32, u32)| (a.0.max(b.0), a.1.min(b.1));
         let (columns, rows) = (common(self.columns, other.columns), common(self.rows, other.rows));

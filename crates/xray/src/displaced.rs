@@ -34,7 +34,7 @@ struct Interval {
 }
 
 impl Interval {
-    /// `None` if a neighbour may be missing.
+    /// `None` if a neighbour could be missing.
     #[inline]
     fn new(field: &AttenuationField<'_>, ray: &IndexRay, range: (f64, f64)) -> Option<Self> {
         let d = ray.direction.map(f64::abs);

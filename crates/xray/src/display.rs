@@ -71,7 +71,7 @@ impl DisplayParameters {
 /// Histogram bins for the automatic window; each is [`BIN`] wide.
 const BINS: usize = 2048;
 const BIN: f64 = 0.005;
-/// A pixel with less attenuation than this sees the source directly, past the object.
+/// Attenuation below which a pixel sees the source directly, past the object.
 const OPEN_FIELD: f64 = 0.02;
 /// Minimum width of the automatic window, so that a homogeneous object does not show its noise at full
 /// contrast.

@@ -141,7 +141,7 @@ impl<'a> Planes<'a> {
         (first <= last).then_some((first, last))
     }
 
-    /// Adds planes in which a neighbour of the sample may be missing.
+    /// Adds planes in which a neighbour of the sample could be missing.
     fn add_border(&self, mut sum: f64, first: i64, last: i64) -> f64 {
         for k in first..=last {
             sum += self.border_sample(k);
@@ -188,8 +188,8 @@ impl<'a> Planes<'a> {
         sum
     }
 
-    /// Flags, OR-ed, of all blocks that `count` planes from plane k on read. Slopes are at most 1, so the
-    /// positions lie in at most 2 x 2 blocks.
+    /// OR-ed flags of all blocks that are read in `count` planes from plane k on. Slopes are at most 1, so
+    /// the positions lie in at most 2 x 2 blocks.
     fn flags_along(&self, k: i64, p: [i64; 2], count: i64) -> u8 {
         let block = |position: i64| (position >> 32) as usize >> BLOCK_SHIFT;
         let q = [0, 1].map(|m| p[m] + (count - 1) * self.step[m]);

@@ -33,7 +33,7 @@ impl Ellipsoid {
         if discriminant > 0.0 { 2.0 * discriminant.sqrt() / dd * ray.length_m } else { 0.0 }
     }
 
-    /// Whether a point lies inside.
+    /// Returns true if a point lies inside.
     pub fn contains(&self, p: [f64; 3]) -> bool {
         let scaled = |axis: usize| (p[axis] - self.centre_m[axis]) / self.semi_axes_m[axis];
         let [x, y, z] = [scaled(0), scaled(1), scaled(2)];

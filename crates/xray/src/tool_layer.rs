@@ -56,7 +56,7 @@ impl ToolCell {
 
     /// The anatomy's line integral with the tool inserted.
     pub(crate) fn over(&self, anatomy: f64) -> f64 {
-        // What is left of fully displaced anatomy may be slightly negative from rounding.
+        // Fully displaced anatomy can leave a slightly negative rest from rounding.
         (anatomy - self.displaced).max(0.0) + self.metal
     }
 }
@@ -209,7 +209,7 @@ impl Outline {
             return;
         }
         if !corners.iter().all(Option::is_some) {
-            // Around or level with the source: it may cover any pixel.
+            // Around or level with the source: it can cover any pixel.
             let whole = |row| Span { row, first: 0, part: number, end: c_arm.columns };
             out.extend((0..c_arm.rows).map(whole));
             return;

@@ -153,7 +153,7 @@ impl Tube {
             let d = add_scaled(direction, -d_along, self.axis);
             let [rate_a, rate_b] = self.ends.map(|end| dot(direction, end.normal));
             let (a, b) = (self.ends[0].ahead_m / rate_a, self.ends[1].ahead_m / rate_b);
-            // A ray enters by the end that it runs with, and leaves by the other.
+            // The sign of each rate tells whether the ray enters or leaves at that end.
             let (a_enters, b_enters) = (rate_a > 0.0, rate_b < 0.0);
             let enter_a = if a_enters { a } else { f64::NEG_INFINITY };
             let enter_b = if b_enters { b } else { f64::NEG_INFINITY };

@@ -25,7 +25,7 @@ enum Joint {
     Motors(ImpulseJointHandle),
 }
 
-/// The tool in Rapier. Its burr is a ball: of a longer cutter, the one at its front.
+/// The tool in Rapier. Its burr is a ball; for a longer cutter, the ball at its front.
 pub struct RapierChain {
     world: PhysicsWorld,
     parameters: ManipulatorParameters,
@@ -42,7 +42,8 @@ const TOOL: Group = Group::GROUP_1;
 const WALLS: Group = Group::GROUP_2;
 
 impl RapierChain {
-    /// A straight tool on `t_world_base` in front of walls. `frequency_hz`, its first bending mode, sets the
+    /// Creates a straight tool on `t_world_base` in front of walls. `frequency_hz`, its first bending mode,
+    /// sets the
     /// dampers.
     pub fn new(
         joints: RapierJoints,
@@ -56,7 +57,7 @@ impl RapierChain {
         let settings = &mut world.integration_parameters;
         settings.length_unit = 0.01;
         settings.num_solver_iterations = if joints == RapierJoints::Multibody { 1 } else { 4 };
-        // The stiffest setting that Rapier offers: with the default, 10 N press millimetres into a wall.
+        // Rapier's stiffest setting: with the default, 10 N penetrate a wall by millimetres.
         settings.contact_softness = SpringCoefficients::new(1e5, 1.0);
         settings.static_contact_softness = SpringCoefficients::new(1e5, 1.0);
         let root = world.bodies.insert(RigidBodyBuilder::kinematic_position_based().pose(pose(t_world_base)));
@@ -229,7 +230,7 @@ impl RapierChain {
                     if let Some((multibody, id)) = self.world.multibody_joints.get_mut(*handle)
                         && let Some(link) = multibody.link_mut(id)
                     {
-                        // Axis 3 is the first angular axis, about which a revolute joint turns.
+                        // Axis 3 is the first angular axis, about which a revolute joint rotates.
                         link.joint.set_spring(3, self.stiffness[i], target);
                     }
                 }
@@ -244,7 +245,7 @@ impl RapierChain {
         }
     }
 
-    /// Advances by `dt_s`. Uses Rapier's own contacts. Supports tendon tensions only (a displacement counts
+    /// Advances by `dt_s` with Rapier's own contacts. Supports tendon tensions only (a displacement counts
     /// as 0).
     pub fn step(&mut self, dt_s: f64, input: &StepInput) {
         let tension = match input.tendon {

@@ -7,8 +7,7 @@ use ipc_types::scene::Wait;
 use ipc_types::wake::allowed_cores;
 use rustix::time::{ClockId, Timespec, clock_gettime};
 
-/// Processor time of this thread in nanoseconds; excludes time stolen by the hypervisor if the kernel knows
-/// of it.
+/// Reads this thread's processor time, ns; excludes time stolen by the hypervisor if the kernel reports it.
 pub(super) fn thread_cpu_ns() -> u64 {
     let time = clock_gettime(ClockId::ThreadCPUTime);
     time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64
@@ -25,7 +24,7 @@ pub(super) struct Sleeper {
 }
 
 impl Sleeper {
-    /// For the current thread and the cores that it may use now.
+    /// Creates a sleeper for the current thread and the cores that it can use now.
     pub(super) fn new(wait: Wait) -> Sleeper {
         Sleeper { wait, cores: allowed_cores() }
     }

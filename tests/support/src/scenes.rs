@@ -1,4 +1,4 @@
-//! Parts of scenes.
+//! Fragments of scenes.
 
 /// The tool along +z with the burr at the origin, tendon 0 toward +x, and a controller that drives
 /// everything.
@@ -13,7 +13,7 @@ drives = ["tendon", "arm", "burr"]
 external = true
 "#;
 
-/// A tool file whose numbers are in their ranges and whose tendon, pulled by newtons on flexures of a
+/// A tool file whose numbers are within their ranges, but whose tendon, pulled by newtons on flexures of a
 /// micronewton metre, overflows.
 pub const LIMP_TOOL: &str = "name = \"limp\"
 tube = { outer_diameter_mm = 6.2, inner_diameter_mm = 3.1, linear_density_kg_per_m = 0.0001 }

@@ -1,5 +1,5 @@
-//! Measures the error that a run actually made, by re-running its commands with the [`Reference`]; the tip is
-//! compared at a sample of the ticks.
+//! Measures the actual error of a run by re-running its commands with the [`Reference`]; the tip is compared
+//! at sampled ticks.
 
 use std::path::Path;
 use std::time::Instant;

@@ -1,4 +1,4 @@
-//! A reader in another language on the same files: `mcap-ros2-support` for Python.
+//! Reads the same files in another language: `mcap-ros2-support` for Python.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use fastrand::Rng;

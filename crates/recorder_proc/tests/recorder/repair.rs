@@ -59,8 +59,8 @@ fn ticks_of(bytes: &[u8]) -> (u64, LogReader, Option<LogError>) {
     (ticks, reader, error)
 }
 
-/// A log truncated anywhere is whole after its repair: other readers find an index, every tick of the
-/// truncated log is there, and the end marker says what happened.
+/// A log truncated anywhere is complete after its repair: other readers find an index, every tick of the
+/// truncated log is there, and the end marker describes what happened.
 #[test]
 fn a_cut_log_is_whole_after_its_repair() {
     let folder = tempfile::tempdir().unwrap();
@@ -99,7 +99,7 @@ fn a_cut_log_is_whole_after_its_repair() {
     assert!(repaired_count > 80, "{repaired_count}");
 }
 
-/// A chunk with changed bytes is left out. Its messages are counted as lost by topic, everything after it is
+/// A chunk with changed bytes is skipped. Its messages are counted as lost by topic, everything after it is
 /// kept, and every reader reports the gap.
 #[test]
 fn a_damaged_chunk_in_the_middle_is_counted_by_topic() {

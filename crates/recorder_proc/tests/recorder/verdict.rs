@@ -1,4 +1,4 @@
-//! One verdict per log: all readers say the same about every changed bit, every truncation and every gap.
+//! One verdict per log: all readers agree on every changed bit, every truncation and every gap.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use fastrand::Rng;
@@ -27,7 +27,7 @@ fn boundaries(bytes: &[u8]) -> Vec<usize> {
     found
 }
 
-/// What a reader gets from a log: the header, and the messages in order.
+/// The content a reader gets from a log: the header, and the messages in order.
 #[derive(PartialEq, Debug)]
 struct Content {
     header: LogHeader,
@@ -43,7 +43,7 @@ fn content(path: &Path) -> Option<Content> {
     Some(Content { header: stream.header().clone(), messages })
 }
 
-/// The verdicts of info, replay and repair on a log; none if they refuse it.
+/// Returns the verdicts of info, replay and repair on a log; `None` where it is rejected.
 fn said(folder: &Path, bytes: &[u8]) -> [Option<Verdict>; 3] {
     let log = save(folder, "in.mcap", bytes);
     let output = folder.join("out.mcap");
@@ -67,7 +67,7 @@ fn said(folder: &Path, bytes: &[u8]) -> [Option<Verdict>; 3] {
     [info, replayed, repaired.map(|report| report.before)]
 }
 
-/// Regression: 12 of 300 flipped bits gave "nothing was wrong with it", exit code 0; one in the header made a
+/// Regression: 12 of 300 flipped bits gave "the log was intact", exit code 0; one in the header made a
 /// whole log unreadable.
 #[test]
 fn every_flipped_bit_that_changes_what_a_reader_gets_is_named_by_all() {
@@ -266,7 +266,7 @@ fn write_keyframes(ticks: u64) -> Vec<u8> {
     log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1
 }
 
-/// Regression: a stalled recorder's gap of 886 missing messages gave "nothing was wrong with it".
+/// Regression: a stalled recorder's gap of 886 missing messages gave "the log was intact".
 #[test]
 fn a_gap_is_named_by_all_with_its_ticks_and_topics() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! Why ticks began late: splits the lost time of each miss into causes, using the readings in its
+//! Explains why ticks began late: splits the lost time of each miss into causes, using the readings in its
 //! [`TickTiming`].
 //!
 //! A miss is a tick that began more than a period after its deadline. All of its lateness is lost, because
@@ -19,8 +19,8 @@
 //!
 //! Time without evidence counts as stolen as far as the machine's steal counter covers it ([`Misses`]), and
 //! as unknown beyond that. With `CONFIG_PARAVIRT_TIME_ACCOUNTING` the kernel excludes stolen time from a
-//! thread's processor time. A kernel without it charges stolen time to the thread; then whatever the counter
-//! shows beyond its step of 10 ms is subtracted from the computation.
+//! thread's processor time. Other kernels charge stolen time to the thread; there, whatever the counter shows
+//! beyond its step of 10 ms is subtracted from the computation.
 
 use messages::{RunStatus, TickTiming};
 use zerocopy::FromBytes;
@@ -137,8 +137,8 @@ impl Misses {
         self.missed() - self.recorded
     }
 
-    /// Share of the lost time with an identified cause; none without lost time. Misses without readings are
-    /// excluded, because their lost time is unknown.
+    /// Returns the share of the lost time with an identified cause; `None` without lost time. Misses without
+    /// readings are excluded, because their lost time is unknown.
     pub fn confirmed_share(&self) -> Option<f64> {
         let total_ns = self.lost.total_ns();
         let named_ns = total_ns - self.lost.of(Cause::Unknown).min(total_ns);
@@ -150,7 +150,8 @@ impl Misses {
         self.missed() - self.by_cause[Cause::Stolen as usize]
     }
 
-    /// One line: `12 missed (0.10 %): 8 run queue, 3 stolen, 1 not recorded; 31.2 ms lost, 99.1 % confirmed`.
+    /// Describes the misses in one line: `12 missed (0.10 %): 8 run queue, 3 stolen, 1 not recorded; 31.2 ms
+    /// lost, 99.1 % confirmed`.
     pub fn describe(&self) -> String {
         let ticks = self.ticks.max(1) + self.not_recorded();
         let share = 100.0 * self.missed() as f64 / ticks as f64;

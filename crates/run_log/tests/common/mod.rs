@@ -1,4 +1,4 @@
-//! A small deterministic simulation, and the messages of a run with it.
+//! A small deterministic simulation, and the messages of a run of it.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
@@ -66,9 +66,9 @@ pub struct Toy {
     pub removed: Vec<u32>,
     /// Tick at which a link pose is off by one unit in the last place.
     pub fault_tick: Option<u64>,
-    /// Tick that fails to remove a voxel.
+    /// Tick at which a voxel is not removed.
     pub forget_tick: Option<u64>,
-    /// Tick that fails.
+    /// Tick at which the simulation fails.
     pub fail_tick: Option<u64>,
 }
 

@@ -156,7 +156,7 @@ fn removals_that_no_volume_can_hold_are_refused() {
     let endless = log([100, 10, 3], 5000, 600);
     refused(&endless, "removals of 3600 voxels in a tick, the volume has 3000");
     refused(&log([4, 4, 4], 1000, 0), "removals of 66 voxels in a tick, the volume has 64");
-    // As many as the volume has is fine.
+    // As many as the volume has are accepted.
     let error = open_bytes(&log([100, 10, 3], 5, 600)).err().unwrap();
     assert!(matches!(error, LogError::NoStates { .. }), "{error}");
 }

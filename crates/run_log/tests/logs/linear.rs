@@ -1,4 +1,4 @@
-//! Commands that write logs from logs take time proportional to the log, however many chunks it has.
+//! Commands that derive logs from logs take time proportional to the log, however many chunks it has.
 //! Regression: 300,000 chunks took over 40 s.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
@@ -33,7 +33,7 @@ impl Seek for Counted {
     }
 }
 
-/// Bytes that a repair reads, as a multiple of the log's size.
+/// Returns the bytes that a repair reads, as a multiple of the log's size.
 fn read_by_repair(log: Vec<u8>) -> f64 {
     let (length, bytes) = (log.len() as f64, Rc::new(Cell::new(0)));
     let source = Counted { source: Cursor::new(log), bytes: Rc::clone(&bytes) };

@@ -1,18 +1,18 @@
-//! The way out for a sphere whose centre is inside bone.
+//! Finds the way out for a sphere whose centre is inside bone.
 
 use nalgebra::Vector3;
 
 use super::gather::Sphere;
 use super::voxels::Voxels;
 
-/// A smoothed normal whose cosine with the exit axis is below this is not trusted.
+/// Cosine between the smoothed normal and the exit axis below which the normal is not trusted.
 const NORMAL_AGREEMENT_COSINE: f64 = 0.3;
 
 impl Voxels {
-    /// The plane that leads out of bone: a point on it and its normal in the grid's metric frame, and the
-    /// gap, which is minus the sphere's radius minus the depth of its centre. The exit is the nearest one
-    /// along the six grid directions, where the edge of the grid counts as an exit. The normal is that of the
-    /// smoothed surface there. Exact for walls along the grid.
+    /// Returns the plane that leads out of bone: a point on it and its normal in the grid's metric frame, and
+    /// the gap, which is minus the sphere's radius minus the depth of its centre. The exit is the nearest one
+    /// along the six grid directions; the edge of the grid counts as an exit. The normal is that of the
+    /// smoothed surface there, which is exact for grid-aligned walls.
     pub(super) fn way_out(&self, sphere: &Sphere) -> (Vector3<f64>, Vector3<f64>, f64) {
         let Sphere { centre, voxel: centre_voxel, radius_m, .. } = *sphere;
         let spacing = self.geometry().spacing_m;

@@ -1,8 +1,8 @@
-//! One step of the chain.
+//! One step of the planar chain.
 //!
 //! Linearly implicit Euler: `(M + dt D + dt^2 K) dv = dt (f - dt K v) + J' P`, where the contact impulses P
 //! come from the same velocity solve, then `q += dt v`. A state at rest in contact is an exact equilibrium.
-//! ROS2 (see [`Integrator::Hybrid`]) solves the same operator twice, with gamma dt in place of dt.
+//! ROS2 (see [`Integrator::Hybrid`]) solves the same operator twice, with gamma dt instead of dt.
 
 use nalgebra::Vector3;
 
@@ -20,7 +20,7 @@ use super::{MAX_JOINTS, Manipulator, ManipulatorModel};
 
 /// 1 - 1/sqrt 2, the choice that makes ROS2 L-stable.
 pub(super) const GAMMA: f64 = 1.0 - core::f64::consts::FRAC_1_SQRT_2;
-/// A Rosenbrock step requires every flexure to be within this fraction of its stop.
+/// Fraction of its stop within which every flexure must be for a Rosenbrock step.
 pub(super) const FREE_SHARE: f64 = 0.9;
 /// Maximum solves per step of linearly implicit Euler. Each one drops the assumptions that the previous one
 /// violated.
@@ -83,7 +83,8 @@ impl Manipulator {
         Generalised::of(&self.common.state.position)
     }
 
-    /// Damping, and stiffness including pressed stops and the tendons' diagonal part (never below zero).
+    /// Returns the damping, and stiffness including pressed stops and the tendons' diagonal part (never below
+    /// zero).
     fn diagonals(&self) -> Diagonals {
         let mut stiffness =
             Generalised { joint: self.stiffness, mount: self.common.parameters.mount_stiffness_n_per_m };
@@ -94,7 +95,7 @@ impl Manipulator {
         Diagonals { stiffness, damping }
     }
 
-    /// Generalised forces of springs, dampers and tendons at `q`, `v`, minus `K y`.
+    /// Returns the generalised forces of springs, dampers and tendons at `q`, `v`, minus `K y`.
     fn elastic_forces(
         &self,
         q: &Generalised,
@@ -128,7 +129,7 @@ impl Manipulator {
         self.coupling.update(&self.tendon.terms(), h * h, solve);
     }
 
-    /// A^-1 (f + loads).
+    /// Returns A^-1 (f + loads).
     fn solve_loads(&self, f: &Generalised) -> Generalised {
         let mut rhs = *f;
         rhs.mount[1] += self.loads.lateral;
@@ -177,7 +178,7 @@ impl Manipulator {
         turns(&self.tendon.slides_on, &self.tendon.slope, [&before.joint, &after.joint])
     }
 
-    /// Velocities after the step without contacts.
+    /// Returns the velocities after the step without contacts.
     fn free_velocity(&self, dt: f64, (q, v): (&Generalised, &Generalised), d: &Diagonals) -> Generalised {
         let f = self.elastic_forces(q, v, &Generalised::ZERO.plus(dt, v), d);
         v.plus(dt, &self.solve_loads(&f))
@@ -298,7 +299,8 @@ impl Manipulator {
         Ok((v.plus(1.5 * dt, &kv1).plus(0.5 * dt, &kv2), error))
     }
 
-    /// Tendons, factored operator and loads of one stage at `q`, `v` in the start or trial configuration.
+    /// Returns the tendons, factored operator and loads of one stage at `q`, `v` in the start or trial
+    /// configuration.
     fn stage(
         &mut self,
         (q, v): (&Generalised, &Generalised),
@@ -338,13 +340,13 @@ impl Manipulator {
         self.deflection(q).iter().any(|q| q.abs() > reach)
     }
 
-    /// Joint angles from those without load, rad.
+    /// Returns the joint angles relative to the unloaded ones, rad.
     fn deflection(&self, q: &Generalised) -> [f64; MAX_JOINTS] {
         core::array::from_fn(|i| q.joint[i] - self.rest[i])
     }
 
-    /// True if every sphere still clears its plane in configuration `next`. Leaves `next` in the trial
-    /// configuration.
+    /// Returns true if every sphere still clears its plane in configuration `next`. Leaves `next` in the
+    /// trial configuration.
     fn contacts_clear(&mut self, next: &Generalised, input: &StepInput) -> bool {
         if input.contacts.is_empty() {
             return true;

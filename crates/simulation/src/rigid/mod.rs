@@ -17,11 +17,11 @@
 //! impulse) makes a body of mass m bounce off a tool of effective mass M with restitution M / m. For one gram
 //! against the tool's axial 0.3 kg that is a gain of 300. Instead, the two are iterated within the tick until
 //! the plane motion that the tool assumed agrees with the motion of the bodies (`coupling`, `descent`). Both
-//! see the same impulses, whatever the iteration's residual, so momentum is conserved to rounding. The
+//! see the same impulses regardless of the iteration's residual, so momentum is conserved to rounding. The
 //! remaining errors are:
 //!
 //! - The residual of the iteration: the tool's assumed motion of a body is wrong by residual times dt, an
-//!   overlap or gap that the next tick sees; 10 nm at 1 ms when converged. [`CouplingReport`] tells how the
+//!   overlap or gap that the next tick sees; 10 nm at 1 ms when converged. [`CouplingReport`] reports how the
 //!   iteration ended.
 //! - A plane keeps its direction during the tick: for a body that turns by an angle a, the gap has an error
 //!   of order a^2.

@@ -10,7 +10,7 @@ use super::shapes::{add_scaled, ellipsoid, smooth_union, smoothstep, sphere, sub
 use crate::volume::{cross, dot, norm};
 use voxel_grid::density;
 
-/// What a block of voxels around bones can contain.
+/// Possible contents of a block of voxels around bones.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Tissue {
     /// Air.

@@ -111,7 +111,7 @@ pub fn to_hu(value: f64) -> i16 {
     ((value.clamp(-32768.0, 32767.0) + 32768.5) as i64 - 32768) as i16
 }
 
-/// Every so many voxels are those of the field where nothing is skipped, that is, in this region.
+/// Asserts that every `stride`-th voxel equals the field evaluated without skipping, that is, in this region.
 #[cfg(test)]
 pub fn assert_filled_by<F: Field>(volume: &Volume, field: &F, everywhere: F::Region, stride: usize) {
     for (index, &hu) in volume.hu.iter().enumerate().step_by(stride) {

@@ -1,9 +1,9 @@
 //! The pelvis phantom: two hip bones, a sacrum and two proximal femurs in a trunk of soft tissue, the size of
 //! a CT of an adult.
 //!
-//! It stands in for a patient's CT where none is at hand: it has joints, thin plates and a second side, which
-//! the femur phantom has not. Frame of the shape: millimetres, origin midway between the femoral heads, axes
-//! LPS. The left side mirrors the right one.
+//! A substitute where no patient CT is available: it has joints, thin plates and a second side, which the
+//! femur phantom lacks. Frame of the shape: millimetres, origin midway between the femoral heads, axes LPS.
+//! The left side mirrors the right one.
 
 use super::anatomy::{AIR_HU, Anatomy, HEAD_RADIUS, Tissue, coverage};
 use super::fill::{Field, check_placement, fill, grid_along_axes};
@@ -13,7 +13,7 @@ use crate::error::VolumeError;
 use crate::volume::dot;
 use voxel_grid::Volume;
 
-/// Lower corner of the volume relative to the middle between the heads, mm LPS.
+/// Lower corner of the volume relative to the midpoint between the heads, mm LPS.
 const BOX_LOW_MM: [f64; 3] = [-185.0, -115.0, -100.0];
 /// Size of the volume, mm.
 const BOX_SIZE_MM: [f64; 3] = [370.0, 235.0, 240.0];
@@ -35,9 +35,9 @@ const CANCELLOUS_HU: f64 = 220.0;
 /// Parameters of the pelvis phantom. The anatomy is the same at every spacing.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PelvisSpec {
-    /// Edge of the cubic voxels, metres; 0.34e-3 (finer ones are more than a volume may have) to 2e-3.
+    /// Edge of the cubic voxels, metres; 0.34e-3 (finer ones would exceed the voxel limit) to 2e-3.
     pub spacing_m: f64,
-    /// The middle between the femoral heads, world LPS, metres.
+    /// Midpoint between the femoral heads, world LPS, metres.
     pub center_m: [f64; 3],
     /// Threads to use; 0 for as many as the machine offers. The result does not depend on it.
     pub threads: usize,

@@ -1,4 +1,4 @@
-//! The renderer: the cached anatomy of a stationary C-arm, the tool of the frame, and the exposure of both.
+//! The renderer: caches the anatomy of a stationary C-arm, draws the frame's tool over it, and exposes both.
 
 mod batch;
 mod labelling;
@@ -45,9 +45,9 @@ pub struct DrrRenderer {
     aluminium_per_m: f64,
     pool: rayon::ThreadPool,
     standing: Option<Standing>,
-    /// Memory for the next one-off frame; during that, the picture that is kept.
+    /// Memory for the next one-off frame; while one is being rendered, the cached image.
     aside: Option<Standing>,
-    /// One for each thread, from the first batch on.
+    /// One per thread, created by the first batch.
     lanes: Vec<Mutex<Lane>>,
 }
 
@@ -103,8 +103,7 @@ impl DrrRenderer {
     }
 
     /// Creates the reordered copy of the volume that this C-arm needs, and the memory of its images, so that
-    /// the first frame does not wait for them: the system gives a page of memory only when it is first
-    /// written to.
+    /// the first frame does not wait for them: the system allocates a page only when it is first written.
     ///
     /// # Errors
     /// The view has another grid, the C-arm is invalid, or the copy does not fit into free memory.
@@ -272,7 +271,7 @@ impl DrrRenderer {
         let report = self.render(view, c_arm, tool, seed, image);
         self.layers_slices().for_each(SliceOrdered::step_back);
         core::mem::swap(&mut self.standing, &mut self.aside);
-        // Its picture misses what is removed from now on. With zero columns it matches no C-arm.
+        // Its image will miss voxels removed from now on. With zero columns it matches no C-arm.
         if let Some(aside) = &mut self.aside {
             aside.c_arm.columns = 0;
         }

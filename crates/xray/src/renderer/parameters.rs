@@ -102,7 +102,7 @@ impl Default for DrrParameters {
 /// How much of the anatomy was recomputed for a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RenderKind {
-    /// All of it: a new C-arm, or so many removed voxels that a full render is faster.
+    /// All of it: a new C-arm, or enough removed voxels that a full render is faster.
     Full,
     /// The pixels that newly removed voxels change.
     Incremental,
@@ -124,7 +124,7 @@ pub struct FrameReport {
 }
 
 impl FrameReport {
-    /// Of a frame that is not yet rendered.
+    /// Report of a frame that has not been rendered yet.
     pub(super) const NONE: Self = Self {
         kind: RenderKind::Cached,
         rays_traced: 0,

@@ -48,7 +48,7 @@ impl Standing {
         }
     }
 
-    /// For another C-arm, in the same memory.
+    /// Reuses the memory for another C-arm.
     pub fn of_another(mut self, grid: &Grid, c_arm: &CArm) -> Self {
         self.anatomy.clear();
         self.bone_m.clear();
@@ -58,7 +58,7 @@ impl Standing {
         Self { c_arm: *c_arm, fan: RayFan::new(grid, c_arm), traced: true, ..self }
     }
 
-    /// Without a frame, and with its memory written to once.
+    /// Creates an empty cache whose memory has already been touched.
     pub fn written_to(grid: &Grid, c_arm: &CArm, with_bone: bool) -> Self {
         let mut standing = Self::new(grid, c_arm);
         let pixels = c_arm.pixels();

@@ -1,8 +1,8 @@
-//! The detector's plane in an intermediate image: where the volume extends behind it, a ray's samples end at
-//! it.
+//! The detector's plane in an intermediate image: where the volume extends behind the detector, a ray's
+//! samples end at its plane.
 //!
-//! As in [`joseph`](crate::joseph), a slice counts if the ray meets it no farther than the detector. That is
-//! a half-plane of the image for each slice: for samples (i, j) of the image, the inverse of the ray's
+//! As in [`joseph`](crate::joseph), a slice counts if the ray meets it at or before the detector. That is a
+//! half-plane of the image for each slice: for samples (i, j) of the image, the inverse of the ray's
 //! parameter at the detector is linear in i and j.
 
 use super::plan::Plan;
@@ -18,7 +18,7 @@ pub(crate) struct BeforeDetector {
 }
 
 impl BeforeDetector {
-    /// For the samples of an image.
+    /// Computes the coefficients for the samples of an image.
     pub fn new(fan: &RayFan, plan: &Plan) -> Self {
         let normal = fan.detector_normal();
         let [k, u, v] = [plan.axes.slow, plan.axes.u, plan.axes.v];
@@ -31,7 +31,7 @@ impl BeforeDetector {
         }
     }
 
-    /// True if the plane may cut some of the rays of these columns and rows (half-open) before the slice with
+    /// True if the plane can cut some of the rays of these columns and rows (half-open) before the slice with
     /// this inverse ratio of depths.
     #[inline(always)]
     pub fn cuts(&self, inverse_ratio: f64, columns: (usize, usize), rows: (usize, usize)) -> bool {
@@ -41,8 +41,7 @@ impl BeforeDetector {
         self.constant + most(self.per_column, columns) + most(self.per_row, rows) >= least_ratio
     }
 
-    /// Those of the columns `within` of an image row whose rays meet the slice before the detector,
-    /// half-open.
+    /// The columns out of `within` of an image row whose rays meet the slice before the detector, half-open.
     #[inline(always)]
     pub fn columns(&self, inverse_ratio: f64, row: usize, within: (usize, usize)) -> (usize, usize) {
         let left = inverse_ratio - self.constant - row as f64 * self.per_row;

@@ -1,5 +1,5 @@
-//! The samples of an intermediate image that the detector sees. Seen askew, the detector is a quadrilateral
-//! in a rectangular image; what lies beside it need not be summed.
+//! The samples of an intermediate image that the detector sees. Seen obliquely, the detector is a
+//! quadrilateral in a rectangular image; samples outside it need not be summed.
 
 use super::plan::{GROUP, MARGIN, TILE_ROWS};
 

@@ -18,7 +18,7 @@ pub(crate) type GroupSums = [[i32; GROUP]; TILE_ROWS];
 /// Number of tiles summed together, and number of slices summed into one tile before the next.
 pub(crate) const TILES: usize = 4;
 const BLOCK_SLICES: usize = 32;
-/// Slices that are prefetched before they are summed. Less than this, and the memory answers too late.
+/// Slices that are prefetched before they are summed. With fewer, memory latency is not hidden.
 const SLICES_AHEAD: usize = 3;
 /// Number of voxels in a group's window, which starts at the group's first voxel.
 pub(crate) const WINDOW: usize = 32;
@@ -66,7 +66,7 @@ pub(crate) trait Lanes: Copy {
         sums: &mut GroupSums,
     );
     /// For each of [`LEVELS`] cells from `at` on, the level that all rows share, or [`MIXED`]; and one bit
-    /// for each that differs from the one before it. `before` holds the cells before these.
+    /// for each that differs from the preceding one. `before` holds the cells before these.
     fn join(self, rows: &[&[u8]], at: usize, before: &[u8; LEVELS]) -> ([u8; LEVELS], u32);
     /// Prefetches a cache line.
     fn prefetch<T>(self, data: &[T], offset: usize);
@@ -192,7 +192,7 @@ pub(crate) struct Work {
     known: Vec<LevelSums>,
     /// Eight rows of cells, with one zero cell at either end.
     blended: Vec<Cell16>,
-    /// Of the current slice and of those to come.
+    /// Rows of the current slice and of the next ones.
     rows: [TileRows; 1 + SLICES_AHEAD],
 }
 
@@ -294,7 +294,7 @@ pub(crate) fn sum_tiles<T: Voxel, L: Lanes>(
     }
 }
 
-/// Adds what groups of one value sum to.
+/// Adds the sums of the groups of one value.
 #[inline(always)]
 fn add_known(known: &mut LevelSums, columns: usize, out: &mut [i64]) {
     for (group, value) in known.take().enumerate().filter(|(_, value)| *value != 0) {

@@ -7,8 +7,8 @@
 //! so no ray needs its own arithmetic. (P. Lacroute and M. Levoy, "Fast volume rendering using a shear-warp
 //! factorization", SIGGRAPH 1994, here with a point source.)
 //!
-//! Only the box of the voxels that attenuate counts: slices beside it are left out, and images reach no
-//! further.
+//! Only the box of the voxels that attenuate counts: slices outside it are skipped, and images do not extend
+//! beyond it.
 //!
 //! One image serves all rays and all slices if that box lies before the detector and no ray passes more than
 //! four voxels per slice. Otherwise [`parts`](super::parts) splits the detector into rectangles; each has its
@@ -29,12 +29,12 @@ use crate::vector::Vec3;
 
 /// Samples of a row that share one 32.32 base.
 pub(crate) const GROUP: usize = 16;
-/// Minimum samples per voxel of the farthest slice. Below one, voxels there may fall between samples; in the
+/// Minimum samples per voxel of the farthest slice. Below one, voxels there can fall between samples; in the
 /// middle of the volume the samples are then about one voxel apart.
 pub(crate) const LEAST_OVERSAMPLING: f64 = 0.8;
 /// Maximum step between samples in a slice, 32.32 voxels.
 const MAX_STEP: i64 = ONE + ONE / 4;
-/// Voxels that a group may read beyond its first one: 16 steps, plus the neighbour.
+/// Voxels that a group can read beyond its first one: 16 steps, plus the neighbour.
 pub(crate) const GROUP_REACH: i64 = (GROUP as i64 * MAX_STEP) / ONE + 1;
 /// Maximum number of voxel lines that the rows of a tile read.
 pub(crate) const MAX_LINES: usize = (TILE_ROWS as i64 * MAX_STEP / ONE) as usize + 2;
@@ -56,14 +56,14 @@ const MAX_SLOPE: f64 = 4.0;
 const MAX_PART_SLOPE: f64 = 2.0;
 /// Minimum depth, in slices, that is summed: nearer slices would be magnified without bound.
 const MIN_DEPTH: f64 = 1.0;
-/// The same for a part of the detector: near slices have an image of their own, and positions are exact to
-/// 2^-20 voxel.
+/// The same for a part of the detector: near slices have their own image, and positions are exact to 2^-20
+/// voxel.
 const MIN_PART_DEPTH: f64 = 1.0 / 64.0;
-/// Images of a part of the detector, at most.
+/// Maximum number of images per part of the detector.
 const MAX_LAYERS: usize = 3;
-/// Samples that take as long to sum as a pixel to read: measured.
+/// Number of samples whose summation takes as long as reading one pixel (measured).
 const SAMPLES_PER_PIXEL: f64 = 40.0;
-/// Of so many slices, one is looked at for the cost.
+/// The cost estimate samples every Nth slice.
 const COST_STRIDE: usize = 16;
 /// Samples around the detector's footprint and the volume: two for the warp, one for sharpening, two for
 /// rounding.
@@ -83,7 +83,7 @@ pub(crate) struct Axes {
 }
 
 impl Axes {
-    /// Of slices across this axis.
+    /// The axes for slices across this axis.
     pub fn of(slow: usize) -> Self {
         match slow {
             0 => Self { slow, u: 1, v: 2 },
@@ -108,9 +108,9 @@ pub(crate) struct Slice {
     pub groups: (usize, usize),
     /// Rows that can read an occupied voxel, half-open.
     pub rows: (usize, usize),
-    /// Depth of the image's plane over this slice's.
+    /// Ratio of the image plane's depth to this slice's.
     pub inverse_ratio: f64,
-    /// True if the detector's plane may cut the image's rays before this slice.
+    /// True if the detector's plane can cut the image's rays before this slice.
     pub meets_detector: bool,
 }
 
@@ -142,7 +142,7 @@ impl Slice {
         (position >> 32, (position as u32 >> (32 - ROW_BITS)) as i16)
     }
 
-    /// Voxels that a group may read beyond its first one: 15 steps from anywhere in that voxel, and the
+    /// Voxels that a group can read beyond its first one: 15 steps from anywhere in that voxel, and the
     /// neighbour.
     #[inline(always)]
     pub fn reach(&self) -> i64 {
@@ -204,7 +204,7 @@ pub(crate) struct Plan {
     pub before: Option<BeforeDetector>,
 }
 
-/// Slices to be summed into one image, of all those across an axis.
+/// Range of slices across an axis that are summed into one image.
 struct Range {
     axes: Axes,
     /// True if depth grows with the index.
@@ -274,7 +274,7 @@ impl Plan {
         best.map(|(_, plans)| plans)
     }
 
-    /// What it costs to sum the image and to read it at all pixels, in samples.
+    /// Cost of summing the image and reading it at all pixels, in samples.
     pub fn cost(&self, pixels: &PixelBox) -> f64 {
         let side = |(first, end): (u32, u32)| f64::from(end - first);
         let mut samples = 0;
@@ -289,7 +289,7 @@ impl Plan {
         samples as f64 + SAMPLES_PER_PIXEL * side(pixels.columns) * side(pixels.rows)
     }
 
-    /// An image of nothing.
+    /// An empty image.
     pub fn nothing(rays: &Rays<'_>) -> Self {
         Self::empty(rays, Axes::of(2), 0)
     }
@@ -381,7 +381,7 @@ impl Plan {
                 .before
                 .is_some_and(|b| b.cuts(inverse_ratio, (0, self.columns), (0, self.rows))),
         };
-        // `div_euclid` rounds down: the first group or row may lie just outside.
+        // `div_euclid` rounds down: the first group or row can be just outside.
         let [u, v] = axes.map(|axis| occupied.along(axis).start as i64);
         while slice.groups.0 < slice.groups.1 && slice.group(slice.groups.0).voxel < u - GROUP_REACH {
             slice.groups.0 += 1;
@@ -404,7 +404,7 @@ impl Plan {
         (first * GROUP, end * GROUP)
     }
 
-    /// True if the detector's plane may cut the rays of a tile's rows before a slice.
+    /// True if the detector's plane can cut the rays of a tile's rows before a slice.
     #[inline(always)]
     pub fn meets_detector(&self, slice: &Slice, first_row: usize) -> bool {
         let Some(before) = self.before.as_ref().filter(|_| slice.meets_detector) else { return false };
@@ -431,7 +431,7 @@ fn ends(mut of: impl Iterator<Item = usize>) -> Option<(usize, usize)> {
 
 /// True if rays between the corners meet the occupied box at a depth, in slices, before the detector's plane.
 fn is_met(occupied: &Occupied, source: Vec3, corners: &[Vec3; 4], axes: Axes, depth: f64) -> bool {
-    // At most five samples beside a ray are read, each at most 1.25 voxels from the next.
+    // At most five samples next to a ray are read, each at most 1.25 voxels from the next.
     const BESIDE: f64 = 8.0;
     let farthest = corners.iter().map(|d| d[axes.slow].abs()).fold(0.0, f64::max);
     let meets = |axis: usize| {

@@ -34,7 +34,7 @@ pub(crate) struct Dirty {
 impl Dirty {
     /// Maximum number of rectangles: each adds a margin of pixels around it.
     const MOST: usize = 8;
-    /// Number of pixels by which a rectangle may grow to absorb another one.
+    /// Number of pixels by which a rectangle can grow to absorb another one.
     const SLACK: usize = 1024;
 
     /// The rectangles.
@@ -138,7 +138,7 @@ impl Splatter {
     }
 }
 
-/// Samples along one image direction that may read a voxel at `position`, half-open.
+/// Samples along one image direction that can read a voxel at `position`, half-open.
 #[inline(always)]
 fn near(slice: &Slice, m: usize, position: i64, count: usize) -> (usize, usize) {
     // Computed in f64 with one extra sample on both sides: the caller checks each sample exactly.

@@ -193,7 +193,7 @@ impl Lanes for Avx2 {
         }
         let same = sse2._mm_cmpeq_epi8(differs, sse2._mm_setzero_si128());
         let joined = sse2._mm_or_si128(first, sse2._mm_andnot_si128(same, sse2._mm_set1_epi8(-1)));
-        // The last cell before these, then these but the last.
+        // The last preceding cell, then all of these except the last.
         let previous = ssse3._mm_alignr_epi8::<15>(joined, cast(*before));
         let changed = !(sse2._mm_movemask_epi8(sse2._mm_cmpeq_epi8(joined, previous)) as u32) & 0xFFFF;
         (cast(joined), changed)

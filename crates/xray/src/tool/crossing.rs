@@ -109,7 +109,7 @@ fn length(interval: Option<(f64, f64)>) -> f64 {
 }
 
 /// The point of the line o + t d closest to the origin. Measured from there, |o + t d| < r is solved without
-/// cancellation even for a distant source. away.
+/// cancellation even for a distant source.
 struct Closest {
     parameter: f64,
     square: f64,

@@ -60,7 +60,7 @@ pub enum ToolPart {
         /// Material.
         material: Material,
     },
-    /// The part of a solid sphere between two parallel planes, as of a ball in a row of balls that overlap.
+    /// The part of a solid sphere between two parallel planes, such as a ball in a row of overlapping balls.
     SphereZone {
         /// Centre.
         centre_m: [f64; 3],
@@ -68,7 +68,7 @@ pub enum ToolPart {
         radius_m: f64,
         /// Unit normal of the planes.
         axis: [f64; 3],
-        /// Where the planes are, from the centre along the axis; the first before the second, both within the
+        /// Positions of the planes along the axis, from the centre, in ascending order; both within the
         /// sphere.
         along_m: [f64; 2],
         /// Material.
@@ -109,7 +109,7 @@ pub struct Tool {
 }
 
 impl Tool {
-    /// The parts, checked, in their order.
+    /// The validated parts, in their order.
     pub(crate) fn prepared(&self) -> impl Iterator<Item = Result<PreparedPart, DrrError>> {
         let prepare =
             |(part, given)| PreparedPart::new(given).map_err(|reason| DrrError::ToolPart { part, reason });

@@ -1,4 +1,4 @@
-//! Attenuation coefficients compared with xraylib's, which are those of NIST's XCOM.
+//! Attenuation coefficients compared with xraylib's, which are NIST's XCOM values.
 
 use xray::{Material, Spectrum};
 
@@ -75,8 +75,8 @@ fn coefficients_are_those_of_xcom() {
     }
 }
 
-/// What 10 mm of aluminium take from each energy, beside xraylib's coefficient: the weights are relative, so
-/// pairs are compared.
+/// Attenuation by 10 mm of aluminium at each energy against xraylib's coefficient. The weights are relative,
+/// so pairs are compared.
 #[test]
 fn the_filter_is_xcoms_aluminium() {
     let weights =

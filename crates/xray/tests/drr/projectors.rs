@@ -82,7 +82,7 @@ fn two_voxels_by_hand() {
     assert!((scene.joseph(&across) - mu * 0.02).abs() < 1e-12);
     let ends_inside = WorldRay::between([-0.1, 0.0, 0.0], [0.01, 0.0, 0.0]);
     assert!((scene.siddon(&ends_inside) - mu * (0.01 + 2.0 * 0.005)).abs() < 1e-12);
-    // Half way between the centres, Joseph's interpolation across the ray gives the mean.
+    // Halfway between the centres, Joseph's interpolation across the ray gives the mean.
     let between = WorldRay::between([0.005, -0.1, 0.0], [0.005, 0.1, 0.0]);
     assert!((scene.joseph(&between) - mu * 0.015).abs() < 1e-12);
     // A quarter voxel beyond the last centre it has dropped to three quarters.
@@ -127,7 +127,7 @@ fn an_ellipsoid_phantom_at_two_resolutions() {
         ]);
     }
     println!("relative rms [siddon, joseph, joseph against siddon] at 1 and 0.5 mm: {errors:?}");
-    // Published figures for such phantoms at 0.5 mm and five times the size: 2.0e-3, 2.1e-3, 0.7e-3. Here
+    // Published values for such phantoms at 0.5 mm and five times the size: 2.0e-3, 2.1e-3, 0.7e-3. Here
     // structures are a quarter of that in voxels; edges make the error first order in the voxel size.
     for (coarse, fine) in errors[0].iter().zip(&errors[1]) {
         assert!(*coarse < 0.016 && *fine < 0.6 * coarse, "{errors:?}");
@@ -141,7 +141,7 @@ fn joseph_is_of_second_order_in_the_voxel_size() {
     let c_arm = crate::poses::c_arm(25.0, 15.0, 24, 0.03);
     let mut errors = Vec::new();
     for n in [1_usize, 2, 4] {
-        // 12 sigma wide; -1000 HU is no attenuation.
+        // 12 sigma wide; -1000 HU means no attenuation.
         let side = 48 * n;
         let grid = Grid::centred([side; 3], [1e-3 / n as f64; 3]).unwrap();
         let hu: Vec<i16> = (0..grid.voxels())

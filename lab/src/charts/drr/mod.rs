@@ -26,7 +26,7 @@ use crate::phantom::Phantom;
 use trabecula::failure::Failure;
 use trabecula::output::{refuse_existing, within};
 
-/// What to measure, and where to write it.
+/// Measurements and output of the chart.
 #[derive(Debug, Clone)]
 pub struct Plan {
     pub out: PathBuf,
@@ -92,7 +92,7 @@ pub struct PosedReference {
     pub siddon: Vec<f64>,
 }
 
-/// The default projector, timed again next to each peer.
+/// The default projector, timed again after each peer.
 pub const STANDARD: (&str, Projector) = ("slice_ordered 1", Projector::SLICE_ORDERED);
 
 /// The projectors of the chart, from exact to fast.
@@ -220,7 +220,7 @@ fn references(phantom: &Phantom, finest: &Sample, side: u32) -> Result<Vec<Posed
         .collect()
 }
 
-/// A projector as the chart names it.
+/// A projector with its name in the chart.
 struct Candidate<'a> {
     name: &'a str,
     projector: Projector,

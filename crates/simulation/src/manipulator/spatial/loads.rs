@@ -65,7 +65,7 @@ impl Loads {
         self.moment += upper(&load);
     }
 
-    /// The moment about the base origin that produces a change of the links' motions.
+    /// Returns the moment about the base origin that produces a change of the links' motions.
     pub fn momentum_moment(&self, change: &[Spatial]) -> Vector3<f64> {
         self.inertia.iter().zip(change).map(|(inertia, v)| upper(&times(inertia, v))).sum()
     }

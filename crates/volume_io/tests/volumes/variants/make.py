@@ -1,8 +1,8 @@
-"""Writes volumes as other programs do, and what two independent readers make of each.
+"""Writes volumes with other programs, and the result of two independent readers for each.
 
     python make.py FOLDER
 
-FOLDER/cases.json lists the cases; each reader's voxels lie beside it as little-endian int32, i fastest, in the order of the file.
+FOLDER/cases.json lists the cases; each reader's voxels are beside it as little-endian int32, i fastest, in file order.
 """
 
 import json
